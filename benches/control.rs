@@ -3,15 +3,17 @@
 //!
 //! Peers are measured in the same run if they have been built by `benches/pinocchio/build target/pinocchio` and
 //! `benches/tsid/build target/tsid`. All cycle over random states of a seven-joint arm with a pose task and a posture,
-//! and print the median over repetitions. Pinocchio's cycle has no limits and no damping; TSID's has bounds on torques,
+//! and print the median over repetitions. The last line compares cycles with and without the distances that the arm keeps
+//! from itself, in turns. Pinocchio's cycle has no limits and no damping; TSID's has bounds on torques,
 //! velocities and accelerations, and weighs its two tasks in one QP.
 
 #![expect(clippy::expect_used, clippy::print_stdout, reason = "a bench")]
 
 use opspace_control::{
-    ControlContext, ControlInput, Controller, JointLimits, Measurement, OperationalSpaceController, Targets,
-    TaskParameters, TaskSetParameters,
+    CollisionLimits, ControlContext, ControlInput, Controller, JointLimits, Measurement,
+    OperationalSpaceController, Targets, TaskParameters, TaskSetParameters,
 };
+use opspace_model::collision::{CapsuleSource, CollisionModel, LinkCapsule, PairSampling};
 use opspace_model::{Data, Model, update};
 use opspace_testing::oracle::{urdf, urdf_path};
 use rand::{RngExt, SeedableRng};
@@ -60,13 +62,17 @@ fn main() {
             return;
         }
         let states = states();
-        let mut bench = Bench::new(&model, limits);
+        let mut bench = Bench::new(&model, limits, None);
         let (damped, limited) = bench.shares(&states);
         rows.push((name, bench.measure(&states, calls), damped, limited));
     };
     row("free", &wide, &|| states(&model, &wide, 0.2, false, |share, limited| share == 1.0 && !limited));
     row("damped", &wide, &|| states(&model, &wide, 0.1, true, |share, limited| share < 1.0 && !limited));
     row("limits", &limits, &|| states(&model, &limits, 0.9, false, |_, _| true));
+
+    if names.is_empty() || names.iter().any(|name| name == "pairs") {
+        compare_pairs(&model, &wide, calls);
+    }
 
     let peer = |name: &str| {
         let path = root.join("target").join(name).join("peer");
@@ -89,6 +95,76 @@ fn main() {
     }
 }
 
+/// Distance that the arm keeps, m.
+const MARGIN_M: f64 = 0.02;
+
+/// Number of turns of the comparison with and without distances.
+const TURNS: usize = 7;
+
+/// Prints the duration of a free cycle without and with the distances of all pairs of the Panda's capsules.
+fn compare_pairs(model: &Model, limits: &JointLimits, calls: usize) {
+    let mut states = states(model, limits, 0.2, false, |share, limited| share == 1.0 && !limited);
+    let mut geometry = CollisionModel::new(model, &capsules()).expect("links of the model");
+    geometry.drop_unneeded_pairs(model, &PairSampling { colliding_m: MARGIN_M, ..PairSampling::default() });
+    for [first, second] in
+        [["1", "3"], ["3", "5"], ["5", "7"]].map(|pair| pair.map(|link| format!("panda_link{link}")))
+    {
+        geometry.drop_pairs(&first, &second).expect("links with capsules");
+    }
+    let pairs = geometry.pairs().len();
+    let collision = CollisionLimits { geometry, margin_m: MARGIN_M };
+    let (mut without, mut with) =
+        (Bench::new(model, limits, None), Bench::new(model, limits, Some(collision)));
+    // Only states in which no distance is in force: the others solve programs.
+    with.start(&states.home);
+    let is_free: Vec<bool> = (states.q.iter().zip(&states.dq))
+        .map(|(q, dq)| {
+            with.run(q, dq);
+            !with.controller.is_limited()
+        })
+        .collect();
+    let free: Vec<usize> = (0..STATES).filter(|&i| is_free[i]).collect();
+    assert!(free.len() > STATES / 10, "{} free states", free.len());
+    let again =
+        |list: &[Vec<f64>]| (0..STATES).map(|i| list[free[i % free.len()]].clone()).collect::<Vec<_>>();
+    (states.q, states.dq) = (again(&states.q), again(&states.dq));
+    let (_, limited) = with.shares(&states);
+    without.start(&states.home);
+    let mut turns: Vec<[f64; 2]> =
+        (0..TURNS).map(|_| [without.measure(&states, calls), with.measure(&states, calls)]).collect();
+    turns.sort_by(|a, b| (a[1] - a[0]).total_cmp(&(b[1] - b[0])));
+    let [without, with] = turns[TURNS / 2];
+    println!(
+        "free cycle with {pairs} pairs kept apart: {with:.0} ns, without {without:.0} ns, difference {:.0} ns; limited {:.0}%",
+        with - without,
+        100.0 * limited
+    );
+}
+
+/// Capsules of robots/panda/robot.toml.
+fn capsules() -> Vec<LinkCapsule> {
+    #[derive(serde::Deserialize)]
+    struct Capsule {
+        link: String,
+        start_m: [f64; 3],
+        end_m: [f64; 3],
+        radius_m: f64,
+    }
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../robots/panda/robot.toml");
+    let text = std::fs::read_to_string(path).expect("a robot of the project");
+    let file: toml::Table = toml::from_str(&text).expect("TOML");
+    let list = file["collision"]["capsule"].clone().try_into::<Vec<Capsule>>().expect("capsules");
+    let one = |(number, capsule): (usize, Capsule)| LinkCapsule {
+        name: number.to_string(),
+        link: format!("panda_{}", capsule.link),
+        start_m: capsule.start_m,
+        end_m: capsule.end_m,
+        radius_m: capsule.radius_m,
+        source: CapsuleSource::User,
+    };
+    list.into_iter().enumerate().map(one).collect()
+}
+
 /// Posture at the controller's start, which is its reference, and states of the arm.
 struct States {
     home: Vec<f64>,
@@ -106,7 +182,7 @@ fn states(
     wanted: impl Fn(f64, bool) -> bool,
 ) -> States {
     let mut rng = ChaCha8Rng::seed_from_u64(1);
-    let mut bench = Bench::new(model, limits);
+    let mut bench = Bench::new(model, limits, None);
     let speed = away.min(1.0);
     loop {
         let between = |joint: &opspace_model::Joint| {
@@ -158,11 +234,12 @@ fn input<'a>(
 }
 
 impl<'a> Bench<'a> {
-    fn new(model: &'a Model, limits: &JointLimits) -> Self {
+    fn new(model: &'a Model, limits: &JointLimits, collision: Option<CollisionLimits>) -> Self {
         let task: BTreeMap<String, TaskParameters> = toml::from_str(TASKS).expect("good tasks");
         let priority = ["hand".to_owned(), "rest".to_owned()];
         let stack = TaskSetParameters::new(&priority, &task);
-        let context = ControlContext { limits: limits.clone(), ..ControlContext::new(model, 1e-3) };
+        let context =
+            ControlContext { limits: limits.clone(), collision, ..ControlContext::new(model, 1e-3) };
         let controller = OperationalSpaceController::new(model, &stack, &context).expect("a good stack");
         let signals = opspace_backend::Observable::signals(&controller);
         let before = signals.iter().take_while(|s| s.name != "hand.min_singular_gain");

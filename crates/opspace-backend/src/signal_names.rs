@@ -64,6 +64,9 @@ pub const SETPOINT_CLAMPED: &str = "setpoint_clamped";
 pub const LIMITED: &str = "limited";
 /// Code of the solver that enforced the limits.
 pub const LIMITS_SOLVER: &str = "limits_solver";
+/// Smallest distance of all pairs of links, and of links and obstacles, that the controller keeps apart, m; at most the
+/// distance beyond which it computes none.
+pub const LEAST_DISTANCE: &str = "least_distance";
 /// Number of the active task set.
 pub const TASK_SET: &str = "task_set";
 

@@ -471,6 +471,11 @@ pub struct ModelArgs {
     #[arg(long, value_name = "FILE", requires = "tip")]
     pub samples: Option<PathBuf>,
 
+    /// Print the capsules with which the robot avoids collisions, in the form of robot.toml; those that are generated if
+    /// it lists none.
+    #[arg(long, conflicts_with_all = ["samples", "json"])]
+    pub capsules: bool,
+
     /// Add a floating base: q begins with its position and quaternion x, y, z, w. Only for a URDF.
     #[arg(long)]
     pub floating: bool,

@@ -1,9 +1,10 @@
 //! Properties of a robot that a controller needs in addition to the model.
 
+use crate::limits::collision_limits::CollisionLimits;
 use crate::limits::joint_limits::JointLimits;
 use opspace_model::{FrameId, Model};
 
-/// Period, force sensors, gravity compensation and limits of a robot.
+/// Period, force sensors, gravity compensation, limits and collision geometry of a robot.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ControlContext {
     /// Control period: time between two updates, s.
@@ -17,6 +18,9 @@ pub struct ControlContext {
     pub gravity_by_robot: bool,
     /// Limits of the joints.
     pub limits: JointLimits,
+    /// Distances that are kept between links and from obstacles; `None` if nothing is known about them. Inverse
+    /// kinematics does not keep them.
+    pub collision: Option<CollisionLimits>,
 }
 
 impl ControlContext {
@@ -25,6 +29,13 @@ impl ControlContext {
     #[must_use]
     pub fn new(model: &Model, period_s: f64) -> Self {
         let limits = JointLimits::of(model);
-        Self { period_s, command_delay_s: 0.0, sensors: Vec::new(), gravity_by_robot: false, limits }
+        Self {
+            period_s,
+            command_delay_s: 0.0,
+            sensors: Vec::new(),
+            gravity_by_robot: false,
+            limits,
+            collision: None,
+        }
     }
 }

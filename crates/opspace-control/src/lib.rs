@@ -96,6 +96,7 @@ pub use hierarchy::rank;
 pub use hierarchy::task_parameters::{Compensation, RegisteredTask, TaskParameters, TaskSetParameters};
 pub use hierarchy::task_set::{TaskSet, TaskSetBuilder};
 pub use ik::{InverseKinematicsController, ServoLead};
+pub use limits::collision_limits::CollisionLimits;
 pub use limits::joint_limits::{JointLimits, LimitParameters};
 pub use measurement::Measurement;
 pub use osc::OperationalSpaceController;

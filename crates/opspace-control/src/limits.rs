@@ -1,6 +1,8 @@
-//! Joint limits and their enforcement.
+//! Joint limits, distances from obstacles and of links, and their enforcement.
 
 pub mod bounds;
+pub(crate) mod collision_bounds;
+pub mod collision_limits;
 pub mod horizon;
 pub mod joint_limits;
 pub(crate) mod limiter;

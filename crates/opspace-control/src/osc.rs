@@ -240,7 +240,7 @@ impl OperationalSpaceController {
             return;
         };
         let hierarchy = self.schedule.current_mut();
-        limiter.update_state(data, self.compensation, hierarchy);
+        limiter.update_state(input.model, data, self.compensation, hierarchy);
         self.scratch.copy_from(&self.torque);
         data.mass_matrix_factor.solve(self.scratch.as_mut_slice());
         let (alpha, torque, compensation_torque) = (&self.scratch, &self.torque, &self.compensation_torque);

@@ -1,5 +1,6 @@
 //! Robot, task and suite files: reading, and descriptions of the mistakes in them.
 
+pub mod collision;
 pub mod expectation;
 pub(crate) mod explain;
 pub mod grid;

@@ -11,12 +11,14 @@
 //! | `limits` | limits that contradict each other, the start posture or the arm's weight |
 //! | `freedom` | a start at a singularity; degrees of freedom without a task |
 //! | `servo_gain` | position or velocity loops with a small gain margin |
+//! | `collisions` | a start or references in collision with an obstacle or the arm itself |
 //! | `times` | events and references that end after the run |
 //!
 //! All checks use the nominal robot, which starts in the start posture of the task and follows the references without
 //! error.
 
 mod case;
+mod collisions;
 mod diagnostic;
 mod freedom;
 mod goals;
@@ -57,6 +59,9 @@ pub fn diagnostics(experiment: &Experiment) -> Vec<Diagnostic> {
         found.extend(limits::on_the_way(&case, &followed));
     }
     found.extend(out_of_reach);
+    if experiment.options().controller == ControllerKind::Osc {
+        found.extend(collisions::collisions(&case, &followed));
+    }
     found.extend(speeds::of_tasks(&case, &followed));
     found.extend(times::too_short(&case, &followed));
     found

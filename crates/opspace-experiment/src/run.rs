@@ -1,6 +1,7 @@
 //! Experiments: a task executed by a simulated or real robot, or replayed from a log.
 
 mod capabilities;
+pub mod collision;
 pub mod error;
 pub mod execute;
 pub mod experiment;

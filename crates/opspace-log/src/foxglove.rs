@@ -72,6 +72,8 @@ pub(crate) struct SceneEntity {
     pub id: String,
     pub arrows: Vec<Arrow>,
     pub cubes: Vec<Cube>,
+    pub spheres: Vec<Sphere>,
+    pub cylinders: Vec<Cylinder>,
     pub lines: Vec<Line>,
 }
 
@@ -90,6 +92,28 @@ pub(crate) struct Arrow {
 pub(crate) struct Cube {
     pub pose: Pose,
     /// Size along x, y and z, m.
+    pub size: [f64; 3],
+    /// Red, green, blue and opacity, 0 to 1.
+    pub color: [f64; 4],
+}
+
+/// `foxglove.SpherePrimitive`.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Sphere {
+    /// Centre.
+    pub pose: Pose,
+    /// Diameters along x, y and z, m.
+    pub size: [f64; 3],
+    /// Red, green, blue and opacity, 0 to 1.
+    pub color: [f64; 4],
+}
+
+/// `foxglove.CylinderPrimitive` with equal ends.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Cylinder {
+    /// Middle; z is its axis.
+    pub pose: Pose,
+    /// Diameters along x and y, and length, m.
     pub size: [f64; 3],
     /// Red, green, blue and opacity, 0 to 1.
     pub color: [f64; 4],
@@ -299,6 +323,22 @@ impl SceneEntity {
                 nested(3, out, |out| numbers(&cube.color, out));
             });
         }
+        for sphere in &self.spheres {
+            nested(9, out, |out| {
+                nested(1, out, |out| sphere.pose.encode(out));
+                nested(2, out, |out| numbers(&sphere.size, out));
+                nested(3, out, |out| numbers(&sphere.color, out));
+            });
+        }
+        for cylinder in &self.cylinders {
+            nested(10, out, |out| {
+                nested(1, out, |out| cylinder.pose.encode(out));
+                nested(2, out, |out| numbers(&cylinder.size, out));
+                // Ratios of the ends to the size.
+                [3, 4].into_iter().for_each(|tag| number(tag, 1.0, out));
+                nested(5, out, |out| numbers(&cylinder.color, out));
+            });
+        }
         for line in &self.lines {
             nested(11, out, |out| {
                 number(3, line.thickness, out);
@@ -450,6 +490,8 @@ mod tests {
             id: "wall".to_owned(),
             arrows: vec![Arrow { pose: POSE, sizes: [0.5, 0.02, 0.1, 0.04], color }],
             cubes: vec![Cube { pose: POSE, size: [0.01, 1.0, 1.0], color }],
+            spheres: vec![Sphere { pose: POSE, size: [0.1; 3], color }],
+            cylinders: vec![Cylinder { pose: POSE, size: [0.1, 0.1, 0.5], color }],
             lines: vec![Line { thickness: 2.0, points: vec![[0.0, 1.0, 2.0], [0.0; 3]], color }],
         };
         let [r, g, b, a] = color;
@@ -468,6 +510,18 @@ mod tests {
             cubes: vec![messages::CubePrimitive {
                 pose: their_pose(POSE),
                 size: Some(Vector3 { x: 0.01, y: 1.0, z: 1.0 }),
+                color: Some(messages::Color { r, g, b, a }),
+            }],
+            spheres: vec![messages::SpherePrimitive {
+                pose: their_pose(POSE),
+                size: Some(Vector3 { x: 0.1, y: 0.1, z: 0.1 }),
+                color: Some(messages::Color { r, g, b, a }),
+            }],
+            cylinders: vec![messages::CylinderPrimitive {
+                pose: their_pose(POSE),
+                size: Some(Vector3 { x: 0.1, y: 0.1, z: 0.5 }),
+                bottom_scale: 1.0,
+                top_scale: 1.0,
                 color: Some(messages::Color { r, g, b, a }),
             }],
             lines: vec![messages::LinePrimitive {

@@ -36,8 +36,10 @@ pub struct Scene {
     pub robot_description: Option<String>,
     /// Frame in whose coordinates a task's poses are given, by the name of the task; the world for all other tasks.
     pub relative_to: BTreeMap<String, String>,
-    /// Walls of the environment.
+    /// Walls of the environment, and half-spaces that the robot avoids.
     pub walls: Vec<Wall>,
+    /// Capsules of the robot and obstacles.
+    pub capsules: Vec<SceneCapsule>,
     /// Forces, shown as arrows.
     pub forces: Vec<ForceArrow>,
 }
@@ -51,6 +53,21 @@ pub struct Wall {
     pub point_m: [f64; 3],
     /// Outward normal in world axes; any length except 0.
     pub normal: [f64; 3],
+}
+
+/// Capsule: all points within a radius of a line segment.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SceneCapsule {
+    /// Name.
+    pub name: String,
+    /// Link to which it is fixed; the world if `None`.
+    pub frame: Option<String>,
+    /// First end of the axis in the frame, m.
+    pub start_m: [f64; 3],
+    /// Second end of the axis in the frame, m.
+    pub end_m: [f64; 3],
+    /// Radius, m.
+    pub radius_m: f64,
 }
 
 /// Force on a frame, shown as an arrow.

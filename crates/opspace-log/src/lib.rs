@@ -67,7 +67,9 @@ pub use compare::{Comparer, Difference};
 pub use csv::CsvWriter;
 pub use difference::{ChannelComparison, LogComparison, MessageDifference, compare_logs};
 pub use error::{Corruption, LogError};
-pub use header::{Attachment, Channel, ForceArrow, GAPS, Header, LOG, Scene, TIME_ZERO_NS, Wall};
+pub use header::{
+    Attachment, Channel, ForceArrow, GAPS, Header, LOG, Scene, SceneCapsule, TIME_ZERO_NS, Wall,
+};
 pub use inputs::{LoggedInput, LoggedInputs};
 pub use log_file::{ChannelContents, LogFile};
 pub use mcap::MAGIC;

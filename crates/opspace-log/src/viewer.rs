@@ -5,6 +5,7 @@
 //! | `/robot_description` | `std_msgs/msg/String`: the URDF | once |
 //! | `/tf_static` | `foxglove.FrameTransforms`: the base in the world, and frames that are fixed to a link | once |
 //! | `/scene/environment` | `foxglove.SceneUpdate`: walls | once |
+//! | `/scene/collision` | `foxglove.SceneUpdate`: capsules of the links, and obstacles | once |
 //! | `/joint_states` | `foxglove.JointStates` | 50 Hz |
 //! | `/tf` | `foxglove.FrameTransforms`: each moving link in its parent, as in the URDF | 50 Hz |
 //! | `/TASK/reference`, `/TASK/controlled_frame` | `foxglove.PoseInFrame` | 50 Hz |
@@ -16,10 +17,10 @@
 
 use crate::error::LogError;
 use crate::foxglove::{
-    Arrow, Cube, Encode, FrameTransform, FrameTransforms, JointState, JointStates, Kind, Line, Message, Pose,
-    PoseInFrame, RosText, SceneEntity, SceneUpdate, Timestamp, Warning,
+    Arrow, Cube, Cylinder, Encode, FrameTransform, FrameTransforms, JointState, JointStates, Kind, Line,
+    Message, Pose, PoseInFrame, RosText, SceneEntity, SceneUpdate, Sphere, Timestamp, Warning,
 };
-use crate::header::{Scene, TIME_ZERO_NS, Wall};
+use crate::header::{Scene, SceneCapsule, TIME_ZERO_NS, Wall};
 use nalgebra::{Rotation3, UnitQuaternion, Vector3};
 use opspace_backend::Layout;
 use opspace_backend::signal_names::{
@@ -46,6 +47,8 @@ const ARROW_M_PER_N: f64 = 0.01;
 const WALL_M: [f64; 2] = [1.0, 0.01];
 
 const WALL_COLOR: [f64; 4] = [0.6, 0.6, 0.65, 0.5];
+const LINK_COLOR: [f64; 4] = [0.2, 0.6, 0.4, 0.3];
+const OBSTACLE_COLOR: [f64; 4] = [0.8, 0.5, 0.1, 0.5];
 const FORCE_COLOR: [f64; 4] = [0.85, 0.3, 0.1, 1.0];
 const PATH_COLOR: [f64; 4] = [0.1, 0.45, 0.8, 1.0];
 
@@ -175,6 +178,11 @@ impl Viewer {
         if !scene.walls.is_empty() {
             let entities = scene.walls.iter().map(|wall| wall_entity(wall, &world)).collect();
             let topic = add("/scene/environment".to_owned(), SceneUpdate::KIND);
+            once.push((topic, Once::Scene(SceneUpdate { entities })));
+        }
+        if !scene.capsules.is_empty() {
+            let entities = scene.capsules.iter().map(|capsule| capsule_entity(capsule, &world)).collect();
+            let topic = add("/scene/collision".to_owned(), SceneUpdate::KIND);
             once.push((topic, Once::Scene(SceneUpdate { entities })));
         }
         let forces = bodies.as_ref().map(|(_, bodies)| Force::all(&scene, layouts, &bodies.model));
@@ -432,9 +440,14 @@ fn task_pose(position: &[f64], orientation: &[f64]) -> Option<Pose> {
 
 /// Pose at a point with x along a direction.
 fn along(point: &Vector3<f64>, direction: &Vector3<f64>) -> Pose {
-    // The direction opposite to x has no unique rotation.
-    let r = UnitQuaternion::rotation_between(&Vector3::x(), direction)
-        .unwrap_or_else(|| UnitQuaternion::from_axis_angle(&Vector3::z_axis(), std::f64::consts::PI));
+    with_axis(point, &Vector3::x(), direction)
+}
+
+/// Pose at a point with `axis`, x or z, along a direction.
+fn with_axis(point: &Vector3<f64>, axis: &Vector3<f64>, direction: &Vector3<f64>) -> Pose {
+    // The opposite direction has no unique rotation: half a turn about y reverses x and z.
+    let r = UnitQuaternion::rotation_between(axis, direction)
+        .unwrap_or_else(|| UnitQuaternion::from_axis_angle(&Vector3::y_axis(), std::f64::consts::PI));
     Pose { position: [point.x, point.y, point.z], orientation: [r.i, r.j, r.k, r.w] }
 }
 
@@ -457,6 +470,31 @@ fn wall_entity(wall: &Wall, world: &str) -> SceneEntity {
         frame_id: world.to_owned(),
         id: wall.name.clone(),
         cubes: vec![Cube { pose: along(&center, &normal), size: [thickness, size, size], color: WALL_COLOR }],
+        ..SceneEntity::default()
+    }
+}
+
+fn capsule_entity(capsule: &SceneCapsule, world: &str) -> SceneEntity {
+    let [start, end] = [capsule.start_m, capsule.end_m].map(Vector3::from);
+    let color = if capsule.frame.is_some() { LINK_COLOR } else { OBSTACLE_COLOR };
+    let diameter = 2.0 * capsule.radius_m;
+    let sphere = |center: Vector3<f64>| Sphere {
+        pose: with_axis(&center, &Vector3::x(), &Vector3::x()),
+        size: [diameter; 3],
+        color,
+    };
+    let axis = end - start;
+    let cylinder = Cylinder {
+        pose: with_axis(&(0.5 * (start + end)), &Vector3::z(), &axis),
+        size: [diameter, diameter, axis.norm()],
+        color,
+    };
+    let is_sphere = axis == Vector3::zeros();
+    SceneEntity {
+        frame_id: capsule.frame.clone().unwrap_or_else(|| world.to_owned()),
+        id: capsule.name.clone(),
+        spheres: if is_sphere { vec![sphere(start)] } else { vec![sphere(start), sphere(end)] },
+        cylinders: if is_sphere { Vec::new() } else { vec![cylinder] },
         ..SceneEntity::default()
     }
 }

@@ -4,7 +4,7 @@
 //! everywhere. The [`CollisionModel`] is a second model beside [`Model`](crate::Model): it has the capsules of the
 //! robot, obstacles in the world, and the pairs whose distances are of interest; [`CollisionData`] has their distances
 //! in one state. Limits that keep pairs apart are not part of this crate: they are rows gradientᵀ q̈ +
-//! [`distance_bias_acceleration`] ≥ lower bound.
+//! [`distance_bias_acceleration`] ≥ lower bound, of the closest points and of the [`end_proximities`].
 //!
 //! ```
 //! # let urdf = include_str!("../urdf/ur5e.urdf");
@@ -39,6 +39,7 @@
 mod capsule;
 mod distances;
 mod enclose;
+mod ends;
 mod generate;
 mod gradient;
 mod mesh;
@@ -50,6 +51,7 @@ mod segment;
 pub use capsule::{Capsule, CapsuleSource, CollisionShape, HalfSpace, LinkCapsule};
 pub use distances::{CollisionData, collision_distances};
 pub use enclose::enclosing_capsule;
+pub use ends::end_proximities;
 pub use generate::{CapsuleWarning, GeneratedCapsules, generate_capsules};
 pub use gradient::{distance_bias_acceleration, distance_gradient};
 pub use mesh::{MAX_MESH_BYTES, MeshError, MeshErrorKind, MeshFormat, find_mesh, mesh_vertices};

@@ -11,10 +11,12 @@ use opspace_experiment::files::robot::load_urdf;
 use opspace_experiment::preflight::{
     GainMargin, ServoLoop, SingularPostures, gain_margin, not_checked, singular_postures,
 };
+use opspace_experiment::run::collision::KeptDistances;
 use opspace_experiment::{
     Diagnostic, Experiment, Extensions, FileError, Files, RobotDefinition, RunOptions, Source, Suite,
     diagnostics,
 };
+use opspace_model::collision::DropReason;
 use opspace_model::{Model, UrdfOptions, UrdfWarning, model_warnings};
 use serde_json::{Value, json};
 use std::collections::HashSet;
@@ -28,10 +30,11 @@ pub fn check(args: &CheckArgs, extensions: &Extensions, console: Console) -> Out
         let checked = check_one(path, extensions, console);
         files.push(as_json(path, &checked));
         match checked {
-            Ok(Checked { what, margin, singular, found, skipped }) => {
+            Ok(Checked { what, margin, singular, distances, found, skipped }) => {
                 text += &format!("{}: {what}\n", path.display());
                 margin.iter().for_each(|margin| text += &format!("  {margin}\n"));
                 singular.iter().for_each(|singular| text += &format!("  {singular}\n"));
+                distances.iter().for_each(|distances| text += &pairs_text(distances));
                 found.iter().for_each(|found| note(console, found));
                 skipped.iter().for_each(|skipped| text += &format!("  not checked: {}\n", skipped.place));
             }
@@ -50,6 +53,8 @@ struct Checked {
     margin: Option<GainMargin>,
     /// Nearly singular postures of each task.
     singular: Vec<SingularPostures>,
+    /// Pairs of links and obstacles that the controller keeps apart.
+    distances: Option<KeptDistances>,
     found: Vec<Found>,
     /// Parts that could not be checked.
     skipped: Vec<Found>,
@@ -57,7 +62,14 @@ struct Checked {
 
 impl Checked {
     fn clean(what: String) -> Self {
-        Self { what, margin: None, singular: Vec::new(), found: Vec::new(), skipped: Vec::new() }
+        Self {
+            what,
+            margin: None,
+            singular: Vec::new(),
+            distances: None,
+            found: Vec::new(),
+            skipped: Vec::new(),
+        }
     }
 }
 
@@ -123,6 +135,7 @@ fn check_one(path: &Path, extensions: &Extensions, console: Console) -> Result<C
     let robot = || {
         let robot = RobotDefinition::load(Files::Disk, path, &[])?;
         warn(console, robot.urdf.name(), &robot.warnings, &robot.model);
+        robot.capsule_warnings().iter().for_each(|w| console.note(&format!("{}: {w}", robot.urdf.name())));
         Ok(Checked::clean(format!("a robot of {} joints", robot.model.n())))
     };
     match Kind::of(source.text()) {
@@ -145,7 +158,8 @@ fn check_one(path: &Path, extensions: &Extensions, console: Console) -> Result<C
             let small = margin.as_ref().and_then(|margin| margin.finding(&experiment));
             found.extend(small.map(|finding| Found::new(finding, &experiment)));
             let singular = singular_postures(&experiment);
-            Ok(Checked { what, margin, singular, found, skipped })
+            let distances = experiment.kept_distances().cloned();
+            Ok(Checked { what, margin, singular, distances, found, skipped })
         }
         Some(Kind::Robot) => robot(),
         // A folder denotes a robot.
@@ -159,6 +173,55 @@ fn check_one(path: &Path, extensions: &Extensions, console: Console) -> Result<C
     }
 }
 
+/// Names of the pairs that are kept apart.
+fn kept_pairs(distances: &KeptDistances) -> Vec<[&str; 2]> {
+    let geometry = &distances.limits.geometry;
+    (0..geometry.pairs().len()).map(|pair| geometry.pair_names(pair)).collect()
+}
+
+/// Name of the reason for which a pair is not kept apart.
+fn reason_name(reason: DropReason) -> &'static str {
+    match reason {
+        DropReason::AlwaysColliding => "always-colliding",
+        DropReason::NeverNear => "never-near",
+        _ => "dropped",
+    }
+}
+
+/// Describes the pairs that are kept apart, and those that are not.
+fn pairs_text(distances: &KeptDistances) -> String {
+    let list = |pairs: Vec<[&str; 2]>| {
+        let names: Vec<String> = pairs.iter().map(|[a, b]| format!("{a} and {b}")).collect();
+        if names.is_empty() { String::new() } else { format!(": {}", names.join(", ")) }
+    };
+    let dropped = |reason: DropReason| -> Vec<[&str; 2]> {
+        let pairs = distances.dropped.iter().filter(|pair| pair.reason == reason);
+        pairs.map(|pair| [pair.names[0].as_str(), pair.names[1].as_str()]).collect()
+    };
+    let kept = kept_pairs(distances);
+    let (always, never) = (dropped(DropReason::AlwaysColliding), dropped(DropReason::NeverNear));
+    format!(
+        "  {} pairs are kept {} m apart{}\n  {} pairs always collide and are not kept apart{}\n  {} pairs never meet\n",
+        kept.len(),
+        distances.limits.margin_m,
+        list(kept),
+        always.len(),
+        list(always),
+        never.len()
+    )
+}
+
+fn pairs_json(distances: &KeptDistances) -> Value {
+    let dropped = distances.dropped.iter();
+    json!({
+        "margin_m": distances.limits.margin_m,
+        "kept": kept_pairs(distances),
+        "dropped": dropped
+            .map(|pair| json!({ "names": pair.names, "reason": reason_name(pair.reason) }))
+            .collect::<Vec<Value>>(),
+    })
+}
+
 fn as_json(path: &Path, checked: &Result<Checked, FileError>) -> Value {
     let told = |found: &Found| {
         json!({
@@ -170,7 +233,7 @@ fn as_json(path: &Path, checked: &Result<Checked, FileError>) -> Value {
         })
     };
     match checked {
-        Ok(Checked { what, margin, singular, found, skipped }) => {
+        Ok(Checked { what, margin, singular, distances, found, skipped }) => {
             let [findings, not_checked] =
                 [found, skipped].map(|list| list.iter().map(told).collect::<Vec<Value>>());
             let margin_of = |servo_loop: ServoLoop| {
@@ -185,6 +248,7 @@ fn as_json(path: &Path, checked: &Result<Checked, FileError>) -> Value {
                 "position_gain_margin": margin_of(ServoLoop::Position),
                 "velocity_gain_margin": margin_of(ServoLoop::Velocity),
                 "singular_postures": singular.iter().map(singular_as_json).collect::<Vec<Value>>(),
+                "kept_distances": distances.as_ref().map(pairs_json),
                 "findings": findings,
                 "not_checked": not_checked,
             })

@@ -5,6 +5,7 @@ use crate::console::{Console, Exit, Failure, Outcome, print_exactly, render};
 use crate::output::{Format, pretty, write_named};
 use crate::outputs::check_outputs;
 use opspace_experiment::evaluate::table::{Cell, Table};
+use opspace_experiment::files::collision::{capsules_as_toml, generated_capsules};
 use opspace_experiment::files::robot::load_urdf;
 use opspace_experiment::{Files, RobotDefinition, Source};
 use opspace_model::samples::{Sample, evaluate};
@@ -17,6 +18,9 @@ use std::io::{self, BufRead, BufReader, Read};
 use std::path::Path;
 
 pub fn model(args: &ModelArgs, console: Console) -> Outcome {
+    if args.capsules {
+        return capsules(args, console);
+    }
     let shown = load(args)?;
     if let (Some(tip), Some(samples)) = (&args.tip, &args.samples) {
         return evaluate_samples(&shown.model, tip, samples, args.json.json.as_deref());
@@ -24,6 +28,25 @@ pub fn model(args: &ModelArgs, console: Console) -> Outcome {
     check_outputs(&[shown.file.clone().into()], &Vec::from_iter(args.json.path().map(Path::to_owned)))?;
     args.json.print(|| pretty(&as_json(&shown)), || describe(&shown))?;
     shown.warnings.iter().for_each(|w| console.note(&format!("{}: {w}", shown.file)));
+    Ok(Exit::Done)
+}
+
+/// Prints the capsules of a robot, or those of a URDF.
+fn capsules(args: &ModelArgs, console: Console) -> Outcome {
+    let is_urdf = args.robot.extension().is_some_and(|e| e == "urdf");
+    let robot = if is_urdf { None } else { Some(RobotDefinition::load(Files::Disk, &args.robot, &[])?) };
+    let (capsules, warnings) = match robot {
+        Some(robot) if !robot.capsules().is_empty() => {
+            (robot.capsules().to_vec(), robot.capsule_warnings().to_vec())
+        }
+        robot => {
+            let urdf = robot.map_or_else(|| Source::read(&args.robot), |robot| Ok(robot.urdf))?;
+            let generated = generated_capsules(&urdf)?;
+            (generated.capsules, generated.warnings)
+        }
+    };
+    print_exactly(&capsules_as_toml(&capsules))?;
+    warnings.iter().for_each(|warning| console.note(&warning.to_string()));
     Ok(Exit::Done)
 }
 

@@ -126,6 +126,16 @@ impl Bounds {
         self.horizon_s
     }
 
+    /// Braking acceleration of each joint, rad/s² or m/s² (n).
+    pub(crate) fn braking(&self) -> &[f64] {
+        &self.braking
+    }
+
+    /// Highest speed of each joint, rad/s or m/s (n).
+    pub(crate) fn velocity(&self) -> &[f64] {
+        &self.limits.velocity
+    }
+
     /// Returns true if joint accelerations and commanded torques (n) are within the bounds of a state. This fast test
     /// needs neither the square roots nor the precedence rules for contradicting bounds; `false` means that the bounds
     /// must be computed.
@@ -188,14 +198,15 @@ impl Bounds {
     }
 }
 
-/// State, velocity limit and braking acceleration of a joint, and the horizon of its bounds.
+/// State, velocity limit and braking acceleration of a joint, and the horizon of its bounds. Also of a pair of objects:
+/// its position is then its distance, with the opposite sign.
 #[derive(Clone, Copy)]
-struct JointState {
-    q: f64,
-    dq: f64,
-    velocity: f64,
-    braking: f64,
-    horizon_s: f64,
+pub(crate) struct JointState {
+    pub q: f64,
+    pub dq: f64,
+    pub velocity: f64,
+    pub braking: f64,
+    pub horizon_s: f64,
 }
 
 impl JointState {
@@ -206,7 +217,7 @@ impl JointState {
 
     /// Returns the highest acceleration for which the joint stays below its velocity limit and can stop at the position
     /// limit `end`.
-    fn highest(self, end: f64) -> f64 {
+    pub(crate) fn highest(self, end: f64) -> f64 {
         let h = self.horizon_s;
         let mut allowed = self.velocity;
         if end < f64::INFINITY {

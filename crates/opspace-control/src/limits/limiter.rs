@@ -5,21 +5,24 @@ use crate::controller::ControlInput;
 use crate::hierarchy::task_hierarchy::TaskHierarchy;
 use crate::hierarchy::task_parameters::Compensation;
 use crate::limits::bounds::{Bounds, Interval};
+use crate::limits::collision_bounds::CollisionBounds;
 use crate::limits::joint_limits::LimitParameters;
 use crate::qp::lexicographic::{HierarchicalQp, Limits, Solver, SpeedBound};
 use crate::qp::quadratic_program::QpError;
 use nalgebra::DVector;
 use opspace_backend::SignalRecorder;
-use opspace_backend::signal_names::{LIMITED, LIMITS_SOLVER};
+use opspace_backend::signal_names::{LEAST_DISTANCE, LIMITED, LIMITS_SOLVER};
 use opspace_model::{Data, Model};
 
 /// Computation of commands within the limits.
 pub(crate) struct Limiter {
     bounds: Bounds,
+    collision: Option<CollisionBounds>,
     /// Torque bounds before the QPs widen any of them.
     torque_bounds: Interval,
     cascade: HierarchicalQp,
-    /// Bounds on task speeds; only the first `speed_count` entries are in use.
+    /// Bounds on task speeds, and on the approach of pairs if QPs are solved; only the first `speed_count` entries are
+    /// in use.
     speeds: Vec<SpeedBound>,
     speed_count: usize,
     /// Joint acceleration that the tasks do not cause, rad/s² or m/s² (n).
@@ -47,9 +50,11 @@ impl Limiter {
         let zero = DVector::zeros(n);
         let limits = context.limits.clone().narrowed(parameters);
         let bounds = Bounds::new(model, limits, context.period_s, parameters.horizon_s(context.period_s));
+        let collision = context.collision.as_ref().map(|limits| CollisionBounds::new(model, limits, &bounds));
         // Each task has a row of its own and at most two speeds.
-        let speeds = 2 * n;
+        let speeds = 2 * n + collision.as_ref().map_or(0, CollisionBounds::capacity);
         Self {
+            collision,
             torque_bounds: bounds.torque.clone(),
             bounds,
             cascade: HierarchicalQp::new(n, speeds, parameters.lateral_weight()),
@@ -66,6 +71,7 @@ impl Limiter {
     /// Updates all state-dependent quantities except the joint bounds.
     pub(crate) fn update_state(
         &mut self,
+        model: &Model,
         data: &Data,
         compensation: Compensation,
         hierarchy: &TaskHierarchy,
@@ -79,6 +85,9 @@ impl Limiter {
             data.mass_matrix_factor.solve(self.bias_acceleration.as_mut_slice());
         }
         self.resists = hierarchy.levels.iter().any(|level| !level.resistance.is_negligible());
+        if let Some(collision) = &mut self.collision {
+            collision.update(model, data, &self.bias_acceleration);
+        }
         self.speed_count = 0;
         let horizon_s = self.bounds.horizon_s();
         for level in &hierarchy.levels {
@@ -113,7 +122,15 @@ impl Limiter {
                 acceleration,
                 torque,
             )
-            && self.speeds[..self.speed_count].iter().all(|speed| speed.allows(alpha.as_slice()))
+            && self.speeds[..self.speed_count]
+                .iter()
+                .chain(self.pairs())
+                .all(|row| row.allows(alpha.as_slice()))
+    }
+
+    /// Bounds on the approach of pairs.
+    fn pairs(&self) -> &[SpeedBound] {
+        self.collision.as_ref().map_or(&[], CollisionBounds::rows)
     }
 
     /// Computes the joint bounds in this state; `commanded` are the last commanded torques (n).
@@ -121,6 +138,12 @@ impl Limiter {
         self.bounds.update(input.measurement, input.feedforward_torque, commanded);
         self.torque_bounds.lower.copy_from(&self.bounds.torque.lower);
         self.torque_bounds.upper.copy_from(&self.bounds.torque.upper);
+        let pairs = self.collision.as_ref().map_or(&[][..], CollisionBounds::rows);
+        for (slot, pair) in self.speeds[self.speed_count..].iter_mut().zip(pairs) {
+            slot.row.copy_from(&pair.row);
+            slot.upper = pair.upper;
+            self.speed_count += 1;
+        }
     }
 
     /// Solves the QPs of all levels: each level satisfies its desired accelerations as closely as the limits and the
@@ -248,5 +271,8 @@ impl Limiter {
     pub(crate) fn record(&self, joint_names: &[String], out: &mut SignalRecorder<'_>) {
         out.signal(LIMITED, "1", joint_names, self.limited.as_slice());
         out.scalar(LIMITS_SOLVER, "1", f64::from(self.solver as u8));
+        if let Some(collision) = &self.collision {
+            out.scalar(LEAST_DISTANCE, "m", collision.least_m());
+        }
     }
 }

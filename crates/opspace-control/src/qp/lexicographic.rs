@@ -66,7 +66,7 @@ const ORTHOGONAL: f64 = 1e-10;
 /// Largest tolerated violation of a bound, relative to its value plus 1.
 const SLACK: f64 = 1e-9;
 
-/// Bound on the speed of a task: `row` (n) · α ≤ `upper`.
+/// Bound on the speed of a task, or on the speed at which two objects approach each other: `row` (n) · α ≤ `upper`.
 #[derive(Clone, Debug)]
 pub(crate) struct SpeedBound {
     pub row: DVector<f64>,

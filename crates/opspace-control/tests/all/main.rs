@@ -1,6 +1,7 @@
 //! Tasks, hierarchy, limits, references and controllers on small arms.
 
 mod allocation;
+mod collisions;
 mod common;
 mod files;
 mod hierarchy;

@@ -44,7 +44,7 @@ const SMALLER: [&str; 19] = [
 const LARGER: [&str; 1] = ["in_contact_fraction"];
 /// Metrics that describe a run and are neither better nor worse.
 #[cfg(test)]
-const NEUTRAL: [&str; 14] = [
+const NEUTRAL: [&str; 15] = [
     "contact_begin_s",
     "compliant_motion_rms_m",
     "compliant_work_j",
@@ -58,6 +58,7 @@ const NEUTRAL: [&str; 14] = [
     "slack_max_m_per_s2",
     "slack_rms_rad_per_s2",
     "slack_max_rad_per_s2",
+    "least_distance_m",
     "torque_chatter_hz",
 ];
 

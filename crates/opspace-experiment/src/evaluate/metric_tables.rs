@@ -50,6 +50,9 @@ pub struct Metrics {
     pub limited_share: Option<f64>,
     /// Fraction of control cycles in which a task was damped near a singular pose.
     pub damped_fraction: Option<f64>,
+    /// Smallest distance of two links, or of a link and an obstacle, that the controller keeps apart, m; at most the
+    /// distance beyond which it computes none.
+    pub least_distance_m: Option<f64>,
     /// Fraction of interface cycles that were missed during control.
     pub missed_fraction: Option<f64>,
     /// Desired torque above 8 Hz of the joint with the most, rms, Nm.

@@ -1,5 +1,6 @@
 //! robot.toml: nominal parameters of a robot, and parameters of its simulation.
 
+use crate::files::collision::{CollisionFile, RobotCapsules, robot_capsules};
 use crate::files::interface::InterfaceParameters;
 use crate::files::origin::{Files, Kind, beside};
 use crate::files::overrides;
@@ -10,6 +11,7 @@ use opspace_backend::quantity::Positive;
 use opspace_backend::{Capabilities, CommandKind, Measured, Setting};
 use opspace_control::JointLimits;
 use opspace_loop::SafetyParameters;
+use opspace_model::collision::{CapsuleWarning, LinkCapsule};
 use opspace_model::{FrameId, Model, ParsedUrdf, UrdfOptions, UrdfWarning};
 use opspace_sim::SimulatedParameters;
 use opspace_transformer::{ClosedLoopModel, JointParameters, ProfileParameters, ServoLaw, ServoParameters};
@@ -42,6 +44,9 @@ pub struct RobotFile {
     /// Tools and loads mounted on the robot, by name: a gripper, a screwdriver, a load.
     #[serde(default)]
     pub tool: BTreeMap<String, ToolFile>,
+    /// Distances that are kept between links and from the obstacles of a task; none if absent.
+    #[serde(default)]
+    pub collision: Option<CollisionFile>,
     /// Safety parameters: torque ramp, rest before the start, limit margin, missed cycles and watchdog.
     #[serde(default)]
     pub safety: SafetyParameters,
@@ -79,6 +84,8 @@ pub struct RobotDefinition {
     pub warnings: Vec<UrdfWarning>,
     /// Force sensors, sorted by name.
     pub sensors: Vec<(String, FrameId)>,
+    /// Capsules of the links, if the robot file has `[collision]`.
+    pub(crate) capsules: Option<RobotCapsules>,
 }
 
 impl RobotDefinition {
@@ -93,7 +100,7 @@ impl RobotDefinition {
         let source = overrides::apply_below(&source, "robot", settings)?;
         let file: RobotFile = parse(&source)?;
         let urdf = files.read_named(&beside(&path, &file.urdf), &source, "urdf")?;
-        Self::new(source, file, urdf)
+        Self::new(source, file, urdf, None)
     }
 
     /// Creates a robot definition from the texts of its files.
@@ -102,10 +109,26 @@ impl RobotDefinition {
     /// As [`load`](Self::load).
     pub fn from_sources(source: Source, urdf: Source) -> Result<Self, FileError> {
         let file = parse(&source)?;
-        Self::new(source, file, urdf)
+        Self::new(source, file, urdf, None)
     }
 
-    fn new(source: Source, file: RobotFile, urdf: Source) -> Result<Self, FileError> {
+    /// Creates a robot definition from the texts of its files and capsules that were generated before: the meshes may be
+    /// missing now.
+    pub(crate) fn from_sources_with(
+        source: Source,
+        urdf: Source,
+        generated: Option<Vec<LinkCapsule>>,
+    ) -> Result<Self, FileError> {
+        let file = parse(&source)?;
+        Self::new(source, file, urdf, generated)
+    }
+
+    fn new(
+        source: Source,
+        file: RobotFile,
+        urdf: Source,
+        generated: Option<Vec<LinkCapsule>>,
+    ) -> Result<Self, FileError> {
         let loaded = load_urdf(&urdf, UrdfOptions::default())?;
         let mut model = loaded.model;
         let mut rotors = Vec::new();
@@ -131,7 +154,11 @@ impl RobotDefinition {
         tool::mount(&source, &mut model, &file.tool)?;
         let sensors = force_sensors(&source, &model, &file.force_sensor)?;
         let model = model.with_rotor_inertia(&rotors);
-        let robot = Self { source, urdf, file, model, warnings: loaded.warnings, sensors };
+        let capsules = match &file.collision {
+            Some(collision) => Some(robot_capsules(&source, &model, collision, &urdf, generated)?),
+            None => None,
+        };
+        let robot = Self { source, urdf, file, model, warnings: loaded.warnings, sensors, capsules };
         robot.profile(None)?;
         Ok(robot)
     }
@@ -230,6 +257,18 @@ impl RobotDefinition {
     #[must_use]
     pub fn identified(&self, profile: &ProfileParameters) -> Vec<ClosedLoopModel> {
         self.in_order(&profile.identified)
+    }
+
+    /// Capsules of the links, with which the robot avoids collisions; empty if the robot file has no `[collision]`.
+    #[must_use]
+    pub fn capsules(&self) -> &[LinkCapsule] {
+        self.capsules.as_ref().map_or(&[], |capsules| &capsules.capsules)
+    }
+
+    /// Warnings about generated capsules that are in use.
+    #[must_use]
+    pub fn capsule_warnings(&self) -> &[CapsuleWarning] {
+        self.capsules.as_ref().map_or(&[], |capsules| &capsules.warnings)
     }
 
     /// Torque limits of the drives, in the model's joint order (n; Nm or N).

@@ -1,5 +1,6 @@
 //! Task files: the tasks of a robot, and its environment during the run.
 
+use crate::files::collision::ObstacleFile;
 use crate::files::expectation::Expectation;
 use crate::files::origin::{Files, Kind, beside};
 use crate::files::overrides;
@@ -68,6 +69,9 @@ pub struct TaskFile {
     /// Objects in the environment of a simulated robot, by name.
     #[serde(default)]
     pub environment: BTreeMap<String, EnvironmentObjectParameters>,
+    /// Obstacles that the controller avoids, by name, if it enforces limits. The robot needs `[collision]`.
+    #[serde(default)]
+    pub obstacle: BTreeMap<String, ObstacleFile>,
 }
 
 /// A change of the tasks while the controller runs.

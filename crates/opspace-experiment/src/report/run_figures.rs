@@ -9,7 +9,7 @@ use crate::report::slack_figure::slack_figure;
 use crate::report::task_figures::task_figures;
 use crate::run::experiment::Experiment;
 use opspace_backend::signal_names::{
-    DQ, DQ_DESIRED, MOTOR_TORQUE, Q, Q_DESIRED, SERVO_CHANNEL, TORQUE_DESIRED,
+    DQ, DQ_DESIRED, LEAST_DISTANCE, MOTOR_TORQUE, Q, Q_DESIRED, SERVO_CHANNEL, TORQUE_DESIRED,
 };
 use opspace_backend::{CommandKind, Setpoints};
 use opspace_log::Recording;
@@ -47,6 +47,7 @@ impl<'a> RunFigures<'a> {
         let mut next: Vec<Figure> = torques(&run).into_iter().collect();
         next.extend(task_figures(&run));
         next.extend(slack_figure(&run));
+        next.extend(distance_figure(&run));
         next.extend(setpoint_figure(&run));
         append(&mut self.figures, next);
         self.add_torque_errors(&run);
@@ -127,6 +128,24 @@ fn torques(run: &Run<'_>) -> Option<Figure> {
         },
         panels: motor.elements().iter().enumerate().map(panel).collect(),
         overlays: true,
+        ..Figure::default()
+    })
+}
+
+/// Figure of the smallest distance that the controller keeps.
+fn distance_figure(run: &Run<'_>) -> Option<Figure> {
+    let distance = run.tick.signal(LEAST_DISTANCE)?;
+    let limits = &run.experiment.kept_distances()?.limits;
+    let series = element(run, "distance", &run.tick.time_s, &distance, 0, Style::Solid);
+    let panel = Panel {
+        limits: Some(limits.margin_m..f64::INFINITY),
+        ..time_panel("closest pair", &label_of("distance", &distance, 0), vec![series])
+    };
+    Some(Figure {
+        title: "Distance from collisions".to_owned(),
+        caption: "Smallest distance of all pairs of links, and of links and obstacles, that are kept apart."
+            .to_owned(),
+        panels: vec![panel],
         ..Figure::default()
     })
 }

@@ -8,6 +8,7 @@ use crate::files::robot::RobotDefinition;
 use crate::files::source::FileError;
 use crate::files::suggest::choices;
 use crate::files::task::TaskDefinition;
+use crate::run::collision::{KeptDistances, kept_distances};
 use opspace_backend::quantity::Positive;
 use opspace_backend::{Capabilities, CommandKind, GravityCompensation, MissedCycle};
 use opspace_control::hierarchy::task_parameters::largest_unused_damping_per_s;
@@ -113,6 +114,7 @@ pub struct Experiment {
     settings: Vec<String>,
     pub(super) profile_name: String,
     pub(super) profile: ProfileParameters,
+    distances: Option<KeptDistances>,
 }
 
 impl Experiment {
@@ -185,7 +187,8 @@ impl Experiment {
     ) -> Result<Self, FileError> {
         let (name, profile) = robot.profile(options.profile.as_deref())?;
         let (profile_name, profile) = (name.to_owned(), profile.clone());
-        let experiment = Self { robot, task, options, settings, profile_name, profile };
+        let distances = kept_distances(&robot, &task)?;
+        let experiment = Self { robot, task, options, settings, profile_name, profile, distances };
         experiment.check_choice()?;
         expectations::check(&experiment.task, &experiment.robot)?;
         experiment.start()?;
@@ -206,6 +209,13 @@ impl Experiment {
     #[must_use]
     pub fn task(&self) -> &TaskDefinition {
         &self.task
+    }
+
+    /// Distances that the controller keeps between links and from obstacles, if it enforces limits; `None` if the robot
+    /// file has no `[collision]`.
+    #[must_use]
+    pub fn kept_distances(&self) -> Option<&KeptDistances> {
+        self.distances.as_ref()
     }
 
     /// Paths of the files from which the experiment was read: robot, URDF, task and recorded paths.
@@ -304,6 +314,7 @@ impl Experiment {
             sensors: self.robot.sensors.clone(),
             gravity_by_robot: self.gravity_compensated_by() == GravityCompensation::Robot,
             limits: self.robot.joint_limits(),
+            collision: self.distances.as_ref().map(|distances| distances.limits.clone()),
         }
     }
 

@@ -25,6 +25,8 @@ const REAL: &str = "real";
 const ROBOT_FILE: &str = "robot.toml";
 const TASK_FILE: &str = "task.toml";
 const URDF_FILE: &str = "robot.urdf";
+/// Generated capsules, because a log does not contain the meshes.
+const CAPSULES_FILE: &str = "capsules.json";
 
 /// True if the log was recorded on a real robot.
 pub(super) fn is_real(recording: &Recording) -> bool {
@@ -69,12 +71,14 @@ impl Experiment {
         for (name, _, source) in &files {
             entries.insert(format!("{name}.sha256"), hex(&hmac_sha256::Hash::hash(source.text().as_bytes())));
         }
+        let attached = |(name, media, source): (String, &str, &Source)| {
+            Attachment::new(name, media, source.text().as_bytes())
+        };
+        let capsules = self.robot().capsules.as_ref().and_then(|c| serde_json::to_vec(&c.generated).ok());
+        let capsules = capsules.map(|text| Attachment::new(CAPSULES_FILE, "application/json", text));
         Header {
             metadata: vec![(RUN.to_owned(), entries)],
-            attachments: files
-                .into_iter()
-                .map(|(name, media, source)| Attachment::new(name, media, source.text().as_bytes()))
-                .collect(),
+            attachments: files.into_iter().map(attached).chain(capsules).collect(),
             model: Some(Arc::new(self.robot().model.clone())),
             scene: self.viewer_scene(),
         }
@@ -120,13 +124,21 @@ impl Experiment {
                 .map(String::as_str)
                 .ok_or_else(|| RunError::Incomplete { what: format!("'{key}' in the metadata '{RUN}'") })
         };
-        let robot = RobotDefinition::from_sources(
+        let generated = match recording.attachment(CAPSULES_FILE) {
+            Some(file) => Some(
+                serde_json::from_slice(&file.data)
+                    .map_err(|_| RunError::Incomplete { what: format!("a readable {CAPSULES_FILE}") })?,
+            ),
+            None => None,
+        };
+        let robot = RobotDefinition::from_sources_with(
             overrides::apply_below(
                 &attached(recording, ROBOT_FILE, entry("robot")?)?,
                 "robot",
                 &robot_changes,
             )?,
             attached(recording, URDF_FILE, URDF_FILE)?,
+            generated,
         )?;
         let task = TaskDefinition::from_sources_with(
             &extensions.tasks,

@@ -1,10 +1,11 @@
-//! Scene that viewers of a log show beside the links: URDF, walls, forces, and the frames of tasks.
+//! Scene that viewers of a log show beside the links: URDF, walls, capsules and obstacles, forces, and the frames of tasks.
 
+use crate::files::collision::{HalfSpaceObstacle, ObstacleFile};
 use crate::run::experiment::Experiment;
 use opspace_backend::signal_names::{self, FORCE, TICK_CHANNEL, TRUTH_CHANNEL, WRENCH};
 use opspace_control::TaskParameters;
-use opspace_log::{ForceArrow, Scene, Wall};
-use opspace_model::collision::find_mesh;
+use opspace_log::{ForceArrow, Scene, SceneCapsule, Wall};
+use opspace_model::collision::{Capsule, CollisionShape, find_mesh};
 use opspace_sim::EnvironmentObjectParameters;
 use std::fs;
 use std::path::Path;
@@ -24,6 +25,29 @@ impl Experiment {
             }
             _ => None,
         };
+        let links = self.robot().capsules().iter().map(|capsule| SceneCapsule {
+            name: capsule.name.clone(),
+            frame: Some(capsule.link.clone()),
+            start_m: capsule.start_m,
+            end_m: capsule.end_m,
+            radius_m: capsule.radius_m,
+        });
+        let obstacle = |(name, obstacle): (&String, &ObstacleFile)| match obstacle.shape() {
+            CollisionShape::Capsule(Capsule { start_m, end_m, radius_m }) => Some(SceneCapsule {
+                name: name.clone(),
+                frame: None,
+                start_m: start_m.into(),
+                end_m: end_m.into(),
+                radius_m,
+            }),
+            CollisionShape::HalfSpace(_) => None,
+        };
+        let plane = |(name, obstacle): (&String, &ObstacleFile)| match obstacle {
+            ObstacleFile::HalfSpace(HalfSpaceObstacle { point_m, normal, .. }) => {
+                Some(Wall { name: name.clone(), point_m: *point_m, normal: *normal })
+            }
+            _ => None,
+        };
         let contacts = file.environment.iter().map(|(name, object)| ForceArrow {
             channel: TRUTH_CHANNEL.to_owned(),
             signal: signal_names::of(name, FORCE),
@@ -38,7 +62,13 @@ impl Experiment {
         Scene {
             robot_description: Some(with_mesh_places(urdf.text(), Path::new(urdf.name()))),
             relative_to: std::iter::once(&file.task).chain(sets).flatten().filter_map(relative).collect(),
-            walls: file.environment.iter().filter_map(wall).collect(),
+            walls: file
+                .environment
+                .iter()
+                .filter_map(wall)
+                .chain(file.obstacle.iter().filter_map(plane))
+                .collect(),
+            capsules: links.chain(file.obstacle.iter().filter_map(obstacle)).collect(),
             forces: contacts.chain(sensors).collect(),
         }
     }

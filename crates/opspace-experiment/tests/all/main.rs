@@ -1,5 +1,6 @@
 //! Tests of files, preflight, experiments, metrics and reports.
 
+mod collisions;
 mod diagnostics;
 mod log_header;
 mod metrics;

@@ -6,7 +6,8 @@ use foxglove::messages::{FrameTransform, FrameTransforms, JointStates, PoseInFra
 use mcap::MessageStream;
 use opspace_backend::{Layout, Signal};
 use opspace_log::{
-    Channel, ForceArrow, Header, LOG, LogError, Pace, Recording, Scene, TIME_ZERO_NS, Wall, record,
+    Channel, ForceArrow, Header, LOG, LogError, Pace, Recording, Scene, SceneCapsule, TIME_ZERO_NS, Wall,
+    record,
 };
 use opspace_model::{Data, Model, frame_placement, kinematics};
 use prost::Message;
@@ -220,6 +221,13 @@ fn viewers_get_tasks_and_scene() {
         robot_description: Some(ARM.to_owned()),
         relative_to: [("hand".to_owned(), "upper".to_owned())].into(),
         walls: vec![Wall { name: "wall".to_owned(), point_m: [0.5, 0.0, 0.2], normal: [-2.0, 0.0, 0.0] }],
+        capsules: vec![SceneCapsule {
+            name: "post".to_owned(),
+            frame: None,
+            start_m: [1.0, 0.0, 0.0],
+            end_m: [1.0, 0.0, 0.5],
+            radius_m: 0.1,
+        }],
         forces: vec![ForceArrow {
             channel: "truth".to_owned(),
             signal: "wall.force".to_owned(),
@@ -251,6 +259,18 @@ fn viewers_get_tasks_and_scene() {
     let walls = SceneUpdate::decode(&*walls[0].data).unwrap().entities;
     let center = walls[0].cubes[0].pose.unwrap().position.unwrap();
     assert_eq!((walls[0].id.as_str(), [center.x, center.y, center.z]), ("wall", [0.505, 0.0, 0.2]));
+
+    let capsules = SceneUpdate::decode(&*of("/scene/collision")[0].data).unwrap().entities;
+    let (cylinder, sphere) = (capsules[0].cylinders[0], capsules[0].spheres[1]);
+    let (size, center) = (cylinder.size.unwrap(), cylinder.pose.unwrap().position.unwrap());
+    assert_eq!(
+        [size.x, size.y, size.z, cylinder.bottom_scale, cylinder.top_scale],
+        [0.2, 0.2, 0.5, 1.0, 1.0]
+    );
+    assert_eq!([center.x, center.y, center.z], [1.0, 0.0, 0.25]);
+    let (size, center) = (sphere.size.unwrap(), sphere.pose.unwrap().position.unwrap());
+    assert_eq!([size.x, center.x, center.y, center.z], [0.2, 1.0, 0.0, 0.5]);
+    assert!(cylinder.color.unwrap().a > 0.0 && sphere.color.unwrap().a > 0.0);
 
     let forces = SceneUpdate::decode(&*of("/scene/forces")[3].data).unwrap().entities;
     let arrow = forces[0].arrows[0];

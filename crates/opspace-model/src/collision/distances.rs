@@ -21,10 +21,10 @@ pub struct CollisionData {
 
 /// Capsule in world axes.
 #[derive(Clone, Copy, Debug)]
-struct Placed {
-    axis: Segment,
+pub(super) struct Placed {
+    pub(super) axis: Segment,
     middle: Vector3<f64>,
-    radius_m: f64,
+    pub(super) radius_m: f64,
     reach_m: f64,
 }
 
@@ -43,6 +43,11 @@ impl CollisionData {
     /// Returns the pairs that are within the requested distance, each with its index in [`CollisionModel::pairs`].
     pub fn near(&self) -> impl Iterator<Item = (usize, &Proximity)> {
         self.proximity.iter().enumerate().filter_map(|(pair, proximity)| Some((pair, proximity.as_ref()?)))
+    }
+
+    /// Returns the capsule of an object in world axes.
+    pub(super) fn placed(&self, object: usize) -> &Placed {
+        &self.placed[object]
     }
 }
 

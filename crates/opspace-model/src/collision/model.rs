@@ -58,7 +58,7 @@ pub struct CollisionPair {
 ///
 /// The capsules are fixed to the bodies of the model with which the collision model is created. Its frames may be moved
 /// afterwards; the capsules stay where they are.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct CollisionModel {
     pub(crate) objects: Vec<CollisionObject>,
     pub(crate) pairs: Vec<CollisionPair>,

@@ -15,6 +15,8 @@ pub struct PairSampling {
     /// Distance within which a pair must come in a posture to be kept, m; 0.05 by default. It covers what lies between
     /// the postures.
     pub margin_m: f64,
+    /// Distance up to which a pair collides, m; 0 by default. Limits that keep pairs farther apart need that distance.
+    pub colliding_m: f64,
     /// Number of postures around the middle of the ranges; 200 by default.
     pub middle_postures: usize,
     /// Fraction of each range in which they lie; 0.2 by default.
@@ -23,7 +25,7 @@ pub struct PairSampling {
 
 impl Default for PairSampling {
     fn default() -> Self {
-        Self { postures: 5000, margin_m: 0.05, middle_postures: 200, middle_fraction: 0.2 }
+        Self { postures: 5000, margin_m: 0.05, colliding_m: 0.0, middle_postures: 200, middle_fraction: 0.2 }
     }
 }
 
@@ -41,16 +43,18 @@ pub struct DroppedPair {
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
 pub enum DropReason {
-    /// The objects penetrate each other in all postures around the middle of the joint ranges.
+    /// The objects penetrate each other in all postures around the middle of the joint ranges; with an obstacle, in all
+    /// postures of the whole ranges.
     AlwaysColliding,
     /// The objects are farther apart than the margin in all postures.
     NeverNear,
 }
 
 impl CollisionModel {
-    /// Drops the pairs that penetrate each other in all postures around the middle of the joint ranges, and the pairs
-    /// that come within a margin in no posture within the joint limits. Returns the dropped pairs. Allocates: call it
-    /// once after loading.
+    /// Drops the pairs of links that penetrate each other in all postures around the middle of the joint ranges, the
+    /// pairs of a link and an obstacle that do so in all postures within the joint limits, and the pairs that come
+    /// within a margin in no posture within the joint limits. Returns the dropped pairs. Allocates: call it once after
+    /// loading.
     ///
     /// The postures are a deterministic sequence that fills the ranges evenly; joints without limits have ±π rad or ±1
     /// m. A narrow part of the ranges in which a pair comes near may be missed. A limit keeps no pair apart that is
@@ -61,10 +65,18 @@ impl CollisionModel {
         let kept = |i: usize| model.is_floating() && self.objects[self.pairs[i].b].holder == Holder::World;
         let mut always = vec![sampling.middle_postures > 0; count];
         let middle = Postures::new(model, sampling.middle_fraction);
-        self.sample(model, &middle, sampling.middle_postures, 0.0, |pair, collides| always[pair] &= collides);
+        self.sample(model, &middle, sampling.middle_postures, sampling.colliding_m, |pair, distance_m| {
+            always[pair] &= distance_m.is_some();
+        });
         let mut never = vec![sampling.postures > 0; count];
         let whole = Postures::new(model, 1.0);
-        self.sample(model, &whole, sampling.postures, sampling.margin_m, |pair, near| never[pair] &= !near);
+        // An obstacle may be where the arm is in the middle of its ranges.
+        let with_obstacle = |pair: usize| self.objects[self.pairs[pair].b].holder == Holder::World;
+        self.sample(model, &whole, sampling.postures, sampling.margin_m, |pair, distance_m| {
+            never[pair] &= distance_m.is_none();
+            let collides = distance_m.is_some_and(|distance_m| distance_m <= sampling.colliding_m);
+            always[pair] &= collides || !with_obstacle(pair);
+        });
         let reason = |pair: usize| match (kept(pair), always[pair], never[pair]) {
             (false, true, _) => Some(DropReason::AlwaysColliding),
             (false, false, true) => Some(DropReason::NeverNear),
@@ -80,20 +92,23 @@ impl CollisionModel {
         dropped
     }
 
-    /// Passes to `each`, for every posture and pair, the index of the pair and whether it is within `within_m`.
+    /// Passes to `each`, for every posture and pair, the index of the pair and its distance (m) if it is within
+    /// `within_m`.
     fn sample(
         &self,
         model: &Model,
         postures: &Postures<'_>,
         count: usize,
         within_m: f64,
-        mut each: impl FnMut(usize, bool),
+        mut each: impl FnMut(usize, Option<f64>),
     ) {
         let (mut data, mut near) = (Data::new(model), CollisionData::new(self));
         for number in 0..count {
             forward_kinematics(model, &mut data, &postures.posture(number));
             collision_distances(self, model, &data, within_m, &mut near);
-            near.proximity.iter().enumerate().for_each(|(pair, row)| each(pair, row.is_some()));
+            for (pair, row) in near.proximity.iter().enumerate() {
+                each(pair, row.map(|row| row.distance_m));
+            }
         }
     }
 }

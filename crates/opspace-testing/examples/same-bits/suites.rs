@@ -8,8 +8,8 @@ use serde::de::IgnoredAny;
 use std::path::{Path, PathBuf};
 
 /// Suites by file name in `tasks/suites/`.
-pub const SUITES: [&str; 7] =
-    ["paper", "features", "limits", "singularity", "transformer", "stiffness", "robustness"];
+pub const SUITES: [&str; 8] =
+    ["paper", "features", "limits", "singularity", "collisions", "transformer", "stiffness", "robustness"];
 
 const FOLDER: &str = "tasks/suites";
 

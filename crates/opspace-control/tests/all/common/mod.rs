@@ -189,6 +189,7 @@ pub fn control_context(model: &Model, sensor: &str) -> ControlContext {
         sensors: vec![("wrist".to_owned(), frame)],
         gravity_by_robot: false,
         limits: JointLimits::none(model.n()),
+        collision: None,
     }
 }
 

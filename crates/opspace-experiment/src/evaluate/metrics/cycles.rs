@@ -4,8 +4,8 @@ use super::run_log::{Mean, Run, finite};
 use crate::evaluate::metric_tables::Metrics;
 use crate::run::experiment::{ControllerKind, Experiment};
 use opspace_backend::signal_names::{
-    self, COMMAND, DQ, LIMITS_SOLVER, MIN_SINGULAR_GAIN, MISSED_CYCLES, SETPOINT_ACCELERATION,
-    SETPOINT_SPEED, TORQUE_SATURATED, TRUTH_CHANNEL,
+    self, COMMAND, DQ, LEAST_DISTANCE, LIMITS_SOLVER, MIN_SINGULAR_GAIN, MISSED_CYCLES,
+    SETPOINT_ACCELERATION, SETPOINT_SPEED, TORQUE_SATURATED, TRUTH_CHANNEL,
 };
 use opspace_log::Column;
 
@@ -20,6 +20,7 @@ pub(super) struct Cycles {
     saturated: Mean,
     limited: Mean,
     damped: Mean,
+    least_distance: Option<f64>,
     setpoint_speed: Option<f64>,
     setpoint_acceleration: Option<f64>,
     torque: Option<f64>,
@@ -38,6 +39,7 @@ impl Cycles {
             saturated: Mean::default(),
             limited: Mean::default(),
             damped: Mean::default(),
+            least_distance: None,
             setpoint_speed: None,
             setpoint_acceleration: None,
             torque: None,
@@ -61,6 +63,10 @@ impl Cycles {
         }
         if let Some(solver) = signal(LIMITS_SOLVER) {
             ticks.clone().for_each(|k| self.limited.add(f64::from(u8::from(solver.row(k)[0] != 0.0))));
+        }
+        if let Some(distance) = signal(LEAST_DISTANCE) {
+            let all = ticks.clone().map(|k| distance.row(k)[0]).filter(|distance| distance.is_finite());
+            self.least_distance = all.chain(self.least_distance).reduce(f64::min);
         }
         let suffix = signal_names::of("", MIN_SINGULAR_GAIN);
         let names = run.tick.layout.signals.iter().map(|signal| signal.name.as_str());
@@ -101,6 +107,7 @@ impl Cycles {
         metrics.torque_saturated_share = self.saturated.get();
         metrics.limited_share = self.limited.get();
         metrics.damped_fraction = self.damped.get();
+        metrics.least_distance_m = self.least_distance;
         metrics.setpoint_speed_max_rad_per_s = self.setpoint_speed;
         metrics.setpoint_acceleration_max_rad_per_s2 = self.setpoint_acceleration;
         metrics.torque_commanded_max_nm = self.torque;
