@@ -97,6 +97,8 @@ pub const FORCE: &str = "force";
 pub const SENSED_FORCE: &str = "sensed_force";
 /// Smallest gain of the damped inverse over all directions of a task; 1 without damping.
 pub const MIN_SINGULAR_GAIN: &str = "min_singular_gain";
+/// Part of the demand of a task at rest that is taken off because its goal cannot be reached, from 0 to 1.
+pub const STANDSTILL: &str = "standstill";
 /// Acceleration that limits take from a task: that of the command without limits minus that of the command. One value for
 /// each of its rows (m/s², rad/s²), or for each joint (n; rad/s²) in the null space of the tasks above.
 pub const SLACK: &str = "slack";

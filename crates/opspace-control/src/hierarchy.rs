@@ -4,6 +4,7 @@ pub(crate) mod nullspace;
 pub(crate) mod priority_level;
 pub(crate) mod products;
 pub mod rank;
+pub(crate) mod standstill;
 pub(crate) mod task_hierarchy;
 pub mod task_parameters;
 pub(crate) mod task_schedule;

@@ -84,7 +84,8 @@ impl Limiter {
             }
             data.mass_matrix_factor.solve(self.bias_acceleration.as_mut_slice());
         }
-        self.resists = hierarchy.levels.iter().any(|level| !level.resistance.is_negligible());
+        self.resists =
+            hierarchy.levels.iter().any(|level| !level.resistance.is_negligible() || level.standstill.acts());
         if let Some(collision) = &mut self.collision {
             collision.update(model, data, &self.bias_acceleration);
         }
@@ -178,7 +179,8 @@ impl Limiter {
             let metric = level.metric();
             let residual = level.residual(data, cascade.alpha(), &metric, horizon_s);
             level.limited = cascade.solve_level(data, &hierarchy.nullspace, &residual, &mut limits)?;
-            level.resistance.follow(cascade.held(), level.typical.dynamic, period_s);
+            let standstill = level.standstill.share();
+            level.resistance.follow(cascade.held(), level.typical.dynamic, standstill, period_s);
             hierarchy.nullspace.truncate(place + 1);
         }
         scratch.copy_from(joint_torque);

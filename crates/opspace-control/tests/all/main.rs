@@ -18,6 +18,7 @@ mod qp_allocation;
 mod reference_allocation;
 mod references;
 mod singularity;
+mod standstill;
 mod streamed_targets;
 mod subjects;
 mod switching;
