@@ -1,8 +1,7 @@
 //! Reports: pages with a table of runs, charts that compare them, and the figures of each run.
 
-use crate::evaluate::results::{
-    Measure, group, joint_notes, joint_table, notes, table, task_notes, task_table,
-};
+use crate::evaluate::notes::{joint_notes, notes, task_notes};
+use crate::evaluate::results::{Measure, group, joint_table, table, task_table};
 use crate::evaluate::table::Table;
 use crate::report::comparisons::{comparisons, overlays, sweeps};
 use crate::report::html::Page;
