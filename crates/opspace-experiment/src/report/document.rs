@@ -5,7 +5,7 @@ use crate::evaluate::results::{Measure, group, joint_table, table, task_table};
 use crate::evaluate::table::Table;
 use crate::report::comparisons::{comparisons, overlays, sweeps};
 use crate::report::html::Page;
-pub use crate::report::run_section::RunSection;
+pub use crate::report::run_section::{ClosestPair, CollisionMoment, PlacedShape, RunSection};
 use crate::run::summary::Summary;
 
 /// Builds a page about runs: one table, then a section for each run in `shown`.
@@ -56,6 +56,7 @@ pub fn page(
             let caption = format!("Torques of the joints {}", after(run.settle_s));
             page = page.table(&caption, &joints, &borrowed(&joint_notes(&run.summary)));
         }
+        page = page.collisions(&run.collisions);
         for figure in &run.figures {
             page = page.figure(figure);
         }
