@@ -18,7 +18,7 @@ const BESIDE: i32 = LEFT + px(20);
 const ABOVE_AND_BELOW: i32 = px(28 + 43);
 
 /// Distance from the arm up to which obstacles are in the views, relative to the largest side of the box around the arm.
-const SURROUNDINGS: f64 = 0.25;
+const NEAR: f64 = 0.25;
 /// Empty space around the contents of a view, relative to their size.
 const PADDING: f64 = 0.04;
 /// Number of corners with which half a circle is drawn.
@@ -183,7 +183,7 @@ impl Part {
         });
         let arm =
             links.reduce(Bounds::union).unwrap_or(Bounds([-Vector3::repeat(1.0), Vector3::repeat(1.0)]));
-        let reach = SURROUNDINGS * arm.size().amax();
+        let reach = NEAR * arm.size().amax();
         let near = Bounds([arm.0[0].add_scalar(-reach), arm.0[1].add_scalar(reach)]);
         let obstacles = shapes().filter(|shape| shape.is_obstacle).filter_map(|shape| {
             near.intersection(match &shape.shape {
