@@ -49,18 +49,21 @@ impl Motion {
         Self { data: Data::new(model), q: q.to_vec(), dq, time_s: 0.0, period_s: PERIOD_S }
     }
 
-    pub fn cycle(&mut self, model: &Model, controller: &mut dyn Controller, tau: &mut [f64]) {
-        self.pushed_cycle(model, controller, tau, &[]);
+    /// Controls and moves the arm by a cycle. Returns false if its torques or its motion are no longer finite.
+    #[must_use]
+    pub fn cycle(&mut self, model: &Model, controller: &mut dyn Controller, tau: &mut [f64]) -> bool {
+        self.pushed_cycle(model, controller, tau, &[])
     }
 
     /// A cycle in which the joint torques `external` (n; none if empty) act in addition.
+    #[must_use]
     pub fn pushed_cycle(
         &mut self,
         model: &Model,
         controller: &mut dyn Controller,
         tau: &mut [f64],
         external: &[f64],
-    ) {
+    ) -> bool {
         let (data, measurement) = at_state(model, &self.q, &self.dq, self.time_s);
         let input = common::input(model, &data, &measurement);
         if self.time_s == 0.0 {
@@ -71,7 +74,9 @@ impl Motion {
         acting.iter_mut().zip(external).for_each(|(torque, external)| *torque += external);
         let step = self.period_s / STEPS as f64;
         for _ in 0..STEPS {
-            assert!(update(model, &mut self.data, &self.q, &self.dq), "{:?}", self.dq);
+            if !update(model, &mut self.data, &self.q, &self.dq) {
+                return false;
+            }
             aba(model, &mut self.data, &acting);
             for i in 0..self.q.len() {
                 self.dq[i] += step * self.data.ddq[i];
@@ -79,6 +84,7 @@ impl Motion {
             }
         }
         self.time_s += self.period_s;
+        self.q.iter().chain(&self.dq).chain(tau.iter()).all(|value| value.is_finite())
     }
 
     pub fn speed(&self) -> f64 {
@@ -147,7 +153,7 @@ fn final_speed(number: u64, is_limited: bool) -> f64 {
     let mut tau = [0.0; 6];
     let mut last = 0.0_f64;
     while motion.time_s < 8.0 {
-        motion.cycle(&model, &mut controller, &mut tau);
+        assert!(motion.cycle(&model, &mut controller, &mut tau), "{:?}", motion.dq);
         if motion.time_s > 6.0 {
             last = last.max(motion.speed());
         }

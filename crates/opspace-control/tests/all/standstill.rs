@@ -47,7 +47,7 @@ fn arm_returns_when_its_goal_does() {
         let (mut motion, mut tau) = (Motion::new(&model, &START), [0.0; 6]);
         let mut highest = 0.0_f64;
         while motion.time_s < 9.0 {
-            motion.cycle(&model, &mut controller, &mut tau);
+            assert!(motion.cycle(&model, &mut controller, &mut tau));
             highest = highest.max(standstill(&controller));
         }
         let left = (hand(&model, &motion.q) - hand(&model, &START)).norm();
@@ -68,7 +68,7 @@ fn standstill_can_be_turned_off() {
         let (mut motion, mut tau) = (Motion::new(&model, &START), [0.0; 6]);
         let mut highest = 0.0_f64;
         while motion.time_s < 5.0 {
-            motion.cycle(&model, &mut controller, &mut tau);
+            assert!(motion.cycle(&model, &mut controller, &mut tau));
             highest = highest.max(standstill(&controller));
         }
         highest
@@ -90,11 +90,11 @@ fn slow_arm_does_not_stop_before_its_goal() {
     let goal = hand(&model, &START) + Vector3::new(-0.2, 0.1, 0.15);
     let left = |motion: &Motion| (hand(&model, &motion.q) - goal).norm();
     while motion.time_s < 2.0 {
-        motion.cycle(&model, &mut controller, &mut tau);
+        assert!(motion.cycle(&model, &mut controller, &mut tau));
     }
     assert!(left(&motion) > 0.1, "the limits hold it back");
     while motion.time_s < 40.0 {
-        motion.cycle(&model, &mut controller, &mut tau);
+        assert!(motion.cycle(&model, &mut controller, &mut tau));
     }
     assert!(left(&motion) < 1e-4, "{} m away", left(&motion));
 }
@@ -117,7 +117,7 @@ fn contact_is_no_standstill() {
         let speed = (j.row(2) * DVector::from_column_slice(&motion.dq))[0];
         let force = if depth > 0.0 { STIFFNESS_N_PER_M * depth - 200.0 * speed } else { 0.0 };
         let external = j.row(2).transpose() * force;
-        motion.pushed_cycle(&model, &mut controller, &mut tau, external.as_slice());
+        assert!(motion.pushed_cycle(&model, &mut controller, &mut tau, external.as_slice()));
         if cycle > 2000 {
             forces.push(force);
         }
