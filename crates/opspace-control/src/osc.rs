@@ -268,6 +268,11 @@ impl OperationalSpaceController {
             }
             hierarchy.clear_slack(limiter.is_limited());
             limiter.record_status(Solver::Unlimited, alpha, torque, compensation_torque);
+            if limiter.is_rehearsal_due() {
+                hierarchy.complete_nullspace(data);
+                let scratch = &mut self.scratch;
+                limiter.rehearse(input, &self.commanded, hierarchy, scratch, compensation_torque);
+            }
             return;
         }
         limiter.demand(alpha);
@@ -313,6 +318,10 @@ impl Controller for OperationalSpaceController {
 
     fn observe_while_held(&mut self, input: &ControlInput<'_>) {
         self.schedule.advance(input);
+        if let Some(limiter) = &mut self.limiter {
+            let (hierarchy, scratch) = (self.schedule.current_mut(), &mut self.scratch);
+            limiter.rehearse(input, &self.commanded, hierarchy, scratch, &self.compensation_torque);
+        }
         self.schedule.current_mut().observe(input);
     }
 

@@ -84,6 +84,14 @@ impl TaskHierarchy {
         Residual::WeightedJoints { weights, reducible }
     }
 
+    /// Adds the last level to the null space, which the unlimited command does not need.
+    pub(crate) fn complete_nullspace(&mut self, data: &Data) {
+        if let Some(level) = self.levels.last_mut() {
+            level.projected.compute_jbar(&data.mass_matrix_factor);
+            self.nullspace.push(&level.projected);
+        }
+    }
+
     /// Stores in each level what limits took from it, given the joint accelerations `taken` (n) that they took, which are
     /// overwritten.
     pub(crate) fn set_slack(&mut self, taken: &mut [f64]) {
