@@ -19,6 +19,9 @@ use opspace_model::{Data, Inversion, MassMatrixFactor, Model, OperationalSpace};
 /// Gain of a damped inverse above which it differs from the exact one by rounding.
 const WHOLE: f64 = 1.0 - 1e-9;
 
+/// Speed below which a reference does not move, m/s or rad/s; far above what rounding leaves.
+const STILL: f64 = 1e-6;
+
 /// A priority level: a task with its quantities of the current cycle.
 pub(crate) struct PriorityLevel {
     pub task: Box<dyn Task>,
@@ -236,7 +239,7 @@ impl PriorityLevel {
     /// Returns true if the reference of the task does not move.
     pub(crate) fn holds_reference(&self) -> bool {
         let speeds = self.task.reference_speeds();
-        speeds.iter().any(Option::is_some) && speeds.iter().flatten().all(|speed| *speed == 0.0)
+        speeds.iter().any(Option::is_some) && speeds.iter().flatten().all(|speed| *speed < STILL)
     }
 
     /// Returns true if limits or the damping of a near singularity change the acceleration of the task, or did shortly

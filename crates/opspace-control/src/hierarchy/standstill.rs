@@ -51,10 +51,12 @@ const MIN_HELD: f64 = 0.05;
 const CHANGE: f64 = 0.1;
 const MIN_CHANGE_M: f64 = 1e-3;
 
-/// Change of the error within one period, beyond that by the arm's motion, that is one of the reference, m.
-const JUMP_M: f64 = 1e-4;
+/// Change of the error within one period, beyond that by the arm's velocity, that is one of the reference: the distance of
+/// this acceleration over the period, m/s², and at least this, m.
+const JUMP_M_PER_S2: f64 = 100.0;
+const MIN_JUMP_M: f64 = 1e-4;
 
-/// What a level did in a cycle.
+/// Demand and command of a level in a cycle.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Outcome {
     /// True if the references of the task and of those above do not move.
@@ -163,7 +165,8 @@ impl Standstill {
 
     /// Returns true if the reference moved since the last cycle.
     fn jumps(&self, error: &Vector6<f64>, cycle: &Outcome, period_s: f64) -> bool {
-        self.size < f64::INFINITY && (error - self.error + cycle.velocity * period_s).norm() > JUMP_M
+        let largest = (JUMP_M_PER_S2 * period_s * period_s).max(MIN_JUMP_M);
+        self.size < f64::INFINITY && (error - self.error + cycle.velocity * period_s).norm() > largest
     }
 
     fn observe(&mut self, error: &Vector6<f64>, cycle: &Outcome, least_m_per_s: f64, period_s: f64) {

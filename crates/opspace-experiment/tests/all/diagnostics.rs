@@ -98,9 +98,11 @@ fn assert_says(finding: &Diagnostic, key: &str, words: &[&str]) {
 }
 
 /// Files of the project that cause diagnostics intentionally, with words of the diagnostics.
-const MADE_TO_GO_WRONG: [(&str, &str); 6] = [
+const MADE_TO_GO_WRONG: [(&str, &str); 8] = [
     ("panda-out-of-reach", "cannot be reached"),
+    ("panda-unreachable", "cannot be reached"),
     ("ur5e-out-of-reach", "cannot be reached"),
+    ("ur5e-unreachable", "cannot be reached"),
     ("panda-obstacles", "is in collision: 'link7.2' and 'ball'"),
     ("panda-folded", "is in collision: 'link2' and 'link6'"),
     ("panda-too-fast", "the references move joint"),

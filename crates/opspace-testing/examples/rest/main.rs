@@ -1,13 +1,14 @@
 //! Motion of arms at goals that they cannot reach, after they had time to come to rest.
 //!
 //! ```text
-//! cargo run --release -p opspace-testing --example rest -- [CASES [SEED]]
+//! cargo run --release -p opspace-testing --example rest -- [CASES [SEED [ALLOWED]]]
 //! ```
 //!
-//! prints a line per case: true speed and mean torque rate at the end at an unreachable goal, the remaining error with
+//! (the seed is drawn and printed if it is absent) prints a line per case: true speed and mean torque rate at the end at an unreachable goal, the remaining error with
 //! what a descent from there still gains, and speed and torque rate of the same arm at a reachable goal. A case counts
 //! as restless if its speed is above 1e-3 rad/s and above twice that at the reachable goal, or likewise for the torque
-//! rate and 1 % of the torque limit per second.
+//! rate and 1 % of the torque limit per second. If more than ALLOWED cases are restless, or one stops with a fault, the
+//! program fails.
 
 #![expect(clippy::print_stdout, reason = "a program for the terminal")]
 
@@ -16,8 +17,10 @@ mod outcome;
 
 use cases::Case;
 use outcome::Outcome;
+use std::process::ExitCode;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::thread;
+use std::time::{SystemTime, UNIX_EPOCH};
 
 /// A case by its number, and its outcomes at an unreachable and a reachable goal.
 type Line = (usize, String, Outcome, Outcome);
@@ -44,15 +47,22 @@ fn outcomes(cases: usize, seed: u64) -> Vec<Line> {
     lines
 }
 
-fn main() {
+fn main() -> ExitCode {
     let mut arguments = std::env::args().skip(1).map(|argument| argument.parse::<u64>().expect("a number"));
-    let (cases, seed) = (arguments.next().unwrap_or(60), arguments.next().unwrap_or(1));
-    let lines = outcomes(cases as usize, seed);
-    let mut restless = 0;
+    let cases = arguments.next().unwrap_or(60) as usize;
+    let seed = arguments.next().unwrap_or_else(|| {
+        u64::from(SystemTime::now().duration_since(UNIX_EPOCH).expect("a clock").subsec_micros())
+    });
+    let allowed = arguments.next().map_or(cases, |allowed| allowed as usize);
+    println!("seed {seed}");
+    let lines = outcomes(cases, seed);
+    let (mut restless, mut faults) = (0, 0);
     for (number, name, far, near) in &lines {
         let rests = far.rests(near);
         restless += usize::from(!rests);
+        faults += usize::from(far.fault.is_some() || near.fault.is_some());
         println!("{number:3} {} {name:50} {far} | {near}", if rests { "rests" } else { "MOVES" });
     }
-    println!("seed {seed}: {restless} of {} do not come to rest", lines.len());
+    println!("seed {seed}: {restless} of {} do not come to rest, {faults} stop", lines.len());
+    if restless > allowed || faults > 0 { ExitCode::FAILURE } else { ExitCode::SUCCESS }
 }

@@ -8,8 +8,17 @@ use serde::de::IgnoredAny;
 use std::path::{Path, PathBuf};
 
 /// Suites by file name in `tasks/suites/`.
-pub const SUITES: [&str; 8] =
-    ["paper", "features", "limits", "singularity", "collisions", "transformer", "stiffness", "robustness"];
+pub const SUITES: [&str; 9] = [
+    "paper",
+    "features",
+    "limits",
+    "singularity",
+    "rest",
+    "collisions",
+    "transformer",
+    "stiffness",
+    "robustness",
+];
 
 const FOLDER: &str = "tasks/suites";
 

@@ -5,7 +5,8 @@ use super::run_log::Run;
 use crate::evaluate::unreached::UnreachedGoal;
 use crate::run::experiment::{ControllerKind, Experiment};
 use opspace_backend::signal_names::{
-    self, COMMAND, DQ, ERROR, LIMITED, MODES, PHASE, Q, TASK_SET, TORQUE_DESIRED, TORQUE_SATURATED,
+    self, COMMAND, DQ, ERROR, LIMITED, MODES, PHASE, Q, STANDSTILL, TASK_SET, TORQUE_DESIRED,
+    TORQUE_SATURATED,
 };
 use opspace_control::{AxisMode, JointTask, Task, TaskSet};
 use opspace_loop::Phase;
@@ -96,6 +97,7 @@ impl<'a> UnreachedGoals<'a> {
             self.next_s = time_s + STEP_S;
             self.last_s = time_s;
             self.examine(run, k, time_s);
+            self.continue_at_standstill(run, k, time_s);
             self.close_before(time_s - MAX_GAP_S);
         }
     }
@@ -111,6 +113,16 @@ impl<'a> UnreachedGoals<'a> {
         }
         self.found.sort_by(|a, b| a.begin_s.total_cmp(&b.begin_s));
         self.found
+    }
+
+    /// Continues the intervals of tasks at a standstill: they no longer demand what the cause does not allow.
+    fn continue_at_standstill(&mut self, run: &Run<'_>, k: usize, time_s: f64) {
+        for (name, episode) in &mut self.open {
+            let share = run.tick.signal(&signal_names::of(name, STANDSTILL));
+            if share.is_some_and(|share| share.row(k)[0] > 0.0) {
+                episode.last_s = time_s;
+            }
+        }
     }
 
     /// Closes the intervals whose last cycle was before `time_s`.
