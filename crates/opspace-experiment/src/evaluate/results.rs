@@ -655,6 +655,7 @@ mod tests {
             missed_expectations: Vec::new(),
             failures: Vec::new(),
             unreached_goals: Vec::new(),
+            escapes: Vec::new(),
             tasks: Default::default(),
             joints: Default::default(),
             missed_cycles: 0,
