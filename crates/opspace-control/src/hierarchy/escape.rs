@@ -382,7 +382,8 @@ impl Escape {
         }
         let s = self.direction.as_mut_slice();
         input.above.project_velocity(s);
-        self.spectrum.remove(jacobian, |value| 1.0 - weight(value), s);
+        // Not of u itself, along which s moves more and more.
+        self.spectrum.remove(jacobian, |value| f64::from(u8::from(value >= threshold)), s);
         let largest = self.direction.amax();
         if largest.is_nan() || largest < REMAINS || input.time_s - since_s > LONGEST_S {
             return Phase::GivenUp;

@@ -94,7 +94,8 @@ impl Preview {
         let lost = self.spectrum.part(error, fade);
         let size = lost.norm();
         above.project_velocity(self.direction.as_mut_slice());
-        self.spectrum.remove(jacobian, |value| 1.0 - fade(value), self.direction.as_mut_slice());
+        let controlled = |value: f64| f64::from(u8::from(fade(value) <= 0.0));
+        self.spectrum.remove(jacobian, controlled, self.direction.as_mut_slice());
         let largest = self.direction.amax();
         if size <= 0.0 || largest.is_nan() || largest < 1e-3 {
             return;

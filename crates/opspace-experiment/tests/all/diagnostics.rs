@@ -98,7 +98,7 @@ fn assert_says(finding: &Diagnostic, key: &str, words: &[&str]) {
 }
 
 /// Files of the project that cause diagnostics intentionally, with words of the diagnostics.
-const MADE_TO_GO_WRONG: [(&str, &str); 6] = [
+const MADE_TO_GO_WRONG: [(&str, &str); 7] = [
     ("panda-out-of-reach", "cannot be reached"),
     ("ur5e-out-of-reach", "cannot be reached"),
     ("panda-obstacles", "is in collision: 'link7.2' and 'ball'"),
@@ -106,6 +106,7 @@ const MADE_TO_GO_WRONG: [(&str, &str); 6] = [
     ("panda-too-fast", "the references move joint"),
     // The path around a singular posture requires high speeds.
     ("ur5e-wrist", "the references move joint"),
+    ("ur5e-straight", "it leaves towards a goal"),
 ];
 
 #[test]
