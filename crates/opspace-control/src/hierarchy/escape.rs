@@ -16,7 +16,8 @@
 //! from which on the task controls u itself. Several directions with such a λ count with their weights f in u.
 //!
 //! An escape is prepared if arm and reference have been at rest for 0.1 s, with a demand along a lost direction, and if the
-//! pose is a saddle. The [preview](crate::hierarchy::preview) of both directions of s selects the one that ends nearer to the
+//! pose is a saddle. A demand along a lost direction is suspended while an arm that was at rest waits for its reference: at a
+//! saddle, a large force would set it on in a random direction. The [preview](crate::hierarchy::preview) of both directions of s selects the one that ends nearer to the
 //! goal; if neither does, the arm stays. s is scaled to a speed of 1 of the fastest joint, and follows the null space.
 //!
 //! The escape ends if λ exceeds the threshold or if the demand along lost directions vanishes; the reference then blends from
@@ -35,8 +36,8 @@ use nalgebra::{DVector, Matrix6xX, Vector6};
 use opspace_model::{Data, Model};
 
 /// Mobility relative to the typical one below which a direction is lost. The elbow of a straight arm is then bent by less
-/// than some 3 mrad; without a demand, the damped inverse has a gain of 0.04.
-const LOST: f64 = 1e-4;
+/// than some 30 mrad, with which friction may hold it: the gain of the damped inverse for the full demand is 0.03.
+const LOST: f64 = 0.01;
 
 /// Smallest demand along lost directions, m/s²: an error of about 1 mm at 20 rad/s. Sensor noise demands less in the mean.
 const DEMAND_M_PER_S2: f64 = 0.5;
@@ -77,7 +78,7 @@ const FREQUENCY_PER_S: f64 = 10.0;
 /// Largest lag ∫ (v_d − v) dt, rad or m. The integral overcomes friction.
 const LAG: f64 = 0.1;
 
-/// Largest acceleration of the fastest joint, rad/s² or m/s²: a few percent of gravity at the end of an arm's link.
+/// Largest acceleration of the fastest joint, rad/s² or m/s²: half of gravity at the end of a link of 0.5 m.
 const ACCELERATION_PER_S2: f64 = 10.0;
 
 /// Longest escape, s.
@@ -115,10 +116,10 @@ pub(crate) struct Escape {
 enum Phase {
     /// No reason to escape.
     Controlled,
-    /// The arm is stuck since a time, and will be examined at another one, s.
-    Stuck { since_s: f64, examined_s: f64, hopeless: bool },
+    /// The arm is stuck since a time, and will be examined at another one, s. Its lost demand is suspended if `is_held`.
+    Stuck { since_s: f64, examined_s: f64, is_held: bool },
     /// Number of computed steps of the previews, and the errors at the ends of those against s and along it.
-    Previewed { steps: usize, errors: [f64; 2], hopeless: bool },
+    Previewed { steps: usize, errors: [f64; 2], is_held: bool },
     /// The arm escapes since a time, s; the unit vector u of the last cycle, and the lag.
     Escaping { since_s: f64, along: Vector6<f64>, lag: f64 },
     /// The escape has just ended.
@@ -179,7 +180,7 @@ impl EscapeInput<'_> {
 
     /// Phase of an arm without a way out.
     fn hopeless(&self) -> Phase {
-        Phase::Stuck { since_s: self.time_s, examined_s: self.time_s + RETRY_S, hopeless: true }
+        Phase::Stuck { since_s: self.time_s, examined_s: self.time_s + RETRY_S, is_held: false }
     }
 }
 
@@ -267,24 +268,24 @@ impl Escape {
         }
         let (now_s, is_at_rest) = (input.time_s, input.data.dq.amax() < REST_PER_S);
         let examined = match self.phase {
-            Phase::Previewed { steps, errors, hopeless } if is_at_rest => {
-                self.look_ahead(input, tasks_above, &part, (steps, errors, hopeless))
+            Phase::Previewed { steps, errors, is_held } if is_at_rest => {
+                self.look_ahead(input, tasks_above, &part, (steps, errors, is_held))
             }
-            Phase::Stuck { since_s, examined_s, hopeless } if is_at_rest => {
+            Phase::Stuck { since_s, examined_s, is_held } if is_at_rest => {
                 let is_late = now_s > since_s + PATIENCE_S;
                 if now_s >= examined_s && (is_late || input.reference_is_at_rest()) {
-                    self.examine(input, tasks_above, jacobian, hopeless)
+                    self.examine(input, tasks_above, jacobian, is_held)
                 } else {
                     self.phase
                 }
             }
-            Phase::Stuck { since_s, hopeless, .. } => {
+            Phase::Stuck { since_s, is_held, .. } => {
                 let is_late = now_s > since_s + PATIENCE_S;
-                Phase::Stuck { since_s, examined_s: now_s + REST_S, hopeless: hopeless || is_late }
+                Phase::Stuck { since_s, examined_s: now_s + REST_S, is_held: is_held && !is_late }
             }
-            _ => Phase::Stuck { since_s: now_s, examined_s: now_s + REST_S, hopeless: false },
+            _ => Phase::Stuck { since_s: now_s, examined_s: now_s + REST_S, is_held: is_at_rest },
         };
-        if let Phase::Stuck { hopeless: false, .. } | Phase::Previewed { hopeless: false, .. } = examined {
+        if let Phase::Stuck { is_held: true, .. } | Phase::Previewed { is_held: true, .. } = examined {
             let along = part.normalize();
             self.row = Some(Row { along, weight: 0.0, demand: 0.0, scale: 0.0, acceleration: 0.0 });
         }
@@ -297,7 +298,7 @@ impl Escape {
         input: &EscapeInput<'_>,
         tasks_above: impl Iterator<Item = (&'a dyn Task, f64)> + Clone,
         jacobian: &Matrix6xX<f64>,
-        hopeless: bool,
+        is_held: bool,
     ) -> Phase {
         let EscapeInput { model, data, task, above, typical, .. } = *input;
         let (spectrum, lost) = (&self.spectrum, LOST * typical);
@@ -310,7 +311,7 @@ impl Escape {
         }
         self.direction /= size;
         self.preview.begin(&data.q, &self.direction, -1.0);
-        Phase::Previewed { steps: 0, errors: [f64::INFINITY; 2], hopeless }
+        Phase::Previewed { steps: 0, errors: [f64::INFINITY; 2], is_held }
     }
 
     /// Computes a step of the previews, and begins the escape after the last one.
@@ -319,7 +320,7 @@ impl Escape {
         input: &EscapeInput<'_>,
         tasks_above: impl Iterator<Item = (&'a dyn Task, f64)>,
         part: &Vector6<f64>,
-        (steps, mut errors, hopeless): (usize, [f64; 2], bool),
+        (steps, mut errors, is_held): (usize, [f64; 2], bool),
     ) -> Phase {
         let EscapeInput { model, data, task, .. } = *input;
         let threshold = input.threshold();
@@ -332,7 +333,7 @@ impl Escape {
             self.preview.begin(&data.q, &self.direction, 1.0);
         }
         if steps < 2 * STEPS {
-            return Phase::Previewed { steps, errors, hopeless };
+            return Phase::Previewed { steps, errors, is_held };
         }
         let present = error(model, data, task).norm();
         let [back, forth] = errors;

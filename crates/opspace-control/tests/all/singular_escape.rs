@@ -399,7 +399,8 @@ fn six_joints_reach_goals_along_lost_directions() {
 /// redundant arms, and for the Panda, whose postures are held by a task below.
 #[test]
 fn stretched_arms_reach_goals_towards_their_base() {
-    let kinds: [(&str, &dyn Fn(&mut Numbers) -> Case); 5] = [
+    type Make<'a> = &'a dyn Fn(&mut Numbers) -> Case;
+    let kinds: [(&str, Make<'_>); 5] = [
         ("planar, three joints", &|numbers| planar(3, numbers, false)),
         ("planar, four joints", &|numbers| planar(4, numbers, false)),
         ("random, six joints", &|numbers| random_arm(6, numbers, false)),
