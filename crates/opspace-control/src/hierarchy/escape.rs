@@ -45,8 +45,9 @@ const DEMAND_M_PER_S2: f64 = 0.5;
 /// Demand with which an escape has its full speed, m/s²: that with which the default damping is full.
 const FULL_DEMAND_M_PER_S2: f64 = 4.0;
 
-/// Highest speed of a joint at rest, rad/s or m/s.
-const REST_PER_S: f64 = 0.05;
+/// Highest speed of a joint at rest, rad/s or m/s. The compensation of friction shakes a simulated arm that is stuck at half
+/// of it.
+const REST_PER_S: f64 = 0.2;
 
 /// Time at rest before an escape, s: much longer than a task needs to pass a singular pose, or its velocity to turn.
 const REST_S: f64 = 0.1;
