@@ -35,6 +35,12 @@ pub trait Controller: Observable + Send {
     /// [`command_kind`](Self::command_kind)). Must not allocate, lock, log or format text.
     fn update(&mut self, input: &ControlInput<'_>, command: &mut [f64]);
 
+    /// Writes the joint velocities that the references ask for, as of the last [`update`](Self::update), into `velocity` (n;
+    /// rad/s or m/s). Returns false if they are unknown. Must not allocate.
+    fn reference_velocity(&mut self, _input: &ControlInput<'_>, _velocity: &mut [f64]) -> bool {
+        false
+    }
+
     /// Processes a cycle in which the robot is held and the controller commands nothing. Must not allocate.
     fn observe_while_held(&mut self, _input: &ControlInput<'_>) {}
 

@@ -291,6 +291,11 @@ impl Controller for OperationalSpaceController {
         self.hold_still(input.data);
     }
 
+    fn reference_velocity(&mut self, input: &ControlInput<'_>, velocity: &mut [f64]) -> bool {
+        self.schedule.current().0.reference_velocity(input, velocity, self.scratch.as_mut_slice());
+        true
+    }
+
     fn observe_while_held(&mut self, input: &ControlInput<'_>) {
         self.schedule.advance(input);
         self.schedule.current_mut().observe(input);

@@ -62,6 +62,8 @@ pub struct ControlLoop {
     transformer: Box<dyn Transformer>,
     guard: Option<Guard>,
     friction: FrictionCompensation,
+    /// Joint velocities that the references ask for (n; rad/s, m/s).
+    reference_velocity: DVector<f64>,
     torque_limits: Vec<f64>,
     ramp_s: f64,
     rest_cycles: u64,
@@ -149,6 +151,7 @@ impl ControlLoop {
             saturated: DVector::zeros(n),
             outgoing: Outgoing::None,
             torque_limits: config.torque_limits,
+            reference_velocity: DVector::zeros(config.friction.joints()),
             friction: config.friction,
             capabilities,
             controller,
@@ -360,6 +363,7 @@ impl ControlLoop {
             return Err(Fault::StaleTarget { task: stale.task, age_s: stale.age_s });
         }
         if kind == CommandKind::Torque {
+            self.anticipate_friction(targets);
             self.shape_torque();
         }
         let estimator = &self.state.estimator;
@@ -396,6 +400,16 @@ impl ControlLoop {
         self.friction.advance(q.as_slice());
         for (i, (torque, &dq)) in feedforward_torque.iter_mut().zip(dq.iter()).enumerate() {
             *torque = self.friction.torque(i, dq);
+        }
+    }
+
+    /// Tells the friction compensation of the next cycle the velocity of the references.
+    fn anticipate_friction(&mut self, targets: &Targets) {
+        let velocity = self.reference_velocity.as_mut_slice();
+        if self.friction.follows_reference()
+            && self.controller.reference_velocity(&self.state.input(targets), velocity)
+        {
+            self.friction.set_reference_velocity(velocity);
         }
     }
 

@@ -1,13 +1,20 @@
-//! Joint friction: its parameters, and its compensation n̂ (equation (K11) of the paper). It follows the estimated velocity
-//! or the measured displacement ([`FrictionLaw`]):
+//! Joint friction: its parameters, and its compensation n̂ (equation (K11) of the paper).
 //!
 //! ```text
-//! n̂ = γ (Fc tanh(q̇/v₀) + Fv q̇)          n̂ = γ (Fc z/δ + Fv q̇),   dz = dq − |dq| z/δ
+//! n̂ = γ (Fc d + Fv q̇)
 //! ```
 //!
-//! A joint that is held by its bristles feels the first as the negative damping −γ Fc/v₀. Where that exceeds the damping
-//! of the bristles, the joint oscillates at rest at the frequency of its inertia and its bristles, 15 Hz for the arm of the
-//! paper.
+//! d, from −1 to 1, is the direction in which Coulomb friction is compensated. Each [`FrictionLaw`] has its own:
+//!
+//! ```text
+//! velocity        d = tanh(q̇/v₀)
+//! displacement    d = z/δ                     dz = dq − |dq| z/δ
+//! reference       d = r + (1 − |r|) z/δ       r = tanh(q̇_r/v₀)
+//! ```
+//!
+//! The first is that of the paper, with the estimated velocity q̇. A joint that is held by its bristles feels it as the
+//! negative damping −γ Fc/v₀. Where that exceeds the damping of the bristles, the joint oscillates at rest at the frequency
+//! of its inertia and its bristles, 15 Hz for the arm of the paper.
 //!
 //! In the second, z is the deflection of Dahl's bristles, driven by the measured motion, and δ the presliding displacement
 //! (Dahl, *Solid friction damping of mechanical vibrations*, AIAA Journal 14(12), 1976). The compensation reverses over a
@@ -15,6 +22,10 @@
 //! A cycle of amplitude A gets the energy 4 γ Fc (A − δ tanh(A/δ)) from it. The joint's own bristles, of stiffness σ₀, take
 //! at least as much for any A if δ ≥ √(γ Fc Fs)/σ₀. The slope at rest, the stiffness −γ Fc/δ, is then below σ₀, and a delay
 //! of the loop turns it into damping.
+//!
+//! The third follows the joint velocities q̇_r of the references where they move, and the displacement where they do not:
+//! at rest, and in the directions in which the arm gives way. r depends on time alone, so that it adds no feedback: the
+//! compensation reverses when the reference does, before the arm's velocity can be measured.
 
 use opspace_backend::quantity::{NonNegative, Positive};
 #[cfg(feature = "schema")]
@@ -49,10 +60,11 @@ pub struct FrictionCompensationParameters {
     /// by itself; 0.65 is safe for true friction down to two thirds of the model.
     #[serde(default = "default_gain")]
     pub gain: NonNegative,
-    /// Quantity that the compensation of Coulomb friction follows; `velocity` if absent.
+    /// Quantity that the compensation of Coulomb friction follows; `reference` if absent.
     #[serde(default)]
     pub follows: FrictionLaw,
-    /// Speed v₀ over which the compensation of Coulomb friction changes sign if it follows the velocity, rad/s (m/s).
+    /// Speed v₀ over which the compensation of Coulomb friction changes sign if it follows the reference or the velocity,
+    /// rad/s (m/s).
     #[serde(default = "default_smoothing")]
     pub smoothing_rad_per_s: Positive,
 }
@@ -62,13 +74,16 @@ pub struct FrictionCompensationParameters {
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum FrictionLaw {
-    /// The estimated velocity: Fc tanh(q̇/v₀). It tracks slow references well. Near rest it is negative damping, with which
-    /// joints may oscillate or creep.
+    /// The joint velocities of the references, where they move; the measured displacement otherwise. Joints come to rest
+    /// without oscillation, and reversals are anticipated.
     #[default]
-    Velocity,
-    /// The measured displacement, over `presliding_rad` of the joint's friction: Fc z/δ. Joints come to rest and neither
-    /// oscillate nor chatter. Errors of tracking through reversals are larger.
+    Reference,
+    /// The measured displacement, over `presliding_rad` of the joint's friction: Fc z/δ. Joints come to rest without
+    /// oscillation. Errors of tracking through reversals are larger.
     Displacement,
+    /// The estimated velocity: Fc tanh(q̇/v₀), as in the paper. Near rest it is negative damping, with which joints may
+    /// oscillate or creep.
+    Velocity,
 }
 
 impl Default for FrictionCompensationParameters {
@@ -99,8 +114,9 @@ const fn default_presliding() -> Positive {
 #[derive(Clone, Debug)]
 pub struct FrictionCompensation {
     joints: Vec<CompensatedJoint>,
-    /// Speed v₀ of the law that follows the velocity, rad/s (m/s).
-    smoothing: Option<f64>,
+    law: FrictionLaw,
+    /// Speed v₀, rad/s (m/s).
+    smoothing: f64,
     /// True if the displacements continue from the last cycle.
     is_continued: bool,
 }
@@ -116,6 +132,8 @@ struct CompensatedJoint {
     position: f64,
     /// Deflection z of the bristles, from −δ to δ (rad, m).
     deflection: f64,
+    /// Direction r of the reference's motion, from −1 to 1.
+    reference: f64,
 }
 
 impl CompensatedJoint {
@@ -142,8 +160,8 @@ impl FrictionCompensation {
         };
         Self {
             joints: joints.map(joint).collect(),
-            smoothing: (parameters.follows == FrictionLaw::Velocity)
-                .then_some(parameters.smoothing_rad_per_s.get()),
+            law: parameters.follows,
+            smoothing: parameters.smoothing_rad_per_s.get(),
             is_continued: false,
         }
     }
@@ -152,7 +170,7 @@ impl FrictionCompensation {
     #[must_use]
     pub fn none(n: usize) -> Self {
         let none = CompensatedJoint { presliding: 1.0, ..CompensatedJoint::default() };
-        Self { joints: vec![none; n], smoothing: None, is_continued: false }
+        Self { joints: vec![none; n], law: FrictionLaw::Displacement, smoothing: 1.0, is_continued: false }
     }
 
     /// Number of joints.
@@ -161,14 +179,15 @@ impl FrictionCompensation {
         self.joints.len()
     }
 
-    /// Relaxes all deflections at the next sample, from which they continue.
+    /// Relaxes all deflections at the next sample, from which they continue, and stops the reference.
     pub fn reset(&mut self) {
         self.is_continued = false;
+        self.joints.iter_mut().for_each(|joint| joint.reference = 0.0);
     }
 
     /// Advances the deflections to the measured positions `q` (n; rad, m). Call it once per sample.
     pub fn advance(&mut self, q: &[f64]) {
-        if self.smoothing.is_some() {
+        if self.law == FrictionLaw::Velocity {
             return;
         }
         let is_continued = std::mem::replace(&mut self.is_continued, true);
@@ -178,14 +197,29 @@ impl FrictionCompensation {
         }
     }
 
+    /// Returns true if the compensation follows the references.
+    #[must_use]
+    pub fn follows_reference(&self) -> bool {
+        self.law == FrictionLaw::Reference
+    }
+
+    /// Sets the joint velocities q̇_r of the references (n; rad/s, m/s), zero until then.
+    pub fn set_reference_velocity(&mut self, velocity: &[f64]) {
+        for (joint, v) in self.joints.iter_mut().zip(velocity) {
+            joint.reference = (v / self.smoothing).tanh();
+        }
+    }
+
     /// Friction torque n̂ of one joint (Nm, N) at the estimated velocity `dq` (rad/s, m/s).
     #[inline]
     #[must_use]
     pub fn torque(&self, joint: usize, dq: f64) -> f64 {
         let joint = &self.joints[joint];
-        let direction = match self.smoothing {
-            None => joint.deflection / joint.presliding,
-            Some(smoothing) => (dq / smoothing).tanh(),
+        let bristles = joint.deflection / joint.presliding;
+        let direction = match self.law {
+            FrictionLaw::Displacement => bristles,
+            FrictionLaw::Velocity => (dq / self.smoothing).tanh(),
+            FrictionLaw::Reference => joint.reference + (1.0 - joint.reference.abs()) * bristles,
         };
         joint.coulomb * direction + joint.viscous * dq
     }

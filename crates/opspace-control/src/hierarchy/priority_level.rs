@@ -209,6 +209,28 @@ impl PriorityLevel {
         add_transposed(&self.projected.jacobian, &force, torque);
     }
 
+    /// Adds the joint velocities with which the rows follow their reference to `velocity` (n), those of the levels above.
+    /// Rows without a reference stay at rest. `scratch` (n) is overwritten.
+    pub(crate) fn add_reference_velocity(
+        &self,
+        input: &ControlInput<'_>,
+        velocity: &mut [f64],
+        scratch: &mut [f64],
+    ) {
+        let mut missing = self.task.kinematic_target(input.model, input.data, 0.0);
+        for row in 0..self.task.rows() {
+            if !self.task.follows_reference(row) {
+                missing[row] = 0.0;
+            }
+        }
+        missing -= product(&self.jacobian, velocity);
+        let momentum = self.projected.space.task_inertia * missing;
+        scratch.fill(0.0);
+        add_transposed(&self.projected.jacobian, &momentum, scratch);
+        input.data.mass_matrix_factor.solve(scratch);
+        velocity.iter_mut().zip(&*scratch).for_each(|(v, x)| *v += x);
+    }
+
     /// Predicted velocity of the task's rows after `horizon_s` (s) with the joint accelerations `ddq` (n).
     pub(crate) fn predicted_velocity(&self, data: &Data, ddq: &[f64], horizon_s: f64) -> Vector6<f64> {
         let mut velocity = self.bias * horizon_s;

@@ -103,6 +103,26 @@ impl TaskHierarchy {
         }
     }
 
+    /// Writes the joint velocities that the references ask for, by the priority of their tasks, into `velocity` (n; rad/s or
+    /// m/s). Rows without a reference are at rest, and so is what no task controls.
+    pub(crate) fn reference_velocity(
+        &self,
+        input: &ControlInput<'_>,
+        velocity: &mut [f64],
+        scratch: &mut [f64],
+    ) {
+        match self.joint.as_ref().and_then(|task| task.reference()) {
+            Some((_, reference)) => {
+                velocity.copy_from_slice(reference);
+                self.nullspace.project_velocity(velocity);
+            }
+            None => velocity.fill(0.0),
+        }
+        for level in &self.levels {
+            level.add_reference_velocity(input, velocity, scratch);
+        }
+    }
+
     /// Records what limits took from the task of all joints, with its name.
     pub(crate) fn record_joint_slack(&self, name: &str, out: &mut SignalRecorder<'_>) {
         out.signal((name, SLACK), &self.acceleration_units, &self.joint_names, &self.joint_slack);

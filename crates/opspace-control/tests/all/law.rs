@@ -590,3 +590,50 @@ fn signal(controller: &OperationalSpaceController, name: &str) -> Vec<f64> {
     let first: usize = signals[..place].iter().map(|s| s.len()).sum();
     values[first..first + signals[place].len()].to_vec()
 }
+
+/// Joint velocities of the references: the hand's axes move as their references do, an axis without one is at rest, and
+/// the joints below follow theirs as far as the hand leaves them. Known are the references' derivatives at two times.
+#[test]
+fn reference_velocities_follow_the_priorities() {
+    const TASKS: &str = r#"
+priority = ["hand", "joints"]
+[task.hand.cartesian]
+frame = "hand"
+axes = { x = "compliant", y = "motion", z = "motion" }
+gains = { frequency_rad_per_s = 14.0, damping_ratio = 1.0 }
+force = { sensor = "wrist", filter_hz = 100.0 }
+[task.hand.cartesian.reference.sinusoid]
+y = [{ amplitude_m = 0.10, frequency_hz = 0.5 }]
+z = [{ amplitude_m = 0.08, frequency_hz = 0.25 }]
+[task.joints.joint-tracking]
+gains = { frequency_rad_per_s = 14.0, damping_ratio = 1.0 }
+[task.joints.joint-tracking.reference.sinusoid.joints]
+j1 = [{ amplitude_rad = 0.3, frequency_hz = 0.5 }]
+"#;
+    let model = seven_joints();
+    let q = [0.3, -0.5, 0.2, -1.4, 0.4, 1.1, -0.2];
+    let (data, mut measurement) = at_state(&model, &q, &[0.2; 7], 0.0);
+    measurement.wrenches.push(Force::zero());
+    let file = File::read(TASKS);
+    let context = control_context(&model, "hand");
+    let mut controller = OperationalSpaceController::new(&model, &file.task_set(), &context).expect("tasks");
+    controller.start(&common::input(&model, &data, &measurement));
+    for time_s in [2.0, 5.0] {
+        measurement.time_s = time_s;
+        let input = common::input(&model, &data, &measurement);
+        controller.update(&input, &mut [0.0; 7]);
+        let mut velocity = DVector::from_element(7, f64::NAN);
+        assert!(controller.reference_velocity(&input, velocity.as_mut_slice()));
+        let hand = jacobian(&model, &data, "hand").rows(0, 3) * &velocity;
+        let turn = |hz: f64| 2.0 * PI * hz * (2.0 * PI * hz * time_s).cos();
+        let expected = Vector3::new(0.0, 0.10 * turn(0.5), 0.08 * turn(0.25));
+        assert!((hand - expected).amax() < ROUNDING, "hand at {time_s} s: {velocity}");
+        // In the metric of M, no joint velocity that leaves the hand at rest is closer to the joints' references.
+        let mut reference = DVector::zeros(7);
+        reference[0] = 0.3 * turn(0.5);
+        let momentum = &data.mass_matrix * (&reference - &velocity);
+        let j = jacobian(&model, &data, "hand").rows(0, 3).into_owned();
+        let idle = DMatrix::identity(7, 7) - j.clone().pseudo_inverse(1e-9).expect("a pseudo-inverse") * &j;
+        assert!((idle.transpose() * momentum).amax() < ROUNDING, "joints at {time_s} s: {velocity}");
+    }
+}

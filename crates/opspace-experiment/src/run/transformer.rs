@@ -8,7 +8,7 @@ use opspace_backend::{CommandKind, Measured, Setpoints};
 use opspace_model::{Data, update};
 use opspace_transformer::{
     ClosedLoopModel, CurrentFeedback, EmulatingTransformer, EmulationSetup, FrictionCompensation,
-    FrictionCompensationParameters, Identity, LiteralTransformer, Method, ObservedTransformer,
+    FrictionCompensationParameters, FrictionLaw, Identity, LiteralTransformer, Method, ObservedTransformer,
     PaperTransformer, ServoGains, ServoParameters, TorqueObjective, TorqueObserver, TorqueObserverSetup,
     Transformer, TransformerKind, VelocitySource, VelocityTransformer,
 };
@@ -115,11 +115,16 @@ impl Experiment {
         })
     }
 
-    /// Modelled friction of the joints, all of it.
+    /// Modelled friction of the joints, all of it, at the motion that they have and not at that of the references.
     fn whole_friction(&self) -> FrictionCompensation {
+        let compensation = self.task.file.friction_compensation.clone();
         let whole = FrictionCompensationParameters {
             gain: NonNegative::literal(1.0),
-            ..self.task.file.friction_compensation.clone()
+            follows: match compensation.follows {
+                FrictionLaw::Reference => FrictionLaw::Velocity,
+                own => own,
+            },
+            ..compensation
         };
         FrictionCompensation::new(self.robot.joints().iter().map(|j| &j.friction), &whole)
     }

@@ -173,7 +173,8 @@ fn friction(coulomb: f64, viscous: f64, presliding: f64) -> FrictionParameters {
 #[test]
 fn friction_compensation_by_velocity_matches_its_formula() {
     let joints = [friction(1.8, 2.0, 0.001), friction(1.1, 1.2, 0.001)];
-    let parameters: FrictionCompensationParameters = parsed("gain = 0.8\nsmoothing_rad_per_s = 0.04");
+    let parameters: FrictionCompensationParameters =
+        parsed("gain = 0.8\nsmoothing_rad_per_s = 0.04\nfollows = \"velocity\"");
     let compensation = FrictionCompensation::new(joints.iter(), &parameters);
     for v in [-3.0, -0.04, -0.001, 0.0, 0.02, 0.5_f64] {
         let (up, down) = ((v / 0.04).exp(), (-v / 0.04).exp());
@@ -213,9 +214,29 @@ fn friction_compensation_follows_the_displacement() {
     compensation.reset();
     compensation.advance(&[0.7]);
     assert_eq!(compensation.torque(0, 0.0), 0.0, "begins at rest");
-    let default = FrictionCompensation::new([friction(1.8, 2.0, 0.001)].iter(), &parsed(""));
-    let torque = default.torque(0, 100.0);
-    assert!((torque - 0.65 * (1.8 + 200.0)).abs() < 1e-10, "a third is left uncompensated: {torque}");
+}
+
+/// With its default, n̂ follows the reference where that moves, whatever the displacement, and the displacement at rest.
+/// The measured velocity has a part in viscous friction alone. A third of the friction is left uncompensated.
+#[test]
+fn friction_compensation_by_reference_matches_its_formula() {
+    const PRESLIDING: f64 = 0.002;
+    let joints = [friction(1.8, 2.0, PRESLIDING)];
+    let mut compensation = FrictionCompensation::new(joints.iter(), &parsed("smoothing_rad_per_s = 0.04"));
+    assert!(compensation.follows_reference());
+    compensation.advance(&[0.3]);
+    compensation.advance(&[0.3 - 0.5 * PRESLIDING]);
+    let bristles = (-0.5_f64).exp() - 1.0;
+    for (reference, dq) in [(0.0, 0.0), (0.0, 0.02), (0.01, -0.3), (-0.04, 0.0), (2.0, 0.1)] {
+        compensation.set_reference_velocity(&[reference]);
+        let direction = f64::tanh(reference / 0.04);
+        let direction = direction + (1.0 - direction.abs()) * bristles;
+        let (torque, expected) = (compensation.torque(0, dq), 0.65 * (1.8 * direction + 2.0 * dq));
+        assert!((torque - expected).abs() < 1e-12, "{torque} instead of {expected} at {reference}");
+    }
+    compensation.reset();
+    compensation.advance(&[0.7]);
+    assert_eq!(compensation.torque(0, 0.0), 0.0, "begins at rest");
 }
 
 /// Compared: the energy that n̂ supplies in a cycle of amplitude A, and 4 γ Fc (A − δ tanh(A/δ)). Viscous friction is
