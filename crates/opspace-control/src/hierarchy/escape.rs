@@ -7,7 +7,7 @@
 //!
 //! ```text
 //! J_p ← J_p + f κ u sᵀM        uᵀa ← (uᵀJ_p s + f κ sᵀMs) a_s        κ² sᵀMs = λ_typical
-//! a_s = k² ∫ (v_d − v) dt + 2k (v_d − v), bounded        v = sᵀM q̇/sᵀMs        v_d = v_max min(1, uᵀa/a₀)
+//! a_s = k² ∫ (v_d − v) dt + 2k (v_d − v), bounded        v = sᵀM q̇/sᵀMs        v_d = v_max min(1, uᵀa/a₀) min(1, t/0.2 s)
 //! ```
 //!
 //! with the mobility that is typical of the task. All that follows from J_p applies to it: the other rows of the task are
@@ -72,6 +72,9 @@ const SADDLE: f64 = 1e-6;
 
 /// Speed of the fastest joint, rad/s or m/s: a wrist rotates by 90° in 3 s, as slowly as a person can watch.
 const SPEED_PER_S: f64 = 0.5;
+
+/// Time in which an escape reaches its speed, s.
+const BEGINS_S: f64 = 0.2;
 
 /// Frequency k of the control of the speed, rad/s: half of that of a usual task.
 const FREQUENCY_PER_S: f64 = 10.0;
@@ -399,7 +402,8 @@ impl Escape {
             return Phase::GivenUp;
         }
         let velocity = dot(momentum, input.data.dq.as_slice()) / mass;
-        let behind = SPEED_PER_S * (size / FULL_DEMAND_M_PER_S2).min(1.0) - velocity;
+        let begun = ((input.time_s - since_s) / BEGINS_S).min(1.0);
+        let behind = SPEED_PER_S * begun * (size / FULL_DEMAND_M_PER_S2).min(1.0) - velocity;
         let lag = (lag + period_s * behind).clamp(-LAG, LAG);
         let acceleration = FREQUENCY_PER_S * (FREQUENCY_PER_S * lag + 2.0 * behind);
         let acceleration = acceleration.clamp(-ACCELERATION_PER_S2, ACCELERATION_PER_S2);

@@ -5,11 +5,11 @@
 //! one per control cycle, so that no cycle takes long:
 //!
 //! ```text
-//! δq = δq_above + Σ_i (1 − f_i)/λ_i M⁻¹ J_pᵀ v_i v_iᵀ (e/2 − J δq_above) + f u-drive s
+//! δq = δq_above + Σ_i (1 − f_i)/λ_i M⁻¹ J_pᵀ v_i v_iᵀ (e/2 − J δq_above) + f h s
 //! ```
 //!
 //! with the eigenvectors v_i of Λ⁻¹, their weights f_i in an [escape](crate::hierarchy::escape), and the joint motion δq_above
-//! that the tasks above need. Each step halves the errors along directions that the arm controls. Joints stop at their position
+//! that the tasks above need; h is 0.1 rad. Each step halves the errors along directions that the arm controls. Joints stop at their position
 //! limits.
 
 use crate::hierarchy::displaced_task::{CORRECTED, DisplacedTask, error};
