@@ -127,7 +127,7 @@ enum Phase {
     /// The arm escapes since a time, s; the unit vector u of the last cycle, and the lag.
     Escaping { since_s: f64, along: Vector6<f64>, lag: f64 },
     /// The escape has just ended.
-    Finished,
+    Ended,
     /// An escape failed; the arm rests.
     GivenUp,
 }
@@ -139,7 +139,7 @@ pub(crate) enum Effect {
     /// A row of J_p is replaced.
     Replaced,
     /// The escape has ended: the reference must begin at the pose of the arm.
-    Finished,
+    Ended,
 }
 
 /// Row that replaces the lost one.
@@ -232,7 +232,7 @@ impl Escape {
             && self.spectrum.update(factor, &projected.jacobian, input.task.rows());
         let was = self.phase;
         self.phase = match was {
-            Phase::Escaping { .. } if !is_singular => Phase::Finished,
+            Phase::Escaping { .. } if !is_singular => Phase::Ended,
             _ if !is_singular => Phase::Controlled,
             Phase::Escaping { since_s, along, lag } => {
                 let demand = demand(input, projected);
@@ -241,7 +241,7 @@ impl Escape {
             _ => self.wait(input, tasks_above, &projected.jacobian, &demand(input, projected)),
         };
         let Some(row) = self.row else {
-            return if self.phase == Phase::Finished { Effect::Finished } else { Effect::None };
+            return if self.phase == Phase::Ended { Effect::Ended } else { Effect::None };
         };
         if row.weight == 0.0 {
             return Effect::None;
@@ -383,7 +383,7 @@ impl Escape {
         let size = part.norm();
         let along = part / size.max(f64::MIN_POSITIVE);
         if size < 0.5 * DEMAND_M_PER_S2 || along.dot(&before) <= 0.0 {
-            return Phase::Finished;
+            return Phase::Ended;
         }
         let s = self.direction.as_mut_slice();
         input.above.project_velocity(s);

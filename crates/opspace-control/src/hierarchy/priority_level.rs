@@ -146,7 +146,7 @@ impl PriorityLevel {
         self.projected.project(above, &self.jacobian);
         self.projected.update(&data.mass_matrix_factor, rows, inversion, typical, Some(&self.desired));
         let effect = self.escape(input, levels_above, above);
-        if effect == Effect::Finished {
+        if effect == Effect::Ended {
             self.task.resume(input);
             self.desired = self.task.acceleration() - self.bias;
         }

@@ -32,7 +32,7 @@ struct Case {
     others: &'static str,
 }
 
-/// What became of a case.
+/// Result of a case.
 #[derive(Debug, Default)]
 struct Outcome {
     reached: bool,
