@@ -99,6 +99,8 @@ pub const SENSED_FORCE: &str = "sensed_force";
 pub const MIN_SINGULAR_GAIN: &str = "min_singular_gain";
 /// Acceleration of the fastest joint by which a task escapes from a singular pose, rad/s²; 0 if it does not.
 pub const ESCAPE: &str = "escape";
+/// Part of the demand of a task at rest that is taken off because its goal cannot be reached, from 0 to 1.
+pub const STANDSTILL: &str = "standstill";
 /// Acceleration that limits take from a task: that of the command without limits minus that of the command. One value for
 /// each of its rows (m/s², rad/s²), or for each joint (n; rad/s²) in the null space of the tasks above.
 pub const SLACK: &str = "slack";

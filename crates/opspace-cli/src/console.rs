@@ -3,9 +3,8 @@
 use annotate_snippets::renderer::DecorStyle;
 use annotate_snippets::{AnnotationKind, Group, Level, Renderer, Snippet};
 use comfy_table::{CellAlignment, ContentArrangement, LineStyle, TableStyle};
-use opspace_experiment::evaluate::results::{
-    Measure, failures, joint_notes, joint_table, notes, table, task_notes, task_table,
-};
+use opspace_experiment::evaluate::notes::{joint_notes, notes, task_notes};
+use opspace_experiment::evaluate::results::{Measure, failures, joint_table, table, task_table};
 use opspace_experiment::evaluate::table::{Cell, Table};
 use opspace_experiment::{FileError, RunError, Summary};
 use opspace_log::LogError;

@@ -9,6 +9,7 @@ pub(crate) mod priority_level;
 pub(crate) mod products;
 pub mod rank;
 pub(crate) mod saddle;
+pub(crate) mod standstill;
 pub(crate) mod task_hierarchy;
 pub mod task_parameters;
 pub(crate) mod task_schedule;

@@ -14,6 +14,7 @@
 use crate::context::ControlContext;
 use crate::controller::{ControlInput, Controller, StaleTarget};
 use crate::error::ControlError;
+use crate::hierarchy::priority_level::PriorityLevel;
 use crate::hierarchy::products::multiply;
 use crate::hierarchy::task_parameters::{Compensation, TaskSetParameters};
 use crate::hierarchy::task_schedule::{RecordedSignals, TaskSchedule};
@@ -34,6 +35,8 @@ pub struct OperationalSpaceController {
     context: ControlContext,
     compensation: Compensation,
     limiter: Option<Limiter>,
+    /// Decrease of a task's error below which it comes to a standstill, m/s.
+    standstill_below_m_per_s: f64,
     /// Present if commands act late by more than a short time.
     prediction: Option<Box<Prediction>>,
     /// Task torques, Nm or N (n).
@@ -78,6 +81,7 @@ impl OperationalSpaceController {
             context: context.clone(),
             compensation,
             prediction: Prediction::new(model, context).map(Box::new),
+            standstill_below_m_per_s: limits.standstill_below_m_per_s.get(),
             limiter: limits.enforce.then(|| Limiter::new(model, limits, context)),
             torque: zero.clone(),
             joint_torque: zero.clone(),
@@ -233,6 +237,19 @@ impl OperationalSpaceController {
         self.unlimited(input);
         self.compensate(input.data);
         self.limit(input);
+        self.follow_standstills(input);
+    }
+
+    /// Lets tasks that are held back come to a standstill.
+    fn follow_standstills(&mut self, input: &ControlInput<'_>) {
+        let hierarchy = self.schedule.current_mut();
+        if !hierarchy.levels.iter().any(PriorityLevel::is_observed) {
+            return;
+        }
+        self.scratch.copy_from(&self.torque);
+        input.data.mass_matrix_factor.solve(self.scratch.as_mut_slice());
+        let alpha = self.scratch.as_slice();
+        hierarchy.follow_standstills(input, alpha, self.standstill_below_m_per_s, self.context.period_s);
     }
 
     /// Modifies the task torques where a limit requires it.
@@ -253,6 +270,11 @@ impl OperationalSpaceController {
             }
             hierarchy.clear_slack(limiter.is_limited());
             limiter.record_status(Solver::Unlimited, alpha, torque, compensation_torque);
+            if limiter.is_rehearsal_due() {
+                hierarchy.complete_nullspace(data);
+                let scratch = &mut self.scratch;
+                limiter.rehearse(input, &self.commanded, hierarchy, scratch, compensation_torque);
+            }
             return;
         }
         limiter.demand(alpha);
@@ -298,6 +320,10 @@ impl Controller for OperationalSpaceController {
 
     fn observe_while_held(&mut self, input: &ControlInput<'_>) {
         self.schedule.advance(input);
+        if let Some(limiter) = &mut self.limiter {
+            let (hierarchy, scratch) = (self.schedule.current_mut(), &mut self.scratch);
+            limiter.rehearse(input, &self.commanded, hierarchy, scratch, &self.compensation_torque);
+        }
         self.schedule.current_mut().observe(input);
     }
 

@@ -8,6 +8,7 @@ pub mod expectations;
 pub(crate) mod failures;
 pub(crate) mod metric_tables;
 pub mod metrics;
+pub mod notes;
 pub mod results;
 pub(crate) mod spectrum;
 pub mod spread;

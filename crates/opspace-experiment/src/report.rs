@@ -1,5 +1,7 @@
 //! Reports: figures and HTML pages.
 
+mod collision_moments;
+mod collision_views;
 mod comparisons;
 pub mod document;
 pub mod figure;

@@ -24,8 +24,8 @@
 //! of the loop turns it into damping.
 //!
 //! The third follows the joint velocities q̇_r of the references where they move, and the displacement where they do not:
-//! at rest, and in the directions in which the arm gives way. r depends on time alone, so that it adds no feedback: the
-//! compensation reverses when the reference does, before the arm's velocity can be measured.
+//! at rest, and along compliant directions. r depends on time alone, so that it adds no feedback: the compensation reverses
+//! when the reference does, before the arm's velocity can be measured.
 
 use opspace_backend::quantity::{NonNegative, Positive};
 #[cfg(feature = "schema")]

@@ -208,6 +208,11 @@ impl Escape {
         }
     }
 
+    /// Returns true if it replaces or suspends a row of the task.
+    pub(crate) fn acts(&self) -> bool {
+        self.row.is_some()
+    }
+
     /// Ends an escape.
     pub(crate) fn reset(&mut self) {
         self.phase = Phase::Controlled;

@@ -6,6 +6,7 @@ use crate::hierarchy::escape::{Effect, Escape, EscapeInput};
 use crate::hierarchy::nullspace::{Nullspace, ProjectedTask};
 use crate::hierarchy::products::{add_transposed, product};
 use crate::hierarchy::rank::TypicalMobility;
+use crate::hierarchy::standstill::{Outcome, Standstill};
 use crate::limits::resistance::Resistance;
 use crate::qp::level_cost::Reducible;
 use crate::qp::lexicographic::Residual;
@@ -15,7 +16,7 @@ use crate::tasks::task::{SpeedLimit, Task, TaskInput};
 use crate::tasks::when_limited::WhenLimited;
 use nalgebra::{DMatrix, Matrix6, Matrix6xX, Vector6};
 use opspace_backend::SignalRecorder;
-use opspace_backend::signal_names::{ESCAPE, MIN_SINGULAR_GAIN};
+use opspace_backend::signal_names::{ESCAPE, MIN_SINGULAR_GAIN, STANDSTILL};
 use opspace_model::{Data, Inversion, MassMatrixFactor, Model, OperationalSpace};
 
 /// Gain of a damped inverse above which it differs from the exact one by rounding.
@@ -47,6 +48,8 @@ pub(crate) struct PriorityLevel {
     pub limited: bool,
     /// Resistance while limits hold the task back.
     pub resistance: Resistance,
+    /// Standstill at a goal that the task cannot reach.
+    pub standstill: Standstill,
     /// Positions of the task's streamed inputs in the row of targets.
     pub target: TargetPlace,
 }
@@ -86,6 +89,7 @@ impl PriorityLevel {
             force: zero,
             limited: false,
             resistance: Resistance::new(n),
+            standstill: Standstill::new(),
             target: TargetPlace::default(),
         }
     }
@@ -138,11 +142,11 @@ impl PriorityLevel {
     /// `levels_above` are the levels above, and `above` their null space.
     pub(crate) fn update(&mut self, input: &ControlInput<'_>, levels_above: &[Self], above: &Nullspace) {
         let ControlInput { model, data, .. } = *input;
-        self.task.update(&self.task_input(input, self.limited));
+        self.task.update(&self.task_input(input, self.limited || self.standstill.acts()));
         let (rows, inversion, typical) = (self.task.rows(), self.task.inversion(), self.typical.dynamic);
         self.task.jacobian(model, data, &mut self.jacobian);
         self.bias = self.task.bias(model, data);
-        self.desired = self.task.acceleration() - self.bias;
+        self.desired = self.task.acceleration() - self.bias - self.standstill.taken();
         self.projected.project(above, &self.jacobian);
         self.projected.update(&data.mass_matrix_factor, rows, inversion, typical, Some(&self.desired));
         let effect = self.escape(input, levels_above, above);
@@ -161,17 +165,23 @@ impl PriorityLevel {
     /// Updates the escape from a singular pose; returns its effect.
     fn escape(&mut self, input: &ControlInput<'_>, levels_above: &[Self], above: &Nullspace) -> Effect {
         let Some(escape) = &mut self.escape else { return Effect::None };
+        // Also what a standstill takes.
+        let desired = self.task.acceleration() - self.bias;
         let input = EscapeInput {
             model: input.model,
             data: input.data,
             time_s: input.measurement.time_s,
             task: &*self.task,
-            desired: self.desired,
+            desired,
             above,
             typical: self.typical.dynamic,
         };
         let tasks_above = levels_above.iter().map(|level| (&*level.task, level.typical.dynamic));
-        escape.update(&input, tasks_above, &mut self.projected)
+        let effect = escape.update(&input, tasks_above, &mut self.projected);
+        if escape.acts() {
+            self.standstill = Standstill::new();
+        }
+        effect
     }
 
     /// Acceleration that the rows demand, given the joint accelerations `above` (n; `None` for zero) that the levels above
@@ -280,13 +290,63 @@ impl PriorityLevel {
         if self.resistance.is_negligible() {
             return;
         }
-        let demand = self.demand(Some(above));
+        // At a standstill, the passive arm is only braked.
+        let demand = self.demand(Some(above)) * (1.0 - self.standstill.share());
         self.resistance.update(data, &self.projected, &demand, self.typical.dynamic, period_s);
+    }
+
+    /// Returns true if the reference of the task does not move.
+    pub(crate) fn holds_reference(&self) -> bool {
+        let speeds = self.task.reference_speeds();
+        speeds.iter().any(Option::is_some) && speeds.iter().flatten().all(|speed| *speed == 0.0)
+    }
+
+    /// Returns true if limits or the damping of a near singularity change the acceleration of the task, or did shortly
+    /// before.
+    pub(crate) fn is_observed(&self) -> bool {
+        self.task.inversion().is_for_control()
+            && !self.escape.as_ref().is_some_and(|escape| escape.acts())
+            && (self.limited || self.is_damped() || !self.standstill.is_idle())
+    }
+
+    /// Lets the standstill follow a cycle, given the commanded joint accelerations `alpha` (n). Progress is a decrease of the
+    /// error by more than `least_m_per_s` (m/s). `is_constant` is true if the references of this task and of those above do
+    /// not move.
+    pub(crate) fn follow_standstill(
+        &mut self,
+        input: &ControlInput<'_>,
+        alpha: &[f64],
+        is_constant: bool,
+        least_m_per_s: f64,
+        period_s: f64,
+    ) {
+        let mut error = if is_constant {
+            self.task.kinematic_target(input.model, input.data, 1.0)
+        } else {
+            Vector6::zeros()
+        };
+        let mut outcome = Outcome {
+            is_constant,
+            is_held_back: self.limited || self.is_damped(),
+            demand: self.task.acceleration(),
+            commanded: product(&self.jacobian, alpha),
+            velocity: product(&self.jacobian, input.data.dq.as_slice()),
+            speed: input.data.dq.norm(),
+        };
+        for row in 0..self.task.rows() {
+            if !self.task.follows_reference(row) {
+                error[row] = 0.0;
+                outcome.demand[row] = 0.0;
+                outcome.commanded[row] = 0.0;
+                outcome.velocity[row] = 0.0;
+            }
+        }
+        self.standstill.follow(&error, &outcome, least_m_per_s, period_s);
     }
 
     /// Stores what limits took from the rows, given the joint accelerations (n) that they took.
     pub(crate) fn set_slack(&mut self, taken: &[f64]) {
-        let rows = product(&self.jacobian, taken);
+        let rows = product(&self.jacobian, taken) + self.standstill.taken();
         self.task.spread_slack(&rows, &mut self.slack);
     }
 
@@ -308,9 +368,12 @@ impl PriorityLevel {
         Some(upper)
     }
 
-    /// Resets what limits took from the rows.
+    /// Resets what limits took from the rows to what the standstill takes.
     pub(crate) fn clear_slack(&mut self) {
         self.slack.fill(0.0);
+        if self.standstill.acts() {
+            self.task.spread_slack(&self.standstill.taken(), &mut self.slack);
+        }
     }
 
     /// Records the acceleration that limits took from each row.
@@ -325,7 +388,7 @@ impl PriorityLevel {
         }
     }
 
-    /// Records the task force, if the task has this signal, and the lowest gain of its damped inverse.
+    /// Records the task force, if the task has this signal, the lowest gain of its damped inverse, and its standstill.
     pub(crate) fn record_force(&self, out: &mut SignalRecorder<'_>) {
         let before = out.recorded();
         self.task.record_force(&self.force, out);
@@ -333,6 +396,7 @@ impl PriorityLevel {
             let gain = self.projected.space.min_singular_gain;
             let gain = self.escape.as_ref().map_or(gain, |escape| escape.min_singular_gain);
             out.scalar((self.name(), MIN_SINGULAR_GAIN), "1", gain);
+            out.scalar((self.name(), STANDSTILL), "1", self.standstill.share());
         }
     }
 }

@@ -84,6 +84,14 @@ impl TaskHierarchy {
         Residual::WeightedJoints { weights, reducible }
     }
 
+    /// Adds the last level to the null space, which the unlimited command does not need.
+    pub(crate) fn complete_nullspace(&mut self, data: &Data) {
+        if let Some(level) = self.levels.last_mut() {
+            level.projected.compute_jbar(&data.mass_matrix_factor);
+            self.nullspace.push(&level.projected);
+        }
+    }
+
     /// Stores in each level what limits took from it, given the joint accelerations `taken` (n) that they took, which are
     /// overwritten.
     pub(crate) fn set_slack(&mut self, taken: &mut [f64]) {
@@ -95,9 +103,26 @@ impl TaskHierarchy {
         }
     }
 
+    /// Lets the standstill of each level follow a cycle: see [`PriorityLevel::follow_standstill`].
+    pub(crate) fn follow_standstills(
+        &mut self,
+        input: &ControlInput<'_>,
+        alpha: &[f64],
+        least_m_per_s: f64,
+        period_s: f64,
+    ) {
+        let mut is_constant = true;
+        for level in &mut self.levels {
+            is_constant &= level.holds_reference();
+            if level.is_observed() {
+                level.follow_standstill(input, alpha, is_constant, least_m_per_s, period_s);
+            }
+        }
+    }
+
     /// Resets what limits took from the levels if `was_limited`.
     pub(crate) fn clear_slack(&mut self, was_limited: bool) {
-        if was_limited {
+        if was_limited || self.levels.iter().any(|level| level.standstill.acts()) {
             self.levels.iter_mut().for_each(PriorityLevel::clear_slack);
             self.joint_slack.fill(0.0);
         }

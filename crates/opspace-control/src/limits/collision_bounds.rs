@@ -22,6 +22,7 @@
 //! If bounds contradict each other, those on torques and their rates take precedence; those that brake joints or pairs
 //! are then widened together, as little as possible.
 
+use crate::hierarchy::products::dot;
 use crate::limits::bounds::{Bounds, JointState};
 use crate::limits::collision_limits::CollisionLimits;
 use crate::qp::lexicographic::SpeedBound;
@@ -146,7 +147,7 @@ impl CollisionBounds {
     ) {
         distance_gradient(&self.geometry, model, data, pair, proximity, &mut self.gradient);
         let Some(Reach { velocity, braking, stop_m }) = self.reach(&self.gradient) else { return };
-        let rate = product(&self.gradient, data.dq.as_slice());
+        let rate = dot(&self.gradient, data.dq.as_slice());
         let left = proximity.distance_m - self.margin_m;
         // Not for a distance or a rate that is not a number.
         if left > stop_m && -rate <= velocity {
@@ -155,7 +156,7 @@ impl CollisionBounds {
         let state =
             JointState { q: -proximity.distance_m, dq: -rate, velocity, braking, horizon_s: self.horizon_s };
         let bias = distance_bias_acceleration(&self.geometry, data, pair, proximity);
-        let bias = bias.max(-braking).min(braking) + product(&self.gradient, bias_acceleration.as_slice());
+        let bias = bias.max(-braking).min(braking) + dot(&self.gradient, bias_acceleration.as_slice());
         let upper = state.highest(-self.margin_m) + bias;
         let Some(place) = self.place(upper) else { return };
         let bound = &mut self.rows[place];
@@ -211,8 +212,4 @@ struct Reach {
     braking: f64,
     /// Way from the highest speed to rest, m.
     stop_m: f64,
-}
-
-fn product(a: &[f64], b: &[f64]) -> f64 {
-    a.iter().zip(b).map(|(a, b)| a * b).sum()
 }

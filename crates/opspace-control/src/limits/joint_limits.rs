@@ -57,6 +57,10 @@ pub struct LimitParameters {
     /// preferred. `when_limited = "scaled"` of a task keeps its direction more strictly.
     #[serde(default = "default_lateral_weight")]
     pub lateral_weight: Positive,
+    /// A task that cannot reach its goal comes to a standstill when its error decreases by less than this, m/s (rotations
+    /// count with the length of the task); 0.001 if absent. With 0 it goes on trying, and the arm may not come to rest.
+    #[serde(default = "default_standstill")]
+    pub standstill_below_m_per_s: NonNegative,
 }
 
 impl Default for LimitParameters {
@@ -68,6 +72,7 @@ impl Default for LimitParameters {
             torque_fraction: whole(),
             horizon_s: None,
             lateral_weight: default_lateral_weight(),
+            standstill_below_m_per_s: default_standstill(),
         }
     }
 }
@@ -86,6 +91,10 @@ const fn default_velocity_fraction() -> Positive {
 
 const fn default_lateral_weight() -> Positive {
     Positive::literal(10.0)
+}
+
+const fn default_standstill() -> NonNegative {
+    NonNegative::literal(1e-3)
 }
 
 const fn whole() -> Positive {

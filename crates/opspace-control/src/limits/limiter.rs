@@ -29,6 +29,10 @@ pub(crate) struct Limiter {
     bias_acceleration: DVector<f64>,
     /// Active bounds of each joint's command (n): sum of [`LIMITED_ACCELERATION`] and [`LIMITED_TORQUE`].
     limited: DVector<f64>,
+    /// Time until the next rehearsal, s.
+    rehearses_in_s: f64,
+    /// Part of the next rehearsal.
+    next_rehearsal: usize,
     /// True if the resistance of a level acts.
     resists: bool,
     solver: Solver,
@@ -40,6 +44,9 @@ pub(crate) struct Limiter {
 const LIMITED_ACCELERATION: f64 = 1.0;
 /// Value in the `limited` signal: a bound of the joint's torque or torque rate is active.
 const LIMITED_TORQUE: f64 = 2.0;
+
+/// Time between two rehearsals while no limit is active, s.
+const REHEARSAL_S: f64 = 0.1;
 
 /// Tolerance within which a bound counts as active, relative to the command plus 1; far above the solvers' error.
 const AT_BOUND: f64 = 1e-6;
@@ -62,6 +69,8 @@ impl Limiter {
             speed_count: 0,
             bias_acceleration: zero.clone(),
             limited: zero.clone(),
+            rehearses_in_s: REHEARSAL_S,
+            next_rehearsal: 0,
             resists: false,
             demanded: zero,
             solver: Solver::Unlimited,
@@ -84,7 +93,8 @@ impl Limiter {
             }
             data.mass_matrix_factor.solve(self.bias_acceleration.as_mut_slice());
         }
-        self.resists = hierarchy.levels.iter().any(|level| !level.resistance.is_negligible());
+        self.resists =
+            hierarchy.levels.iter().any(|level| !level.resistance.is_negligible() || level.standstill.acts());
         if let Some(collision) = &mut self.collision {
             collision.update(model, data, &self.bias_acceleration);
         }
@@ -162,11 +172,7 @@ impl Limiter {
         let (horizon_s, period_s) = (self.bounds.horizon_s(), self.bounds.period_s());
         let (mut limits, cascade) = self.limits(compensation_torque);
         cascade.begin(data);
-        // The unlimited command does not need J̄ of the last level.
-        if let Some(level) = hierarchy.levels.last_mut() {
-            level.projected.compute_jbar(&data.mass_matrix_factor);
-            hierarchy.nullspace.push(&level.projected);
-        }
+        hierarchy.complete_nullspace(data);
         hierarchy.nullspace.truncate(0);
         hierarchy.levels.iter_mut().for_each(|level| level.limited = true);
         for (place, level) in hierarchy.levels.iter_mut().enumerate() {
@@ -178,7 +184,8 @@ impl Limiter {
             let metric = level.metric();
             let residual = level.residual(data, cascade.alpha(), &metric, horizon_s);
             level.limited = cascade.solve_level(data, &hierarchy.nullspace, &residual, &mut limits)?;
-            level.resistance.follow(cascade.held(), level.typical.dynamic, period_s);
+            let standstill = level.standstill.share();
+            level.resistance.follow(cascade.held(), level.typical.dynamic, standstill, period_s);
             hierarchy.nullspace.truncate(place + 1);
         }
         scratch.copy_from(joint_torque);
@@ -187,6 +194,50 @@ impl Limiter {
         let residual = hierarchy.joint_residual(data, cascade.alpha(), horizon_s, scratch.as_mut_slice());
         cascade.solve_level(data, &hierarchy.nullspace, &residual, &mut limits)?;
         Ok(cascade.solver())
+    }
+
+    /// Returns true if a part is to be [rehearsed](Self::rehearse) in this cycle, whose command is within the limits.
+    pub(crate) fn is_rehearsal_due(&mut self) -> bool {
+        self.rehearses_in_s -= self.bounds.period_s();
+        self.rehearses_in_s <= 0.0
+    }
+
+    /// Solves one of the QPs of a cycle at a limit, the next one each time, as if the torque of the first joint had to
+    /// remain, and discards the result. The first cycle at a limit then finds code and data in the processor's cache:
+    /// without, it takes four times as long as those after it. `alpha` (n), the joint accelerations, is overwritten.
+    pub(crate) fn rehearse(
+        &mut self,
+        input: &ControlInput<'_>,
+        commanded: &DVector<f64>,
+        hierarchy: &mut TaskHierarchy,
+        alpha: &mut DVector<f64>,
+        compensation_torque: &DVector<f64>,
+    ) {
+        let (data, horizon_s, levels) = (input.data, self.bounds.horizon_s(), hierarchy.levels.len());
+        // The levels, all joints, and the bounds that contradict each other.
+        let part = self.next_rehearsal % (levels + 2);
+        (self.next_rehearsal, self.rehearses_in_s) = (part + 1, REHEARSAL_S);
+        self.bound(input, commanded);
+        let Interval { lower, upper } = &mut self.bounds.torque;
+        lower[0] = commanded[0].max(lower[0]).min(upper[0]);
+        upper[0] = lower[0];
+        let (mut limits, cascade) = self.limits(compensation_torque);
+        let shortcut = cascade.replace_shortcut(false);
+        cascade.begin(data);
+        cascade.add_demand(data, alpha.as_slice(), &mut limits);
+        hierarchy.nullspace.truncate(part.min(levels));
+        // No command depends on the results.
+        if let Some(level) = hierarchy.levels.get(part) {
+            let metric = level.metric();
+            let residual = level.residual(data, cascade.alpha(), &metric, horizon_s);
+            let _ = cascade.solve_level(data, &hierarchy.nullspace, &residual, &mut limits);
+        } else if part == levels {
+            let residual = hierarchy.joint_residual(data, cascade.alpha(), horizon_s, alpha.as_mut_slice());
+            let _ = cascade.solve_level(data, &hierarchy.nullspace, &residual, &mut limits);
+        } else {
+            let _ = cascade.relax_level(data, &hierarchy.nullspace, &mut limits);
+        }
+        cascade.replace_shortcut(shortcut);
     }
 
     fn limits<'a>(
@@ -259,7 +310,7 @@ impl Limiter {
 
     /// Solves the QPs even if no limit is active: tests and benchmarks compare both ways.
     pub(crate) fn always_solve(&mut self) {
-        self.cascade.always_solve();
+        self.cascade.replace_shortcut(false);
     }
 
     /// Writes the torques computed by [`solve`](Self::solve) into `torque` (n).

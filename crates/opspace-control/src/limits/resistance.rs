@@ -23,7 +23,9 @@
 //! ρ = |f| / a₀ (1 + ρ)        |f|² = fᵀ M⁻¹ f λ_typical
 //! ```
 //!
-//! Without active bounds it falls to zero within 0.2 s, and the level is exact.
+//! Without active bounds it falls to zero within 0.2 s, and the level is exact. At a
+//! [standstill](crate::hierarchy::standstill) it stays at 1 at least and the arm is only braked (m = 0): joints that rest at
+//! their bounds, and unused degrees of freedom, would otherwise oscillate.
 
 use crate::hierarchy::nullspace::ProjectedTask;
 use crate::hierarchy::products::{add_transposed, multiply};
@@ -104,10 +106,12 @@ impl Resistance {
         self.passive.iter_mut().zip(&data.dq).for_each(|(a, v)| *a -= DAMPING_PER_S * v);
     }
 
-    /// Lets ρ follow the size of the bounds' torques, `held` (square root of fᵀ M⁻¹ f), over a control period (s).
-    pub(crate) fn follow(&mut self, held: f64, typical: f64, period_s: f64) {
+    /// Lets ρ follow the size of the bounds' torques, `held` (square root of fᵀ M⁻¹ f), over a control period (s). It is at
+    /// least `standstill`, the share of the task's demand that its standstill takes off.
+    pub(crate) fn follow(&mut self, held: f64, typical: f64, standstill: f64, period_s: f64) {
         let force = held * typical.max(0.0).sqrt() / (1.0 + self.weight);
-        let target = if force.is_finite() { force / FULL_M_PER_S2 } else { 0.0 };
+        let force = if force.is_finite() { force } else { 0.0 };
+        let target = (force / FULL_M_PER_S2).max(standstill);
         self.weight += (period_s / RISE_S).min(1.0) * (target - self.weight);
     }
 }

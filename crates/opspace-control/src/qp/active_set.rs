@@ -134,6 +134,19 @@ struct Active {
     equality: bool,
 }
 
+impl Active {
+    fn new(program: &QuadraticProgram, row: usize, sign: f64) -> Self {
+        let (lower, upper) = (program.lower[row], program.upper[row]);
+        let bound = if sign > 0.0 { lower } else { upper };
+        Self { row, sign, b: sign * bound, multiplier: 0.0, equality: lower == upper }
+    }
+
+    /// Returns true if the row keeps x from a smaller cost.
+    fn is_superfluous(&self) -> bool {
+        !self.equality && self.multiplier < 0.0
+    }
+}
+
 /// A bound that x violates.
 #[derive(Clone, Copy, Debug)]
 struct Violation {
@@ -168,8 +181,8 @@ pub struct ActiveSet {
     /// True if the optimality conditions of the active rows hold up to rounding.
     refined: bool,
     iterations: usize,
-    /// Active rows of the last solution, in the order of their activation.
-    last: Vec<usize>,
+    /// Active rows of the last solution, or of the last contradiction, and their signs, in the order of their activation.
+    last: Vec<(usize, f64)>,
     x: Vec<f64>,
     multipliers: Vec<f64>,
 }
@@ -193,7 +206,7 @@ impl ActiveSet {
             size: 0.0,
             refined: false,
             iterations: 0,
-            last: Vec::with_capacity(max_variables),
+            last: Vec::with_capacity(max_variables + 1),
             x: Vec::with_capacity(max_variables),
             multipliers: Vec::with_capacity(max_constraints),
         }
@@ -218,8 +231,8 @@ impl ActiveSet {
         self.iterations
     }
 
-    /// Solves `program`. The active rows of the last solution are tried first, which saves steps if successive programs
-    /// are similar; the solution is the same up to rounding.
+    /// Solves `program`. It starts at the minimum on the rows that were active in the last solution, or contradicted each
+    /// other, which saves steps if successive programs are similar; the solution is the same up to rounding.
     ///
     /// # Errors
     /// [`QpError`]; [`x`](Self::x) then remains the solution of an earlier program.
@@ -236,15 +249,7 @@ impl ActiveSet {
         for row in (0..m).filter(|&row| program.lower[row] == program.upper[row]) {
             self.activate(program, self.violation(program, row))?;
         }
-        for i in 0..self.last.len() {
-            let row = self.last[i];
-            if row < m
-                && !self.is_active[row]
-                && let Some(violation) = self.violated(program, row)
-            {
-                self.activate(program, violation)?;
-            }
-        }
+        self.resume(program)?;
         self.finish(program)
     }
 
@@ -345,48 +350,88 @@ impl ActiveSet {
         worst
     }
 
+    /// Moves x to the minimum on the last active rows, whatever the signs of their multipliers, and drops those whose
+    /// multipliers are negative: all at once, whereas [`activate`](Self::activate) would drop one after another.
+    fn resume(&mut self, program: &QuadraticProgram) -> Result<(), QpError> {
+        for i in 0..self.last.len() {
+            let (row, sign) = self.last[i];
+            if row >= program.constraints() || self.is_active[row] {
+                continue;
+            }
+            let mut new = Active::new(program, row, sign);
+            self.data.load_row(program, row);
+            let (growth, _) = self.turn_towards(program, row, sign)?;
+            if let Some(growth) = growth.filter(|_| new.b.is_finite()) {
+                let gap = new.b - sign * dot_padded(self.data.row(row), &self.point);
+                self.step(gap / growth, &mut new, true);
+                self.add(new);
+            }
+        }
+        if self.active.iter().any(Active::is_superfluous) { self.converge(program) } else { Ok(()) }
+    }
+
     /// Moves x onto the bound; drops blocking rows.
     fn activate(&mut self, program: &QuadraticProgram, violation: Violation) -> Result<(), QpError> {
         let Violation { row, sign, mut gap } = violation;
-        let b = sign * violation.bound(program);
-        let equality = program.lower[row] == program.upper[row];
-        let mut new = Active { row, sign, b, multiplier: 0.0, equality };
+        let mut new = Active::new(program, row, sign);
         self.data.load_row(program, row);
         loop {
-            self.count(program)?;
-            let growth = self.factor.towards(self.data.row(row), sign);
-            // n is N r plus a remainder; if the terms of N r are large relative to n, so is the rounding error of the
-            // remainder.
-            let terms = self.active.iter().zip(self.factor.fall()).map(|(a, r)| self.norms[a.row] * r.abs());
-            let length: f64 = terms.sum();
-            let independent = growth > (self.rounding * (self.norms[row] + length)).powi(2);
-            let meet_at = if independent { gap / growth } else { f64::INFINITY };
+            let (growth, length) = self.turn_towards(program, row, sign)?;
             let blocking = self.blocking(SLOWEST * length);
-            if !independent && blocking.is_none() {
+            if growth.is_none() && blocking.is_none() {
                 return self.contradiction(program, row);
             }
+            let meet_at = growth.map_or(f64::INFINITY, |growth| gap / growth);
             let drop_at = blocking.map_or(f64::INFINITY, |(_, t)| t);
             let t = drop_at.min(meet_at);
-            new.multiplier += t;
-            for (active, fall) in self.active.iter_mut().zip(self.factor.fall()) {
-                active.multiplier -= t * fall;
-            }
-            if independent {
-                axpy(t, self.factor.step(), &mut self.point);
-                self.size = self.size.max(norm_padded(&self.point));
-                self.refined = false;
-            }
+            self.step(t, &mut new, growth.is_some());
             match blocking {
                 Some((k, _)) if drop_at < meet_at => self.drop_row(k),
                 _ => {
-                    self.factor.add();
-                    self.is_active[row] = true;
-                    self.active.push(new);
+                    self.add(new);
                     return Ok(());
                 }
             }
-            gap = b - sign * dot_padded(self.data.row(row), &self.point);
+            gap = new.b - sign * dot_padded(self.data.row(row), &self.point);
         }
+    }
+
+    /// Computes the step towards a row, and returns how fast it decreases the distance, if the row is independent of the
+    /// active ones, and the sum of all decreases of their multipliers.
+    fn turn_towards(
+        &mut self,
+        program: &QuadraticProgram,
+        row: usize,
+        sign: f64,
+    ) -> Result<(Option<f64>, f64), QpError> {
+        self.count(program)?;
+        let growth = self.factor.towards(self.data.row(row), sign);
+        // n is N r plus a remainder; if the terms of N r are large relative to n, so is the rounding error of the
+        // remainder.
+        let terms = self.active.iter().zip(self.factor.fall()).map(|(a, r)| self.norms[a.row] * r.abs());
+        let length: f64 = terms.sum();
+        let independent = growth > (self.rounding * (self.norms[row] + length)).powi(2);
+        Ok((independent.then_some(growth), length))
+    }
+
+    /// Takes a step of length t towards a new row; `moves` is false if it only changes multipliers.
+    fn step(&mut self, t: f64, new: &mut Active, moves: bool) {
+        new.multiplier += t;
+        for (active, fall) in self.active.iter_mut().zip(self.factor.fall()) {
+            active.multiplier -= t * fall;
+        }
+        if moves {
+            axpy(t, self.factor.step(), &mut self.point);
+            self.size = self.size.max(norm_padded(&self.point));
+            self.refined = false;
+        }
+    }
+
+    /// Activates the row of the last step.
+    fn add(&mut self, new: Active) {
+        self.factor.add();
+        self.is_active[new.row] = true;
+        self.active.push(new);
     }
 
     /// Returns the first inequality whose multiplier decreases to zero, and its t. A decrease below `slowest` is
@@ -417,13 +462,17 @@ impl ActiveSet {
         self.size = self.size.max(size);
         self.refined = false;
         match self.violated(program, row) {
-            Some(_) => Err(QpError::Infeasible { row }),
+            Some(violation) => {
+                self.remember();
+                self.last.insert(0, (row, violation.sign));
+                Err(QpError::Infeasible { row })
+            }
             None => Ok(()),
         }
     }
 
-    /// Takes one Newton step on the KKT conditions of the active rows. If any multipliers are negative afterwards, the
-    /// row with the most negative one is dropped.
+    /// Takes one Newton step on the KKT conditions of the active rows. Rows with negative multipliers are dropped
+    /// afterwards.
     fn refine(&mut self, program: &QuadraticProgram) -> Result<(), QpError> {
         self.count(program)?;
         let (data, point, active) = (&self.data, &mut self.point, &mut self.active);
@@ -453,23 +502,22 @@ impl ActiveSet {
         Ok(())
     }
 
-    /// Drops the row with the most negative multiplier; sets multipliers that are negative by rounding to zero.
+    /// Drops the rows with negative multipliers; sets multipliers that are negative by rounding to zero.
     fn drop_negative(&mut self) {
-        let weight = |a: &Active| self.norms[a.row] * a.multiplier;
-        let (mut least, mut largest) = ((0, 0.0), 0.0_f64);
-        for (k, active) in self.active.iter().enumerate() {
-            let weight = weight(active);
-            largest = largest.max(weight.abs());
-            if !active.equality && weight < least.1 {
-                least = (k, weight);
+        let weight = |active: &Active, norms: &[f64]| norms[active.row] * active.multiplier;
+        let sizes = self.active.iter().map(|active| weight(active, &self.norms).abs());
+        let largest = sizes.fold(0.0, f64::max);
+        for k in (0..self.active.len()).rev() {
+            let active = &mut self.active[k];
+            if active.equality {
+                continue;
             }
-        }
-        if least.1 < -FEASIBILITY * largest {
-            self.drop_row(least.0);
-            self.refined = false;
-        }
-        for active in self.active.iter_mut().filter(|a| !a.equality) {
-            active.multiplier = active.multiplier.max(0.0);
+            if weight(active, &self.norms) < -FEASIBILITY * largest {
+                self.drop_row(k);
+                self.refined = false;
+            } else {
+                active.multiplier = active.multiplier.max(0.0);
+            }
         }
     }
 
@@ -493,12 +541,17 @@ impl ActiveSet {
         self.x.extend_from_slice(&self.point[..program.variables()]);
         self.multipliers.clear();
         self.multipliers.resize(program.constraints(), 0.0);
-        self.last.clear();
         for active in &self.active {
             self.multipliers[active.row] = -active.sign * active.multiplier;
-            self.last.push(active.row);
         }
+        self.remember();
         Ok(())
+    }
+
+    /// Stores the active rows as those that the next solution starts with.
+    fn remember(&mut self) {
+        self.last.clear();
+        self.last.extend(self.active.iter().map(|active| (active.row, active.sign)));
     }
 }
 

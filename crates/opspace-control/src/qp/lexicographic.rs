@@ -235,9 +235,9 @@ impl HierarchicalQp {
         }
     }
 
-    /// Disables the shortcut: every level is solved from now on.
-    pub(crate) fn always_solve(&mut self) {
-        self.shortcut = false;
+    /// Enables or disables the shortcut, and returns true if it was enabled. Without it, every level is solved.
+    pub(crate) fn replace_shortcut(&mut self, enabled: bool) -> bool {
+        std::mem::replace(&mut self.shortcut, enabled)
     }
 
     /// Returns true if commands within the limits are kept without solving.
@@ -390,6 +390,19 @@ impl HierarchicalQp {
             let value = dot(speed.row.as_slice(), self.alpha.as_slice());
             speed.upper = speed.upper.max(value + SLACK * (1.0 + value.abs()));
         }
+    }
+
+    /// Widens the bounds as [`solve_level`](Self::solve_level) does for a level below `above` if they are infeasible.
+    pub(crate) fn relax_level(
+        &mut self,
+        data: &Data,
+        above: &Nullspace,
+        limits: &mut Limits<'_>,
+    ) -> Result<(), QpError> {
+        multiply(&data.mass_matrix, self.alpha.as_slice(), self.torque.as_mut_slice());
+        self.reduction = None;
+        self.span(data, above);
+        self.relax(data, limits)
     }
 
     /// Widens the bounds on accelerations and speeds as little as possible to make them feasible.

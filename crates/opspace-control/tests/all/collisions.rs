@@ -2,6 +2,7 @@
 //! postures and past obstacles. Their capsules are compared by a search that shares no code with the controller's.
 
 use crate::common::{self, File, Link, Numbers, at_state, random_arm};
+use crate::limited_motion::ROUNDING;
 use nalgebra::{DVector, Vector3};
 use opspace_control::{
     CollisionLimits, ControlContext, Controller, JointLimits, Measurement, OperationalSpaceController,
@@ -337,6 +338,14 @@ fn scene(number: u64) -> Option<(Scene, bool)> {
 /// Distance from a goal at which it is reached, m.
 const REACHED_M: f64 = 1e-3;
 
+/// Distance from the margin within which an arm is at it, m. Sampled distances exceed exact ones by up to this. Measured:
+/// arms pass their margin by 0.02 mm.
+const AT_MARGIN_M: f64 = 1e-3;
+
+/// Largest change of a torque between two cycles of an arm that rests at its goal, relative to the limit of the torque:
+/// measured 1.5e-4. Arms that still move change it by up to 1.2e-2.
+const JUMP_AT_REST: f64 = 1e-2;
+
 /// Speed of an arm that does not come to rest, rad/s.
 const IN_A_CYCLE: f64 = 0.5;
 
@@ -350,11 +359,11 @@ fn check_scenes(range: std::ops::Range<u64>, duration_s: f64) -> [usize; 2] {
         count += 1;
         let motion = run(&scene, pose, duration_s, true);
         let name = format!("scene {number}, {}: {motion:?}", scene.robot.name);
-        assert!(motion.least_m > MARGIN_M - 1e-3, "{name}");
+        assert!(motion.least_m > MARGIN_M - AT_MARGIN_M, "{name}");
         moving += usize::from(motion.final_speed > IN_A_CYCLE);
-        limited += usize::from(motion.least_m < MARGIN_M + 1e-3);
+        limited += usize::from(motion.least_m < MARGIN_M + AT_MARGIN_M);
         if motion.missed_m < REACHED_M && motion.final_speed < 1.0 {
-            assert!(motion.final_jump < 1e-2, "{name}");
+            assert!(motion.final_jump < JUMP_AT_REST, "{name}");
             reached += 1;
         }
     }
@@ -427,6 +436,19 @@ struct Planar {
     seen: Measurement,
     tau: DVector<f64>,
 }
+
+/// Error of the height at which an arm comes to rest, m: ten times the largest measured one.
+const HEIGHT_M: f64 = 1.5e-5;
+
+/// Error of the height that noise of the positions causes, m/rad: ten times the measured one.
+const HEIGHT_OF_NOISE: f64 = 7.5;
+
+/// Change of the torques from cycle to cycle of an arm that lies flat, Nm: measured 2.3e-5 without noise, and 3.3e-3 with
+/// noise of 1 µrad.
+const STILL_NM: f64 = 1e-3;
+
+/// Highest speed of an arm at rest between walls that are too close, rad/s: measured 2.1e-3.
+const AT_REST: f64 = 1e-2;
 
 /// Posture in which the last link is level.
 const LEVEL: [f64; 3] = [-0.9, 1.4, -0.5];
@@ -511,11 +533,11 @@ fn link_lies_flat_without_chatter() {
             }
         }
         let height = arm.hand().z - (start.z - 0.25);
-        assert!((height - 0.05 - MARGIN_M).abs() < 1e-4 + 10.0 * noise, "{height} m");
+        assert!((height - 0.05 - MARGIN_M).abs() < HEIGHT_M + HEIGHT_OF_NOISE * noise, "{height} m");
         worst
     };
     let (still, quiet, noisy) = (jump(0.0), jump(1e-6), jump(1e-5));
-    assert!(still < 1e-3, "{still} Nm without noise");
+    assert!(still < STILL_NM, "{still} Nm without noise");
     assert!(quiet < 0.2 * noisy && noisy < 0.5, "{quiet} Nm for a tenth of what gives {noisy} Nm");
 }
 
@@ -529,7 +551,7 @@ fn arm_within_an_obstacle_leaves_it() {
         arm.step(&[0.0; 3]);
     }
     let height = arm.hand().z - start.z - 0.03;
-    assert!((height - 0.05 - MARGIN_M).abs() < 1e-3, "{height} m");
+    assert!((height - 0.05 - MARGIN_M).abs() < HEIGHT_M, "{height} m");
 }
 
 /// Between two walls that leave too little room, bounds contradict each other: torques stay finite and within their
@@ -541,11 +563,12 @@ fn contradictory_distances_are_shared() {
     let mut arm = Planar::new(&press(0.1), &LEVEL, &walls);
     for _ in 0..3000 {
         arm.step(&[0.0; 3]);
-        let within = arm.tau.iter().zip([80.0, 40.0, 20.0]).all(|(t, limit)| t.abs() <= limit * (1.0 + 1e-8));
+        let within =
+            arm.tau.iter().zip([80.0, 40.0, 20.0]).all(|(t, limit)| t.abs() <= limit * (1.0 + ROUNDING));
         assert!(within, "{}", arm.tau);
     }
     let moved = arm.hand().z - start.z;
-    assert!(moved.abs() < 0.01 && arm.seen.dq.amax() < 1e-2, "{moved} m, {}", arm.seen.dq);
+    assert!((moved + 0.005).abs() < HEIGHT_M && arm.seen.dq.amax() < AT_REST, "{moved} m, {}", arm.seen.dq);
 }
 
 /// Compared: torques with obstacles that are out of reach with those without obstacles, bit for bit.

@@ -8,7 +8,7 @@ use opspace_control::{ControlInput, Controller, JointLimits, Measurement, Operat
 use opspace_model::{Data, Model, aba, frame_placement, frame_velocity, update};
 
 /// Relative tolerance of a bound: the bounds are widened slightly several times between levels.
-const ROUNDING: f64 = 1e-8;
+pub const ROUNDING: f64 = 1e-8;
 
 /// A simulated arm with its controller, at 1 kHz with torques constant over a period.
 pub struct Run {

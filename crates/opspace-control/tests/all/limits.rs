@@ -4,7 +4,7 @@
 use crate::common::stacks::{COMPLIANT, DAMPED, ELBOW, LENGTH_M, POSE, without_limits};
 use crate::common::{
     self, File, Numbers, accelerations, at_state, control_context, frame_acceleration, jacobian, random_arm,
-    sampled,
+    sampled, unreached_limits,
 };
 use nalgebra::{DMatrix, DVector};
 use opspace_backend::Observable;
@@ -117,15 +117,7 @@ fn unreached_limits_change_nothing() {
                 let scene = Scene::new(case.joints, 0.3, &mut numbers);
                 let singular = format!("reference = \"hold\"\nsingularity_threshold = {threshold}");
                 let text = case.text.replace("reference = \"hold\"", &singular);
-                let n = case.joints;
-                let limits = JointLimits {
-                    lower: vec![-1e2; n],
-                    upper: vec![1e2; n],
-                    velocity: vec![1e4; n],
-                    acceleration: vec![1e6; n],
-                    torque: vec![1e5; n],
-                    torque_rate: vec![1e9; n],
-                };
+                let limits = unreached_limits(case.joints);
                 let mut controller = scene.controller(&text, &limits);
                 controller.always_solve();
                 let (tau, unlimited) = (scene.torque(&mut controller), scene.unlimited(&text));

@@ -19,6 +19,7 @@ mod reference_allocation;
 mod references;
 mod singular_escape;
 mod singularity;
+mod standstill;
 mod streamed_targets;
 mod subjects;
 mod switching;

@@ -4,9 +4,9 @@
 use crate::common::stacks::{COMPLIANT, DAMPED, ELBOW, POSE, without_limits};
 use crate::common::{
     self, File, Numbers, accelerations, at_state, build_error, control_context, frame_acceleration, jacobian,
-    sampled, seven_joints,
+    sampled, seven_joints, unreached_limits,
 };
-use crate::limited_motion::{REACHED, Run, moderate_limits};
+use crate::limited_motion::{REACHED, ROUNDING, Run, moderate_limits};
 use crate::limits::{Bounds, Rows, Scene, binding_limits, first_level, pick, six};
 use nalgebra::{DMatrix, DVector, Vector3};
 use opspace_backend::Observable;
@@ -56,7 +56,7 @@ impl Line {
                 let (q, v, t) = (run.measurement.q[i], run.measurement.dq[i], run.tau[i]);
                 assert!(q <= limits.upper[i] && q >= limits.lower[i], "joint {i}: {q} rad");
                 assert!(v.abs() <= limits.velocity[i], "joint {i}: {v} rad/s");
-                assert!(t.abs() <= limits.torque[i] * (1.0 + 1e-8), "joint {i}: {t} Nm");
+                assert!(t.abs() <= limits.torque[i] * (1.0 + ROUNDING), "joint {i}: {t} Nm");
             }
             if cycle + 1000 == cycles {
                 late = run.hand().0;
@@ -67,6 +67,9 @@ impl Line {
         found
     }
 }
+
+/// Distance from a goal at which it is reached, m: measured at most 1.2e-10. The other goals are missed by 26 mm and more.
+const LEFT_M: f64 = 1e-4;
 
 /// Compared: the largest distance of the hand from a straight line with least squares and with a scaled task, whose joints
 /// are too slow or too weak for its reference: 6.2 and 0.063 mm with slow joints, 0.90 and 0.13 mm with weak ones.
@@ -81,8 +84,8 @@ fn scaled_task_stays_on_its_line() {
         for way in &ways {
             let [plain, scaled] = ["", SCALED].map(|keys| Line::new(&limits, way, keys, 3.0));
             // The other goals are out of reach.
-            if plain.left_m < 1e-4 {
-                assert!(scaled.left_m < 1e-4, "{} m are left", scaled.left_m);
+            if plain.left_m < LEFT_M {
+                assert!(scaled.left_m < LEFT_M, "{} m are left", scaled.left_m);
                 assert!(scaled.aside_m <= 1.1 * plain.aside_m, "{} of {} m", scaled.aside_m, plain.aside_m);
                 plain_m = plain_m.max(plain.aside_m);
                 scaled_m = scaled_m.max(scaled.aside_m);
@@ -347,14 +350,7 @@ fn weighted_and_scaled_joints_are_optimal() {
 fn options_change_nothing_within_limits() {
     let mut numbers = Numbers::new(41);
     let n = 7;
-    let limits = JointLimits {
-        lower: vec![-1e2; n],
-        upper: vec![1e2; n],
-        velocity: vec![1e4; n],
-        acceleration: vec![1e6; n],
-        torque: vec![1e5; n],
-        torque_rate: vec![1e9; n],
-    };
+    let limits = unreached_limits(n);
     for text in [POSE, ELBOW, JOINTS] {
         let weight = if text == JOINTS { "weight = { j2 = 7.0 }" } else { "weight = { x = 7.0 }" };
         for keys in [weight, SCALED, &format!("{weight}\n{SCALED}")] {

@@ -1,6 +1,6 @@
 //! Comparison of summaries: the table that all commands print.
 
-use crate::evaluate::metric_tables::{JointMetrics, PoseErrors, TaskMetrics};
+use crate::evaluate::metric_tables::JointMetrics;
 use crate::evaluate::spread::Spread;
 use crate::evaluate::table::{Cell, Table, shown_unit};
 use crate::run::experiment::{ControllerKind, Experiment};
@@ -13,90 +13,6 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
-
-/// Note under tables of simulated runs.
-const OF_SIMULATION: &str =
-    "values are from simulation. The parameters of the arm are partly assumed; its robot.toml marks which.";
-/// Note under tables that compare simulated runs.
-const OF_ONE_PLANT: &str = "Position, velocity and torque robots share one plant, one interface rate and one measurement. \
-                            Velocities are estimated by an observer with the model of the arm, which knows the command; the \
-                            position robot with 'paper' uses filtered differences, as the paper does, unless the row says \
-                            'observer'.";
-/// Note under tables with runs of a real robot.
-const OF_A_ROBOT: &str = "Values of a real robot are from its own measurements; those that need the true state or the true \
-                          motor torque are missing.";
-/// Note under tables that compare torque control with inverse kinematics under an operator's force.
-const OF_AN_OPERATOR: &str = "Tracking alone does not justify torque control: with velocity lead, inverse kinematics tracks as \
-                              well. Compliance, contact and a specified stiffness do: see the columns 'operator force rms' \
-                              and 'hand motion rms'.";
-/// Note under tables with force and motion of an operator.
-const OF_A_HAND: &str = "Operator force and hand motion: over the axes that the task file lists (report); the motion is that from \
-                         the start.";
-/// Note under tables with torque errors.
-const OF_TORQUE_ERRORS: &str = "Torque error: rms of motor torque minus desired torque, relative to the rms of the desired torque: \
-                                at servo rate, of the means over each interval between two setpoints, and in the first servo \
-                                period after each control cycle ('tick'), which does not show the torque between setpoints.";
-/// Note under tables with durations.
-const OF_TIMES: &str =
-    "Cycle time (median) and times real time: of the whole run, measured on the computer on which it ran.";
-
-/// Note under tables of runs that differ in the seed.
-const OF_SEEDS: &str = "Rows are medians over the seeds; the rows below have the interval that contains the median of all seeds with a \
-                        probability of 95 % (order statistics), with fewer than six runs the lowest and the highest value.";
-
-/// Notes under a table of results with these columns.
-#[must_use]
-pub fn notes(summaries: &[Summary], measures: &[Measure]) -> Vec<String> {
-    let groups = group(summaries);
-    let shows = |measure: Measure| measures.contains(&measure) && measure.is_in(summaries);
-    let shows_one = |of: &[Measure]| of.iter().any(|measure| shows(*measure));
-    let mut notes = vec![terms(summaries)];
-    notes.extend(if let [one] = summaries { judged_task(one) } else { None });
-    let mut add = |is_true: bool, note: &str| notes.extend(is_true.then(|| note.to_owned()));
-    add(groups.iter().any(|group| group.runs.len() > 1), OF_SEEDS);
-    let times = shows_one(&[Measure::TickTime, Measure::RealTime]);
-    add(times, OF_TIMES);
-    let simulated = summaries.iter().any(|summary| summary.simulated);
-    add(simulated, &format!("{} {OF_SIMULATION}", if times { "All other" } else { "All" }));
-    add(simulated && groups.len() > 1, OF_ONE_PLANT);
-    add(summaries.iter().any(|summary| !summary.simulated), OF_A_ROBOT);
-    add(shows_one(&[Measure::HandForce, Measure::HandMotion]), OF_A_HAND);
-    let controllers = |torque: bool| summaries.iter().any(|summary| (summary.controller == "osc") == torque);
-    add(shows(Measure::HandForce) && controllers(true) && controllers(false), OF_AN_OPERATOR);
-    let torque_errors = [Measure::TorqueErrorServo, Measure::TorqueErrorInterval, Measure::TorqueErrorTick];
-    add(shows_one(&torque_errors), OF_TORQUE_ERRORS);
-    notes
-}
-
-/// Explains the names of controllers and the ratios of rates in a table.
-fn terms(summaries: &[Summary]) -> String {
-    let known = [
-        ("osc", "operational-space control"),
-        ("ik", "inverse kinematics"),
-        ("ik-lead", "inverse kinematics with velocity lead"),
-    ];
-    let is_used = |name: &str| summaries.iter().any(|summary| summary.controller == name);
-    let used = known.into_iter().filter(|(name, _)| is_used(name));
-    let mut texts: Vec<String> = used.map(|(name, term)| format!("{name}: {term}.")).collect();
-    let mut ratios: Vec<u32> = summaries.iter().map(|summary| summary.ratio).collect();
-    ratios.sort_unstable();
-    ratios.dedup();
-    texts.push(match ratios[..] {
-        [1] => "1:1: a command every servo tick.".to_owned(),
-        [ratio] => format!("1:{ratio}: a command every {ratio} servo ticks."),
-        _ => "1:n: a command every n servo ticks.".to_owned(),
-    });
-    texts.join(" ")
-}
-
-/// Names the task whose errors of the pose are those of the run, if others have some too.
-fn judged_task(summary: &Summary) -> Option<String> {
-    let with_errors = summary.tasks.iter().filter(|(_, task)| task.pose != PoseErrors::default());
-    let (name, _) = with_errors.clone().find(|(_, task)| task.pose == summary.metrics.pose)?;
-    (with_errors.count() > 1).then(|| {
-        format!("Errors of position and orientation: those of task '{name}', the first with such errors.")
-    })
-}
 
 /// Summaries that differ only in the seed.
 #[derive(Clone, Debug)]
@@ -521,30 +437,11 @@ pub fn task_table(summary: &Summary) -> Table {
     table
 }
 
-/// Notes under [`task_table`]: the tasks that are not in it, each with the reason.
-#[must_use]
-pub fn task_notes(summary: &Summary) -> Vec<String> {
-    let table = task_table(summary);
-    let is_shown = |name: &str| table.rows.iter().any(|row| row[0] == name.into());
-    let missing = summary.tasks.iter().filter(|(name, _)| !is_shown(name));
-    let note = |(name, task): (&String, &TaskMetrics)| {
-        let reason = match task.kind.as_str() {
-            "joint-posture" => {
-                "it pulls the joints to a posture that they need not reach, so it has no error"
-            }
-            "joint-damping" => "it damps the joints without a reference, so it has no error",
-            _ => "the log has no error of it after settle_s",
-        };
-        format!("Task '{name}' ({}) is not in the table: {reason}.", task.kind)
-    };
-    missing.map(note).collect()
-}
-
 /// Smallest rms of a desired torque, relative to the torque limit, to which an error can be related.
 const MIN_DESIRED_OF_LIMIT: f64 = 0.01;
 
 /// Error of a joint's torque relative to the desired one; `None` if this is hardly above zero.
-fn error_of_desired(joint: &JointMetrics) -> Option<f64> {
+pub(crate) fn error_of_desired(joint: &JointMetrics) -> Option<f64> {
     let is_small = |of_desired: f64| {
         joint.torque_error_of_limit.is_some_and(|of_limit| of_limit < MIN_DESIRED_OF_LIMIT * of_desired)
     };
@@ -578,27 +475,6 @@ pub fn joint_table(summary: &Summary) -> Table {
     table
 }
 
-/// Notes under [`joint_table`].
-#[must_use]
-pub fn joint_notes(summary: &Summary) -> Vec<String> {
-    let has = |missing: fn(&JointMetrics) -> bool| summary.joints.values().any(missing);
-    let mut notes = Vec::new();
-    let mut add = |is_true: bool, note: &str| notes.extend(is_true.then(|| note.to_owned()));
-    add(
-        has(|joint| joint.torque_error_of_desired.is_some() && error_of_desired(joint).is_none()),
-        "Torque error of desired is – if the desired torque (rms) is less than 1 % of the limit.",
-    );
-    add(
-        has(|joint| joint.torque_chatter_rms_nm.is_some()),
-        "The desired torque above 8 Hz includes fast parts of the planned motion and of friction compensation.",
-    );
-    add(
-        has(|joint| joint.torque_chatter_rms_nm.is_some() && joint.torque_chatter_hz.is_none()),
-        "Largest line is – if the spectrum only falls from 8 Hz on.",
-    );
-    notes
-}
-
 fn stopped(group: &Group<'_>) -> Cell {
     let faulted = group.runs.iter().filter(|run| run.faulted.is_some()).count();
     let interrupted = group.runs.iter().filter(|run| run.interrupted).count();
@@ -623,15 +499,12 @@ fn drop_empty_columns(table: &mut Table) {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::{
-        MEASURES, Measure, group, group_rows, joint_notes, joint_table, notes, table, task_notes, task_table,
-    };
-    use crate::evaluate::metric_tables::{JointMetrics, TaskMetrics};
+pub(crate) mod tests {
+    use super::{MEASURES, group, group_rows, table};
     use crate::run::summary::Summary;
     use serde_json::json;
 
-    fn summary(task: &str, profile: &str, seed: u64, position: f64) -> Summary {
+    pub(crate) fn summary(task: &str, profile: &str, seed: u64, position: f64) -> Summary {
         let mut summary = Summary {
             task: task.to_owned(),
             robot: "arm".to_owned(),
@@ -721,65 +594,5 @@ mod tests {
         assert_eq!(texts[2][1..4], ["", "", "1.000"]);
         assert_eq!(texts[3][1..4], ["", "", "3.000"]);
         assert_eq!(texts[5][1..4], ["q 1:5", "1", "5.000"]);
-    }
-
-    /// Checks joints whose desired torque is 0.5 % and 5 % of the limit, and one without a line above 8 Hz: cells and notes.
-    #[test]
-    fn torques_that_say_nothing_are_dashes() {
-        let joint = |of_desired: f64, line_hz: Option<f64>| JointMetrics {
-            torque_error_rms_nm: Some(0.1),
-            torque_error_of_limit: Some(0.002),
-            torque_error_of_desired: Some(of_desired),
-            torque_chatter_rms_nm: Some(0.2),
-            torque_chatter_hz: line_hz,
-            torque_saturated_fraction: None,
-        };
-        let mut run = summary("a", "p", 1, 0.1);
-        run.joints.insert("large".to_owned(), joint(0.04, Some(15.0)));
-        assert_eq!(joint_table(&run).texts()[0][3..6], ["4.000", "0.2000", "15.00"]);
-        assert_eq!(joint_notes(&run).len(), 1);
-        run.joints.insert("small".to_owned(), joint(0.4, None));
-        assert_eq!(joint_table(&run).texts()[1][3..6], ["–", "0.2000", "–"]);
-        assert_eq!(joint_notes(&run).len(), 3);
-    }
-
-    /// Checks units and names of the quantities of a task, and that a task without any is named with the reason.
-    #[test]
-    fn tasks_are_in_millimetres_or_named_below() {
-        let mut run = summary("a", "p", 1, 0.1);
-        let mut hand = TaskMetrics { kind: "cartesian".to_owned(), ..TaskMetrics::default() };
-        (hand.pose.position_rms_m, hand.pose.position_max_m) = (Some(8.651e-3), Some(13.249e-3));
-        hand.contact.contact_peak_n = Some(15.4);
-        run.tasks.insert("hand".to_owned(), hand);
-        let rest = TaskMetrics { kind: "joint-posture".to_owned(), ..TaskMetrics::default() };
-        run.tasks.insert("rest".to_owned(), rest);
-        let expected = [
-            ["hand", "position error", "8.65", "13.25", "mm"],
-            ["hand", "contact peak (first second of contact)", "–", "15.40", "N"],
-        ];
-        assert_eq!(task_table(&run).texts(), expected);
-        let [note] = &task_notes(&run)[..] else { panic!("one note") };
-        assert!(note.starts_with("Task 'rest' (joint-posture) is not in the table: "), "{note}");
-    }
-
-    /// Checks that notes explain the columns that are shown, and no others.
-    #[test]
-    fn notes_are_about_the_columns_shown() {
-        let runs = [summary("a", "p", 1, 0.1)];
-        let text = |measures: &[Measure]| notes(&runs, measures).join("\n");
-        let without = text(&[Measure::PositionRms]);
-        assert!(
-            !without.contains("Cycle time") && without.contains("All values are from simulation."),
-            "{without}"
-        );
-        let with = text(&[Measure::PositionRms, Measure::TickTime]);
-        assert!(
-            with.contains("Cycle time") && with.contains("All other values are from simulation."),
-            "{with}"
-        );
-        assert!(
-            with.contains("osc: operational-space control. 1:5: a command every 5 servo ticks."),
-            "{with}"
-        );
     }
 }

@@ -1,12 +1,11 @@
 //! Reports: pages with a table of runs, charts that compare them, and the figures of each run.
 
-use crate::evaluate::results::{
-    Measure, group, joint_notes, joint_table, notes, table, task_notes, task_table,
-};
+use crate::evaluate::notes::{joint_notes, notes, task_notes};
+use crate::evaluate::results::{Measure, group, joint_table, table, task_table};
 use crate::evaluate::table::Table;
 use crate::report::comparisons::{comparisons, overlays, sweeps};
 use crate::report::html::Page;
-pub use crate::report::run_section::RunSection;
+pub use crate::report::run_section::{ClosestPair, CollisionMoment, PlacedShape, RunSection};
 use crate::run::summary::Summary;
 
 /// Builds a page about runs: one table, then a section for each run in `shown`.
@@ -57,6 +56,7 @@ pub fn page(
             let caption = format!("Torques of the joints {}", after(run.settle_s));
             page = page.table(&caption, &joints, &borrowed(&joint_notes(&run.summary)));
         }
+        page = page.collisions(&run.collisions);
         for figure in &run.figures {
             page = page.figure(figure);
         }

@@ -194,13 +194,13 @@ const LABEL_SHARE: f64 = 0.14;
 /// Radius of a measured point.
 const DOT: i32 = px(3);
 
-const fn px(pixels: i32) -> i32 {
+pub(super) const fn px(pixels: i32) -> i32 {
     pixels * FINENESS
 }
 
-type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
-type Chart<'a> = ChartContext<'a, SVGBackend<'a>, Cartesian2d<Coordinate, Coordinate>>;
-type Drawn<T = ()> = Result<T, DrawingAreaErrorKind<std::io::Error>>;
+pub(super) type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
+pub(super) type Chart<'a> = ChartContext<'a, SVGBackend<'a>, Cartesian2d<Coordinate, Coordinate>>;
+pub(super) type Drawn<T = ()> = Result<T, DrawingAreaErrorKind<std::io::Error>>;
 
 impl Figure {
     /// Draws the figure as one `<svg>` element with the width of its parent element.
@@ -215,7 +215,7 @@ impl Figure {
         let labels: Vec<&str> = named.iter().map(|entry| entry.0).collect();
         let top = legend_height(&labels);
         let height = top + rows as i32 * px(if columns == 1 && rows > 1 { 205 } else { 245 });
-        canvas(&self.title, &self.caption, height, |root| {
+        canvas(&self.title, &self.caption, (WIDTH, height), |root| {
             let (strip, grid) = root.split_vertically(top);
             draw_legend(&strip, &labels, |area, place| {
                 let (label, style) = entries[place];
@@ -439,7 +439,7 @@ impl Comparison {
         // Series have lines of their own within a row.
         let lines = self.series.len().max(1);
         let height = px(71 + 30.max(12 * lines as i32 + 12) * self.rows.len() as i32);
-        canvas(&self.title, &self.caption, top + height, |root| {
+        canvas(&self.title, &self.caption, (WIDTH, top + height), |root| {
             let (strip, area) = root.split_vertically(top);
             draw_legend(&strip, &labels, |area, place| dot(area, (SAMPLE / 2, LEGEND_ROW / 2), place))?;
             let Some(range) = range(ends) else { return say(&area, "no data") };
@@ -553,7 +553,7 @@ fn is_point(range: &Range<f64>) -> bool {
 }
 
 /// Axis in units of a power of ten, so that ranges of any magnitude can be drawn.
-struct Axis<'a> {
+pub(super) struct Axis<'a> {
     range: Range<f64>,
     exponent: i32,
     label: String,
@@ -564,7 +564,7 @@ struct Axis<'a> {
 
 impl<'a> Axis<'a> {
     /// Creates a linear axis that extends beyond `range` by the fraction `share` at each end, with at most so many ticks.
-    fn linear(range: Range<f64>, share: f64, label: &str, ticks: i32) -> Self {
+    pub(super) fn linear(range: Range<f64>, share: f64, label: &str, ticks: i32) -> Self {
         let largest = range.start.abs().max(range.end.abs());
         let exponent = match largest {
             0.0 | 1e-3..1e5 => 0,
@@ -636,7 +636,7 @@ impl<'a> Axis<'a> {
     }
 
     /// Coordinate of a value on the axis, in units of `range`.
-    fn place(&self, value: f64) -> f64 {
+    pub(super) fn place(&self, value: f64) -> f64 {
         value / 10f64.powi(self.exponent)
     }
 }
@@ -660,7 +660,7 @@ fn raised_power_of_ten(exponent: i32) -> String {
 }
 
 /// Linear coordinate with given ticks.
-struct Coordinate {
+pub(super) struct Coordinate {
     linear: RangedCoordf64,
     ticks: Vec<f64>,
 }
@@ -683,7 +683,13 @@ impl Ranged for Coordinate {
 }
 
 /// Draws axes and their labels, and returns the chart into which the values are drawn.
-fn chart<'a>(area: &Area<'a>, title: &str, left: i32, x: &Axis<'_>, y: &Axis<'_>) -> Drawn<Chart<'a>> {
+pub(super) fn chart<'a>(
+    area: &Area<'a>,
+    title: &str,
+    left: i32,
+    x: &Axis<'_>,
+    y: &Axis<'_>,
+) -> Drawn<Chart<'a>> {
     area.draw_text(&printable(title), &text(13, FontStyle::Bold), (left, px(8)))?;
     let mut chart = ChartBuilder::on(area)
         .margin_top(px(28))
@@ -707,7 +713,7 @@ fn chart<'a>(area: &Area<'a>, title: &str, left: i32, x: &Axis<'_>, y: &Axis<'_>
     Ok(chart)
 }
 
-fn text<'a>(size: i32, style: FontStyle) -> TextStyle<'a> {
+pub(super) fn text<'a>(size: i32, style: FontStyle) -> TextStyle<'a> {
     // plotters draws text at 1/1.24 of the requested size.
     (FontFamily::SansSerif, px(size) * 124 / 100, style, &INK).into_text_style(&(0, 0))
 }
@@ -748,17 +754,22 @@ fn draw_legend(strip: &Area<'_>, labels: &[&str], sample: impl Fn(&Area<'_>, usi
 }
 
 /// Wraps a drawing into a scalable `<svg>` element with title and description for screen readers.
-fn canvas(title: &str, caption: &str, height: i32, draw: impl FnOnce(&Area<'_>) -> Drawn) -> String {
+pub(super) fn canvas(
+    title: &str,
+    caption: &str,
+    (width, height): (i32, i32),
+    draw: impl FnOnce(&Area<'_>) -> Drawn,
+) -> String {
     let mut svg = String::new();
     let drawn = {
-        let root = SVGBackend::with_string(&mut svg, (WIDTH as u32, height as u32)).into_drawing_area();
+        let root = SVGBackend::with_string(&mut svg, (width as u32, height as u32)).into_drawing_area();
         draw(&root).and_then(|()| root.present())
     };
     let failure = drawn.err().map_or_else(String::new, |error| format!(" (incomplete: {error})"));
     // The first line is the `<svg>` tag of plotters, which has a fixed size.
     let body = svg.split_once('\n').map_or("", |(_, body)| body);
     format!(
-        "<svg xmlns=\"http://www.w3.org/2000/svg\" role=\"img\" viewBox=\"0 0 {WIDTH} {height}\" \
+        "<svg xmlns=\"http://www.w3.org/2000/svg\" role=\"img\" viewBox=\"0 0 {width} {height}\" \
          stroke-linejoin=\"round\" stroke-linecap=\"round\"><title>{}{failure}</title><desc>{}</desc>\n{body}",
         escape(title),
         escape(caption)
@@ -766,7 +777,7 @@ fn canvas(title: &str, caption: &str, height: i32, draw: impl FnOnce(&Area<'_>) 
 }
 
 /// Replaces the characters that XML forbids.
-fn printable(text: &str) -> String {
+pub(super) fn printable(text: &str) -> String {
     let forbidden =
         |c: char| c.is_control() && !matches!(c, '\t' | '\n') || matches!(c, '\u{fffe}' | '\u{ffff}');
     text.replace(forbidden, "\u{fffd}")

@@ -7,6 +7,8 @@ use std::fmt::Write as _;
 use plotters::style::RGBColor;
 
 use crate::evaluate::table::{Cell, Table};
+use crate::report::collision_moments::CollisionMoment;
+use crate::report::collision_views::{caption, views};
 use crate::report::figure::{Comparison, Figure, INK, PALETTE, escape};
 
 /// Page under construction; blocks appear in the order in which they are added.
@@ -110,6 +112,21 @@ impl Page {
     /// Adds a comparison; it is numbered like a figure.
     pub fn comparison(self, comparison: &Comparison) -> Self {
         self.drawing(&comparison.svg(), &comparison.title, &comparison.caption)
+    }
+
+    /// Adds the collision geometry at some moments of a run as one numbered figure; nothing if there are none.
+    pub fn collisions(mut self, moments: &[CollisionMoment]) -> Self {
+        if moments.is_empty() {
+            return self;
+        }
+        self.figures += 1;
+        let html = format!(
+            "<figure class=\"views\">\n{}<figcaption><b>Figure {}. Collision geometry.</b> {}</figcaption>\n</figure>",
+            views(moments),
+            self.figures,
+            escape(&caption(moments))
+        );
+        self.block(&html)
     }
 
     /// Returns the whole page.
@@ -223,13 +240,20 @@ figure svg { display: block; width: 100%; min-width: 40rem; height: auto }
 figcaption { font-size: 0.92rem; max-width: 50rem; margin-top: 0.6rem; color: var(--soft) }
 figcaption b { color: var(--ink) }
 figure text { font-family: system-ui, sans-serif; font-variant-numeric: tabular-nums }
+/* The views of a moment are side by side, or below each other on a narrow screen. */
+figure.views { break-inside: auto }
+.views .row { display: grid; grid-template-columns: repeat(auto-fit, minmax(min(19rem, 100%), 1fr)); gap: 0.5rem 1rem; break-inside: avoid }
+.views svg { min-width: 0 }
+.views .legend { display: flex; flex-wrap: wrap; gap: 0.2rem 1.2rem; font-size: 0.92rem; margin: 0 }
+.views .legend svg { display: inline; width: 1.75rem; vertical-align: -0.1rem }
+.views .moment { font-weight: 600; margin: 1.1rem 0 0.2rem; break-after: avoid }
 dl { display: grid; grid-template-columns: repeat(auto-fill, minmax(17rem, 1fr)); gap: 0.5rem 1.5rem; font-size: 0.92rem }
 dl div { border-left: 3px solid var(--line); padding-left: 0.7rem }
 dt { color: var(--soft); font-size: 0.84rem } dd { margin: 0; overflow-wrap: anywhere; white-space: pre-line }
 @media screen and (max-width: 40rem) { main { padding: 1.5rem 0.75rem 3rem } h1 { font-size: 1.4rem }
   table { font-size: 0.72rem } th, td { padding: 0.3rem 0.25rem } tbody th { white-space: pre-wrap } }
 @media screen and (max-width: 41.4rem) {
-  figure::before { content: 'Scroll the figure sideways to see all of it.'; font-size: 0.86rem; color: var(--soft) } }
+  figure:not(.views)::before { content: 'Scroll the figure sideways to see all of it.'; font-size: 0.86rem; color: var(--soft) } }
 @media print { main { max-width: none; padding: 0 } figure svg { min-width: 0 } .scroll { overflow: visible }
   h2 { break-after: avoid } tr { break-inside: avoid } }
 ";

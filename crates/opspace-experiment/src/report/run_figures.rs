@@ -3,6 +3,7 @@
 use crate::evaluate::metrics::run_log::{Control, Run};
 use crate::evaluate::metrics::times::CycleTimes;
 use crate::evaluate::spectrum::Welch;
+use crate::report::collision_moments::{CollisionMoment, CollisionMoments};
 use crate::report::figure::{Figure, Panel, Scale, Series, Style};
 use crate::report::lines::{COLUMNS, append, complete, element, joint_figure, label_of, time_panel};
 use crate::report::slack_figure::slack_figure;
@@ -27,6 +28,8 @@ pub(super) struct RunFigures<'a> {
     /// Joint, axis label and spectrum of the torque error of each joint, at servo rate, after settling.
     errors: Vec<(String, String, Welch)>,
     times: CycleTimes,
+    /// `None` without collision geometry.
+    collisions: Option<CollisionMoments<'a>>,
 }
 
 impl<'a> RunFigures<'a> {
@@ -37,6 +40,7 @@ impl<'a> RunFigures<'a> {
             figures: Vec::new(),
             errors: Vec::new(),
             times: CycleTimes::new(),
+            collisions: CollisionMoments::new(experiment),
         }
     }
 
@@ -50,6 +54,9 @@ impl<'a> RunFigures<'a> {
         next.extend(distance_figure(&run));
         next.extend(setpoint_figure(&run));
         append(&mut self.figures, next);
+        if let Some(collisions) = &mut self.collisions {
+            collisions.add(&run);
+        }
         self.add_torque_errors(&run);
     }
 
@@ -75,15 +82,15 @@ impl<'a> RunFigures<'a> {
         }
     }
 
-    /// Returns the figures; none if the log has no control cycle.
-    pub(super) fn finish(self) -> Vec<Figure> {
+    /// Returns the figures and the collision geometry; none if the log has no control cycle.
+    pub(super) fn finish(self) -> (Vec<Figure>, Vec<CollisionMoment>) {
         if self.control.start_s.is_none() {
-            return Vec::new();
+            return (Vec::new(), Vec::new());
         }
         let mut figures = complete(self.experiment, self.figures);
         figures.extend(torque_error_spectrum(self.experiment, self.errors));
         figures.extend(computing_times(&self.times));
-        figures
+        (figures, self.collisions.map_or_else(Vec::new, CollisionMoments::finish))
     }
 }
 

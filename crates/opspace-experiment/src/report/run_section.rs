@@ -1,5 +1,6 @@
 //! Section of a page about one run.
 
+pub use crate::report::collision_moments::{ClosestPair, CollisionMoment, PlacedShape};
 use crate::report::figure::Figure;
 use crate::report::run_figures::RunFigures;
 use crate::run::error::RunError;
@@ -19,6 +20,8 @@ pub struct RunSection {
     pub summary: Summary,
     /// Figures of the run.
     pub figures: Vec<Figure>,
+    /// Collision geometry at the start, at the least distance and at the end; empty if the experiment keeps no distances.
+    pub collisions: Vec<CollisionMoment>,
     /// Start of the statistics, s after the start of control.
     pub(super) settle_s: f64,
     /// Names of the tasks by priority, then of the joints as in the robot.
@@ -53,7 +56,7 @@ impl RunSection {
     fn with_figures(
         experiment: &Experiment,
         recording: &Recording,
-        figures: Vec<Figure>,
+        (figures, collisions): (Vec<Figure>, Vec<CollisionMoment>),
         summary: Summary,
     ) -> Self {
         let mut warnings = Vec::new();
@@ -92,6 +95,7 @@ impl RunSection {
             order: tasks.chain(joints).collect(),
             operator_axes: operator_axes(experiment),
             figures,
+            collisions,
             summary,
             warnings,
             facts: logged.chain(facts_of(experiment)).collect(),

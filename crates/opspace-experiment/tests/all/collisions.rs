@@ -43,7 +43,7 @@ fn mistakes_are_refused() {
         assert!(error.contains(wanted), "{setting}: {error}");
     }
     let settings = ["obstacle.ball.sphere={center_m=[1,1,1], radius_m=0.1}"];
-    let error = load("ur5e-reach", &settings).expect_err("no geometry");
+    let error = load("compliant-x", &settings).expect_err("no geometry");
     assert!(error.to_string().contains("has no collision geometry"), "{error}");
     assert!(error.help().is_some_and(|help| help.contains("[collision]")), "{error}");
 }

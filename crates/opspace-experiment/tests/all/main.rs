@@ -1,5 +1,6 @@
 //! Tests of files, preflight, experiments, metrics and reports.
 
+mod collision_views;
 mod collisions;
 mod diagnostics;
 mod log_header;

@@ -12,14 +12,14 @@ use opspace_experiment::report::html::Page;
 use roxmltree::{Document, Node, ParsingOptions};
 
 const SVG: &str = "http://www.w3.org/2000/svg";
-const NASTY: &str = "a <b> & \"c\" 'd' \u{1} </svg><script>alert(1)</script>";
+pub const NASTY: &str = "a <b> & \"c\" 'd' \u{1} </svg><script>alert(1)</script>";
 
-fn xml(text: &str) -> Document<'_> {
+pub fn xml(text: &str) -> Document<'_> {
     let options = ParsingOptions { allow_dtd: true, ..ParsingOptions::default() };
     Document::parse_with_options(text, options).unwrap_or_else(|error| panic!("{error}\n{text}"))
 }
 
-fn texts(document: &Document<'_>) -> Vec<String> {
+pub fn texts(document: &Document<'_>) -> Vec<String> {
     document
         .descendants()
         .filter(|node| node.has_tag_name("text") || node.tag_name().name() == "text")
@@ -37,7 +37,7 @@ fn lines<'a, 'i>(document: &'a Document<'i>, labels: usize) -> Vec<Node<'a, 'i>>
 }
 
 /// Points of a line, in canvas units.
-fn points(line: &Node<'_, '_>) -> Vec<(f64, f64)> {
+pub fn points(line: &Node<'_, '_>) -> Vec<(f64, f64)> {
     let point = |part: &str| {
         let (x, y) = part.split_once(',').expect("x and y");
         (x.parse().expect("a number"), y.parse().expect("a number"))

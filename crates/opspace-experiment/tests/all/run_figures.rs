@@ -15,14 +15,14 @@ use std::path::Path;
 /// Relative rounding of the largest of some thousand numbers in other units.
 const ROUNDING: f64 = 1e-9;
 
-fn load(task: &str, backend: CommandKind, duration_s: f64) -> Experiment {
+pub fn load(task: &str, backend: CommandKind, duration_s: f64) -> Experiment {
     let options = RunOptions { backend, duration_s: Some(duration_s), ..RunOptions::default() };
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("../../tasks/{task}.toml"));
     Experiment::load(Files::Disk, &path, None, options, &["settle_s=0.2".to_owned()]).unwrap()
 }
 
 /// Runs an experiment without a log, and returns its rows, its outcome and its figures.
-fn shown(experiment: &Experiment) -> ((Recording, OutcomeRecord), RunSection) {
+pub fn shown(experiment: &Experiment) -> ((Recording, OutcomeRecord), RunSection) {
     let mut rows = Recording::default();
     let receive = |segment: &Recording, is_last: bool| {
         assert!(is_last);

@@ -1,12 +1,11 @@
 //! Distances of all pairs of a collision model in one state.
 
 use super::capsule::{CollisionShape, HalfSpace};
-use super::model::{CollisionModel, Holder};
+use super::model::CollisionModel;
 use super::proximity::{Proximity, between_capsules, from_half_space};
 use super::segment::{Segment, closest_fractions};
 use crate::data::Data;
 use crate::model::Model;
-use crate::spatial::Placement;
 use nalgebra::Vector3;
 
 /// Results for all pairs of a collision model, allocated once. By [`collision_distances`].
@@ -84,12 +83,7 @@ pub fn collision_distances(
 fn place(collision: &CollisionModel, model: &Model, data: &Data, out: &mut CollisionData) {
     for (placed, object) in out.placed.iter_mut().zip(&collision.objects) {
         let CollisionShape::Capsule(capsule) = &object.shape else { continue };
-        let placement = match object.holder {
-            Holder::Body(body) => data.placement[body],
-            Holder::Base => model.base(),
-            Holder::World => Placement::identity(),
-        };
-        let axis = capsule.placed(&placement).axis();
+        let axis = capsule.placed(&object.holder.placement(model, data)).axis();
         *placed =
             Placed { axis, middle: axis.point(0.5), radius_m: capsule.radius_m, reach_m: object.reach_m };
     }

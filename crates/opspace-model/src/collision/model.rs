@@ -1,8 +1,10 @@
 //! Collision model: capsules of the robot, obstacles, and the pairs whose distances are computed.
 
 use super::capsule::{Capsule, CollisionShape, LinkCapsule, MAX_LENGTH_M};
+use crate::data::Data;
 use crate::model::Model;
 use crate::name_list::name_list;
+use crate::spatial::Placement;
 use nalgebra::Vector3;
 use thiserror::Error;
 
@@ -25,6 +27,17 @@ impl Holder {
         match self {
             Self::Body(body) => Some(body),
             Self::Base | Self::World => None,
+        }
+    }
+
+    /// Returns the placement of the part in the world. Needs [`forward_kinematics`](crate::forward_kinematics).
+    #[inline]
+    #[must_use]
+    pub fn placement(self, model: &Model, data: &Data) -> Placement {
+        match self {
+            Self::Body(body) => data.placement[body],
+            Self::Base => model.base(),
+            Self::World => Placement::identity(),
         }
     }
 }

@@ -166,7 +166,7 @@ fn compensated_joint_comes_to_rest() {
         let bristle: BristleParameters = parsed(&bristle);
         let speed = speed_at_rest(inertia, &friction, &bristle, "follows = \"displacement\"");
         assert!(speed < REST, "case {case}: {speed} rad/s, {friction:?}, {inertia} kg m², {bristle:?}");
-        let compared = speed_at_rest(inertia, &friction, &bristle, "");
+        let compared = speed_at_rest(inertia, &friction, &bristle, "follows = \"velocity\"");
         oscillating += u32::from(compared > REST);
     }
     assert!(oscillating > 5, "the test can tell rest from oscillation: {oscillating}");

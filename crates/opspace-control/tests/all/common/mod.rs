@@ -193,6 +193,18 @@ pub fn control_context(model: &Model, sensor: &str) -> ControlContext {
     }
 }
 
+/// Limits of `n` joints that no motion of the tests reaches, but that are finite, so that they are bounds of the programs.
+pub fn unreached_limits(n: usize) -> JointLimits {
+    JointLimits {
+        lower: vec![-1e2; n],
+        upper: vec![1e2; n],
+        velocity: vec![1e4; n],
+        acceleration: vec![1e6; n],
+        torque: vec![1e5; n],
+        torque_rate: vec![1e9; n],
+    }
+}
+
 /// Returns `Data` and measurement at a state.
 pub fn at_state(model: &Model, q: &[f64], dq: &[f64], time_s: f64) -> (Data, Measurement) {
     let mut data = Data::new(model);

@@ -1,0 +1,157 @@
+//! Collision geometry at a few moments of a run, from the joint positions in its log.
+
+use crate::evaluate::metrics::run_log::Run;
+use crate::run::experiment::Experiment;
+use nalgebra::Vector3;
+use opspace_backend::signal_names::Q;
+use opspace_model::collision::{
+    CollisionData, CollisionModel, CollisionShape, Holder, Proximity, collision_distances,
+};
+use opspace_model::{Data, Model, forward_kinematics};
+
+/// Arm and obstacles at a moment of a run, in world axes.
+#[derive(Clone, Debug)]
+pub struct CollisionMoment {
+    /// Name: start, least distance, end.
+    pub name: String,
+    /// Time after the start of control, s.
+    pub time_s: f64,
+    /// Capsules of the arm, then obstacles.
+    pub shapes: Vec<PlacedShape>,
+    /// Closest of the pairs that are kept apart; `None` if there are none.
+    pub closest: Option<ClosestPair>,
+}
+
+/// Capsule of the arm, or obstacle, in world axes.
+#[derive(Clone, Debug)]
+pub struct PlacedShape {
+    /// Name of the capsule or the obstacle.
+    pub name: String,
+    /// True for an obstacle.
+    pub is_obstacle: bool,
+    /// Shape in world axes.
+    pub shape: CollisionShape,
+}
+
+/// Pair of shapes at a moment.
+#[derive(Clone, Copy, Debug)]
+pub struct ClosestPair {
+    /// Indices of both in [`CollisionMoment::shapes`].
+    pub shapes: [usize; 2],
+    /// Distance of their surfaces, m; negative if they penetrate each other.
+    pub distance_m: f64,
+    /// Closest points of their surfaces in world axes, m.
+    pub points_m: [Vector3<f64>; 2],
+}
+
+/// Row of a log.
+#[derive(Clone, Debug)]
+struct Row {
+    /// Time after the start of control, s.
+    time_s: f64,
+    /// Measured joint positions (n; rad or m).
+    q: Vec<f64>,
+}
+
+/// First, closest and last row of control while segments of a log arrive.
+pub(super) struct CollisionMoments<'a> {
+    model: &'a Model,
+    geometry: &'a CollisionModel,
+    data: Data,
+    distances: CollisionData,
+    start: Option<Row>,
+    /// Row with the smallest distance, and this distance, m.
+    least: Option<(Row, f64)>,
+    end: Option<Row>,
+}
+
+impl<'a> CollisionMoments<'a> {
+    /// Returns `None` if the experiment keeps no distances.
+    pub(super) fn new(experiment: &'a Experiment) -> Option<Self> {
+        let geometry = &experiment.kept_distances()?.limits.geometry;
+        let model = &experiment.robot().model;
+        Some(Self {
+            model,
+            geometry,
+            data: Data::new(model),
+            distances: CollisionData::new(geometry),
+            start: None,
+            least: None,
+            end: None,
+        })
+    }
+
+    /// Adds the next segment of the log.
+    pub(super) fn add(&mut self, run: &Run<'_>) {
+        let Some(q) = run.tick.signal(Q) else { return };
+        for (k, &time_s) in run.tick.time_s.iter().enumerate() {
+            let is_controlled = time_s >= run.start_s - run.same_s && time_s <= run.to_s + run.same_s;
+            if !is_controlled || q.row(k).iter().any(|q| !q.is_finite()) {
+                continue;
+            }
+            let row = || Row { time_s: time_s - run.start_s, q: q.row(k).to_vec() };
+            self.start.get_or_insert_with(row);
+            let least_m = self.least.as_ref().map_or(f64::INFINITY, |(_, least_m)| *least_m);
+            if let Some((_, proximity)) = self.closest(q.row(k), least_m)
+                && proximity.distance_m < least_m
+            {
+                self.least = Some((row(), proximity.distance_m));
+            }
+            let end = self.end.get_or_insert_with(row);
+            end.time_s = time_s - run.start_s;
+            end.q.copy_from_slice(q.row(k));
+        }
+    }
+
+    /// Returns the closest pair at joint positions, with its index, if it is within a distance.
+    fn closest(&mut self, q: &[f64], within_m: f64) -> Option<(usize, Proximity)> {
+        forward_kinematics(self.model, &mut self.data, q);
+        collision_distances(self.geometry, self.model, &self.data, within_m, &mut self.distances);
+        let near = self.distances.near().map(|(pair, proximity)| (pair, *proximity));
+        near.min_by(|(_, a), (_, b)| a.distance_m.total_cmp(&b.distance_m))
+    }
+
+    /// Returns the moments in the order of their times; those at the same time are one.
+    pub(super) fn finish(mut self) -> Vec<CollisionMoment> {
+        let rows = [
+            ("start", self.start.take()),
+            ("least distance", self.least.take().map(|(row, _)| row)),
+            ("end", self.end.take()),
+        ];
+        let mut moments: Vec<CollisionMoment> = Vec::new();
+        for (name, row) in rows {
+            let Some(row) = row else { continue };
+            match moments.iter_mut().find(|moment| moment.time_s == row.time_s) {
+                Some(moment) => moment.name += &format!(" and {name}"),
+                None => moments.push(self.moment(name, &row)),
+            }
+        }
+        moments
+    }
+
+    fn moment(&mut self, name: &str, row: &Row) -> CollisionMoment {
+        let closest = self.closest(&row.q, f64::INFINITY);
+        let geometry = self.geometry;
+        let shapes = geometry.objects().iter().map(|object| PlacedShape {
+            name: object.name.clone(),
+            is_obstacle: object.holder == Holder::World,
+            shape: match object.shape {
+                CollisionShape::Capsule(capsule) => {
+                    let placement = object.holder.placement(self.model, &self.data);
+                    CollisionShape::Capsule(capsule.placed(&placement))
+                }
+                half_space @ CollisionShape::HalfSpace(_) => half_space,
+            },
+        });
+        CollisionMoment {
+            name: name.to_owned(),
+            time_s: row.time_s,
+            shapes: shapes.collect(),
+            closest: closest.map(|(pair, proximity)| ClosestPair {
+                shapes: [geometry.pairs()[pair].a, geometry.pairs()[pair].b],
+                distance_m: proximity.distance_m,
+                points_m: [proximity.point_a_m, proximity.point_b_m],
+            }),
+        }
+    }
+}

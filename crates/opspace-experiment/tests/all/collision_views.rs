@@ -1,0 +1,193 @@
+//! Collision geometry on the page of a run: the arm and its obstacles are drawn to scale, at the positions in the log.
+#![expect(clippy::unwrap_used, reason = "a test that can't go on has failed")]
+
+use crate::report::{NASTY, points, texts, xml};
+use crate::run_figures::{load, shown};
+use nalgebra::Vector3;
+use opspace_backend::CommandKind;
+use opspace_backend::signal_names::{LEAST_DISTANCE, PHASE, Q, TICK_CHANNEL};
+use opspace_experiment::evaluate::results::MEASURES;
+use opspace_experiment::report::document::{ClosestPair, CollisionMoment, PlacedShape, page};
+use opspace_experiment::report::html::Page;
+use opspace_loop::Phase;
+use opspace_model::collision::{
+    Capsule, CollisionData, CollisionShape, HalfSpace, LinkCapsule, collision_distances,
+};
+use opspace_model::{Data, forward_kinematics, frame_placement};
+
+/// Rounding of coordinates and distances of an arm, m.
+const ROUNDING_M: f64 = 1e-12;
+
+/// Rounding of a coordinate on the canvas, units: two ends of a length, each to an integer.
+const PIXELS: f64 = 2.0;
+
+/// Compared: the capsules of each moment with those of robot.toml, placed by the frames of their links at the logged joint
+/// positions; the obstacles with those of the task file; the least distance with that of all control cycles, computed by
+/// `collision_distances`, and with the one that the controller logged.
+#[test]
+fn moments_are_those_of_the_logged_positions() {
+    let experiment = load("panda-obstacles", CommandKind::Torque, 1.6);
+    let ((rows, _), section) = shown(&experiment);
+    let (model, geometry) =
+        (&experiment.robot().model, &experiment.kept_distances().unwrap().limits.geometry);
+    let tick = rows.channel(TICK_CHANNEL).unwrap();
+    let [q, phase, logged] = [Q, PHASE, LEAST_DISTANCE].map(|name| tick.signal(name).unwrap());
+    let idle = [Phase::Rest, Phase::Stopped].map(Phase::code);
+    let controlled: Vec<usize> = (0..tick.len()).filter(|k| !idle.contains(&phase.row(*k)[0])).collect();
+    let start_s = tick.time_s[controlled[0]];
+    let (mut data, mut distances) = (Data::new(model), CollisionData::new(geometry));
+    let mut distance_m = |q: &[f64]| {
+        forward_kinematics(model, &mut data, q);
+        collision_distances(geometry, model, &data, f64::INFINITY, &mut distances);
+        distances.near().map(|(_, proximity)| proximity.distance_m).fold(f64::INFINITY, f64::min)
+    };
+    let least = |a: &&usize, b: &&usize| distance_m(q.row(**a)).total_cmp(&distance_m(q.row(**b)));
+    let closest = *controlled.iter().min_by(least).unwrap();
+    let expected = [controlled[0], closest, *controlled.last().unwrap()];
+    let names: Vec<&str> = section.collisions.iter().map(|moment| moment.name.as_str()).collect();
+    assert_eq!(names, ["start", "least distance", "end"]);
+    for (moment, k) in section.collisions.iter().zip(expected) {
+        assert_eq!(moment.time_s, tick.time_s[k] - start_s, "{}", moment.name);
+        let pair = moment.closest.unwrap();
+        assert!((pair.distance_m - distance_m(q.row(k))).abs() < ROUNDING_M, "{}", moment.name);
+        assert!((pair.distance_m - logged.row(k)[0]).abs() < ROUNDING_M, "{}", moment.name);
+        let [a, b] = pair.points_m;
+        assert!(((a - b).norm() - pair.distance_m).abs() < ROUNDING_M, "{}", moment.name);
+        assert_ne!(pair.shapes[0], pair.shapes[1]);
+        let mut data = Data::new(model);
+        forward_kinematics(model, &mut data, q.row(k));
+        let (obstacles, links): (Vec<&PlacedShape>, Vec<&PlacedShape>) =
+            moment.shapes.iter().partition(|shape| shape.is_obstacle);
+        assert_eq!(links.len(), experiment.robot().capsules().len());
+        for (shape, LinkCapsule { name, link, start_m, end_m, radius_m, .. }) in
+            links.iter().zip(experiment.robot().capsules())
+        {
+            let place = frame_placement(model, &data, model.frame_id(link).unwrap());
+            let CollisionShape::Capsule(capsule) = shape.shape else { panic!("{name} is a capsule") };
+            assert_eq!((&shape.name, capsule.radius_m), (name, *radius_m));
+            for (drawn, own) in [(capsule.start_m, start_m), (capsule.end_m, end_m)] {
+                let off = (drawn - place.act_point(&Vector3::from(*own))).norm();
+                assert!(off < ROUNDING_M, "{}: {name} is off by {off} m", moment.name);
+            }
+        }
+        let [ball, post, table] = &obstacles[..] else { panic!("three obstacles") };
+        assert_eq!([&ball.name, &post.name, &table.name], ["ball", "post", "table"]);
+        let sphere = Capsule::sphere(Vector3::new(0.32, 0.2, 0.44), 0.05);
+        assert_eq!(ball.shape, CollisionShape::Capsule(sphere));
+        let plane = HalfSpace { normal: Vector3::z(), offset_m: 0.0 };
+        assert_eq!(table.shape, CollisionShape::HalfSpace(plane));
+    }
+    let html =
+        page("t", "l", std::slice::from_ref(&section.summary), MEASURES, std::slice::from_ref(&section));
+    assert_eq!(html.matches("<p class=\"moment\">").count(), 3);
+    assert!(html.contains("Collision geometry.</b>") && html.contains("and ball are closest: "), "{html}");
+}
+
+/// Checks that a robot without `[collision]` has no such figure.
+#[test]
+fn robot_without_collision_geometry_has_no_views() {
+    let (_, section) = shown(&load("compliant-x", CommandKind::Torque, 0.4));
+    assert!(section.collisions.is_empty());
+    let html =
+        page("t", "l", std::slice::from_ref(&section.summary), MEASURES, std::slice::from_ref(&section));
+    assert!(!html.contains("Collision geometry"), "no heading");
+}
+
+fn shape(name: &str, is_obstacle: bool, shape: CollisionShape) -> PlacedShape {
+    PlacedShape { name: name.to_owned(), is_obstacle, shape }
+}
+
+fn sphere(center: [f64; 3], radius_m: f64) -> CollisionShape {
+    CollisionShape::Capsule(Capsule::sphere(center.into(), radius_m))
+}
+
+/// Ends of a moment's first and second sphere, m.
+const CENTERS: [[f64; 3]; 2] = [[0.1, -0.3, 0.2], [0.45, 0.2, 0.9]];
+
+/// Two spheres of an arm, and obstacles: one that is far away, an oblique half-space, and the floor.
+fn moment() -> CollisionMoment {
+    let half_space = |normal: [f64; 3], offset_m| {
+        CollisionShape::HalfSpace(HalfSpace { normal: Vector3::from(normal).normalize(), offset_m })
+    };
+    let shapes = vec![
+        shape("first", false, sphere(CENTERS[0], 0.1)),
+        shape("second", false, sphere(CENTERS[1], 0.05)),
+        shape("far", true, sphere([30.0, 0.0, 0.0], 0.1)),
+        shape("ramp", true, half_space([1.0, 1.0, 1.0], -0.2)),
+        shape(NASTY, true, half_space([0.0, 0.0, 1.0], 0.0)),
+    ];
+    let points_m = [Vector3::from(CENTERS[0]), Vector3::from(CENTERS[1])];
+    let closest = Some(ClosestPair { shapes: [0, 4], distance_m: -0.0123, points_m });
+    CollisionMoment { name: "start".to_owned(), time_s: 0.5, shapes, closest }
+}
+
+/// Compared: distances between the centres of two spheres on the canvas with those of their projections, in the unit of a
+/// radius on the canvas. Upwards is negative on a canvas.
+#[test]
+fn spheres_are_drawn_to_scale() {
+    let html = Page::new("t").collisions(&[moment()]).render();
+    let document = xml(&html);
+    let figure = document.descendants().find(|node| node.attribute("class") == Some("row")).unwrap();
+    let views: Vec<_> = figure.children().filter(|node| node.tag_name().name() == "svg").collect();
+    assert_eq!(views.len(), 3);
+    let mut scales = Vec::new();
+    for (view, [right, up]) in views.iter().zip([[0, 2], [1, 2], [0, 1]]) {
+        let polygons = view.descendants().filter(|node| node.tag_name().name() == "polygon");
+        let mut boxes: Vec<[f64; 4]> = polygons
+            .map(|polygon| {
+                let points = points(&polygon);
+                let of = |pick: fn(&(f64, f64)) -> f64| {
+                    let values = || points.iter().map(pick);
+                    (values().fold(f64::INFINITY, f64::min), values().fold(f64::NEG_INFINITY, f64::max))
+                };
+                let ((left, right), (top, bottom)) = (of(|point| point.0), of(|point| point.1));
+                [left, right, top, bottom]
+            })
+            .collect();
+        // The floor is seen in the views from the side; it is not as high as it is wide.
+        let is_round = |[left, right, top, bottom]: &[f64; 4]| (right - left - bottom + top).abs() < PIXELS;
+        let floors = boxes.iter().filter(|polygon| !is_round(polygon)).count();
+        assert_eq!(floors, usize::from(up == 2));
+        boxes.retain(is_round);
+        boxes.sort_by(|a, b| (b[1] - b[0]).total_cmp(&(a[1] - a[0])));
+        let [first, second] = boxes[..] else { panic!("two spheres in a view, not {}", boxes.len()) };
+        let per_m = (first[1] - first[0]) / 0.2;
+        assert!((second[1] - second[0] - 0.1 * per_m).abs() < PIXELS, "{second:?}");
+        let middle = |[left, right, top, bottom]: [f64; 4]| [0.5 * (left + right), 0.5 * (top + bottom)];
+        let moved = [0, 1].map(|i| middle(second)[i] - middle(first)[i]);
+        let expected = [(right, 1.0), (up, -1.0)]
+            .map(|(axis, sign)| sign * per_m * (CENTERS[1][axis] - CENTERS[0][axis]));
+        // The scale is known from a length of a fifth of a metre.
+        for (moved, expected) in moved.iter().zip(expected) {
+            assert!((moved - expected).abs() < 5.0 * PIXELS, "{moved} for {expected}");
+        }
+        scales.push(per_m);
+    }
+    assert!(scales.iter().all(|scale| (scale - scales[0]).abs() < 5.0 * PIXELS), "{scales:?}");
+}
+
+/// Checks units, axes, names, and what is said of shapes that are not drawn; a name of any characters is text.
+#[test]
+fn views_say_what_they_show() {
+    let html = Page::new("t").collisions(&[moment()]).render();
+    let document = xml(&html);
+    let texts = texts(&document);
+    for (text, count) in [
+        ("x (m)", 2),
+        ("y (m)", 2),
+        ("z (m)", 2),
+        ("side view, from −y", 1),
+        ("front view, from +x", 1),
+        ("top view, from +z", 1),
+    ] {
+        assert_eq!(texts.iter().filter(|found| *found == text).count(), count, "{text}: {texts:?}");
+    }
+    let all: String = document.descendants().filter_map(|node| node.text()).collect();
+    assert!(all.contains("Start, at 0.5 s: first and a <b> & \"c\""), "{all}");
+    assert!(all.contains("penetrate each other by 12.3 mm."), "{all}");
+    assert!(all.contains("In no view: far, ramp."), "{all}");
+    for name in ["arm", "obstacle", "closest pair"] {
+        assert!(html.contains(&format!("</svg> {name}</span>")), "{name}");
+    }
+    assert_eq!(Page::new("t").collisions(&[]).render(), Page::new("t").render());
+}
