@@ -33,6 +33,7 @@ fn arm_stuck_at_its_singular_start_is_reported() {
             let options =
                 ["run", "task.toml", "--backend", backend, "--json", "-", "--force", "--out", "run"];
             let summary = opspace(folder.path(), &options).exits(0).json();
+            assert_eq!(summary["escapes"].as_array().unwrap().len(), 0, "{backend}");
             let unreached = summary["unreached_goals"].as_array().unwrap();
             assert_eq!(unreached.len(), usize::from(stuck), "{backend}: {unreached:?}");
             if let Some(goal) = unreached.first() {
@@ -41,4 +42,38 @@ fn arm_stuck_at_its_singular_start_is_reported() {
             }
         }
     }
+}
+
+/// With the option, `check` says that the arm leaves the pose, and the run reaches the goal and states the escape; without it,
+/// `check` names the option.
+#[test]
+fn arm_leaves_its_singular_start_if_its_file_says_so() {
+    let folder = scratch();
+    let task = format!("robot = {:?}\n", project("robots/planar-2-link")) + &TASK.replace("ELBOW", "0.0");
+    fs::write(folder.path().join("task.toml"), &task).unwrap();
+    let checked = opspace(folder.path(), &["check", "task.toml"]);
+    let remedy = "or set task.tip.cartesian.escape = \"nullspace-step\"";
+    assert!(checked.stderr.contains(remedy), "{}", checked.stderr);
+    let option = task.replace("frame =", "escape = \"nullspace-step\"\nframe =");
+    fs::write(folder.path().join("task.toml"), option).unwrap();
+    let checked = opspace(folder.path(), &["check", "task.toml"]);
+    let says = |words: &str| checked.stderr.contains(words);
+    assert!(
+        says("it leaves towards a goal") && !says("does not leave") && !says(remedy),
+        "{}",
+        checked.stderr
+    );
+    for backend in ["torque", "position"] {
+        let options = ["run", "task.toml", "--backend", backend, "--json", "-", "--force", "--out", "run"];
+        let run = opspace(folder.path(), &options).exits(0);
+        let summary = run.json();
+        let unreached = summary["unreached_goals"].as_array().unwrap();
+        assert!(unreached.iter().all(|goal| goal["end_s"].is_number()), "{backend}: {unreached:?}");
+        let [escape] = &summary["escapes"].as_array().unwrap()[..] else { panic!("{backend}: {summary}") };
+        assert_eq!(escape["task"], "tip", "{escape}");
+        let [begin_s, duration_s] = ["begin_s", "duration_s"].map(|key| escape[key].as_f64().unwrap());
+        assert!((0.5..2.0).contains(&begin_s) && (0.05..2.0).contains(&duration_s), "{escape}");
+    }
+    let page = fs::read_to_string(folder.path().join("run/report.html")).unwrap();
+    assert!(page.contains("escaped from a singular pose"));
 }

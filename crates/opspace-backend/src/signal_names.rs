@@ -97,6 +97,8 @@ pub const FORCE: &str = "force";
 pub const SENSED_FORCE: &str = "sensed_force";
 /// Smallest gain of the damped inverse over all directions of a task; 1 without damping.
 pub const MIN_SINGULAR_GAIN: &str = "min_singular_gain";
+/// Acceleration of the fastest joint by which a task escapes from a singular pose, rad/s²; 0 if it does not.
+pub const ESCAPE: &str = "escape";
 /// Part of the demand of a task at rest that is taken off because its goal cannot be reached, from 0 to 1.
 pub const STANDSTILL: &str = "standstill";
 /// Acceleration that limits take from a task: that of the command without limits minus that of the command. One value for

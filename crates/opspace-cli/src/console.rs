@@ -147,6 +147,7 @@ pub fn results(console: Console, summaries: &[Summary], measures: &[Measure]) ->
     let mut text: String = failures(summaries).iter().map(|failure| format!("FAILED {failure}\n")).collect();
     if let [one] = summaries {
         one.unreached_goals.iter().for_each(|goal| text += &format!("NOTE {goal}\n"));
+        one.escapes.iter().for_each(|escape| text += &format!("NOTE {escape}\n"));
     }
     text += &render(&table(summaries, measures));
     if let [one] = summaries {

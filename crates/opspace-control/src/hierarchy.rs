@@ -1,9 +1,14 @@
 //! Strict task priorities: the priority levels and the null space that each level leaves.
 
+pub(crate) mod displaced_task;
+pub(crate) mod escape;
+pub(crate) mod mobility_spectrum;
 pub(crate) mod nullspace;
+pub(crate) mod preview;
 pub(crate) mod priority_level;
 pub(crate) mod products;
 pub mod rank;
+pub(crate) mod saddle;
 pub(crate) mod standstill;
 pub(crate) mod task_hierarchy;
 pub mod task_parameters;

@@ -136,6 +136,7 @@ pub use tasks::joint_target::JointTarget;
 pub use tasks::joint_task::JointTask;
 pub use tasks::posture::Posture;
 pub use tasks::selected_joints::SelectedJoints;
+pub use tasks::singular_escape::SingularEscape;
 pub use tasks::swivel::{SwivelAngle, SwivelParameters};
 pub use tasks::task::{RowGains, SpeedLimit, Task, TaskInput};
 pub use tasks::task_axes::TaskAxes;

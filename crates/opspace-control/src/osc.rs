@@ -177,8 +177,10 @@ impl OperationalSpaceController {
         self.torque.fill(0.0);
         hierarchy.nullspace.reset();
         let last = hierarchy.levels.len().saturating_sub(1);
-        for (place, level) in hierarchy.levels.iter_mut().enumerate() {
-            level.update(input, &hierarchy.nullspace);
+        for place in 0..hierarchy.levels.len() {
+            let (above, rest) = hierarchy.levels.split_at_mut(place);
+            let Some(level) = rest.first_mut() else { break };
+            level.update(input, above, &hierarchy.nullspace);
             if place == 0 {
                 level.add_torque(None, self.torque.as_mut_slice());
             } else {

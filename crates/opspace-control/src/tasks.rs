@@ -18,6 +18,7 @@ pub mod joint_target;
 pub mod joint_task;
 pub mod posture;
 pub mod selected_joints;
+pub mod singular_escape;
 pub mod swivel;
 pub mod task;
 pub mod task_axes;

@@ -3,6 +3,7 @@
 pub mod baseline;
 pub mod csv;
 pub(crate) mod direction;
+pub mod escape_record;
 pub mod expectations;
 pub(crate) mod failures;
 pub(crate) mod metric_tables;

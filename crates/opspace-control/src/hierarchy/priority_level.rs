@@ -1,6 +1,8 @@
 //! A task of at most six rows at its priority level: its projected inertia and its torques.
 
+use crate::context::ControlContext;
 use crate::controller::ControlInput;
+use crate::hierarchy::escape::{Effect, Escape, EscapeInput};
 use crate::hierarchy::nullspace::{Nullspace, ProjectedTask};
 use crate::hierarchy::products::{add_transposed, product};
 use crate::hierarchy::rank::TypicalMobility;
@@ -9,11 +11,12 @@ use crate::limits::resistance::Resistance;
 use crate::qp::level_cost::Reducible;
 use crate::qp::lexicographic::Residual;
 use crate::targets::TargetPlace;
+use crate::tasks::singular_escape::SingularEscape;
 use crate::tasks::task::{SpeedLimit, Task, TaskInput};
 use crate::tasks::when_limited::WhenLimited;
 use nalgebra::{DMatrix, Matrix6, Matrix6xX, Vector6};
 use opspace_backend::SignalRecorder;
-use opspace_backend::signal_names::{MIN_SINGULAR_GAIN, STANDSTILL};
+use opspace_backend::signal_names::{ESCAPE, MIN_SINGULAR_GAIN, STANDSTILL};
 use opspace_model::{Data, Inversion, MassMatrixFactor, Model, OperationalSpace};
 
 /// Gain of a damped inverse above which it differs from the exact one by rounding.
@@ -27,6 +30,8 @@ pub(crate) struct PriorityLevel {
     pub task: Box<dyn Task>,
     pub projected: ProjectedTask,
     bounded: Option<BoundedInertia>,
+    /// Escape from singular poses, if the task has this option.
+    escape: Option<Box<Escape>>,
     /// Typical mobility of the task; the damping thresholds are relative to it.
     pub typical: TypicalMobility,
     /// Task Jacobian J (6 × n); unused rows are zero.
@@ -62,7 +67,7 @@ struct BoundedInertia {
 
 impl PriorityLevel {
     /// Creates the level of `task` below the levels `above`.
-    pub(crate) fn new(task: Box<dyn Task>, model: &Model, above: &[Self]) -> Self {
+    pub(crate) fn new(task: Box<dyn Task>, model: &Model, context: &ControlContext, above: &[Self]) -> Self {
         let n = model.n();
         let bounded = task.inertia_floor_kg_m2().map(|floor| BoundedInertia {
             floor,
@@ -74,6 +79,8 @@ impl PriorityLevel {
         Self {
             weights: task.weights(),
             when_limited: task.when_limited(),
+            escape: (task.escape() != SingularEscape::None)
+                .then(|| Box::new(Escape::new(model, context, above.len()))),
             slack: vec![0.0; task.slack_signal().len()],
             typical: TypicalMobility::new(model, above.iter().map(|level| &*level.task), &*task),
             task,
@@ -111,7 +118,18 @@ impl PriorityLevel {
     /// Blends from the state of `input.data`, at rest, into the task's reference.
     pub(crate) fn resume(&mut self, input: &ControlInput<'_>) {
         self.limited = false;
+        if let Some(escape) = &mut self.escape {
+            escape.reset();
+        }
         self.task.resume(input);
+    }
+
+    /// Continues from the level of the same name in the previous task set.
+    pub(crate) fn inherit(&mut self, before: &mut Self, input: &ControlInput<'_>) {
+        if let Some(escape) = &mut self.escape {
+            escape.reset();
+        }
+        self.task.inherit(&mut *before.task, input);
     }
 
     /// Computes J at the state of `data`, and Λ in the null space of the tasks above, for any demand. The thresholds
@@ -124,7 +142,8 @@ impl PriorityLevel {
     }
 
     /// Computes all quantities of a cycle except the torques.
-    pub(crate) fn update(&mut self, input: &ControlInput<'_>, above: &Nullspace) {
+    /// `levels_above` are the levels above, and `above` their null space.
+    pub(crate) fn update(&mut self, input: &ControlInput<'_>, levels_above: &[Self], above: &Nullspace) {
         let ControlInput { model, data, .. } = *input;
         self.task.update(&self.task_input(input, self.limited || self.standstill.acts()));
         let (rows, inversion, typical) = (self.task.rows(), self.task.inversion(), self.typical.dynamic);
@@ -133,9 +152,52 @@ impl PriorityLevel {
         self.desired = self.task.acceleration() - self.bias - self.standstill.taken();
         self.projected.project(above, &self.jacobian);
         self.projected.update(&data.mass_matrix_factor, rows, inversion, typical, Some(&self.desired));
+        let effect = self.escape(input, levels_above, above);
+        if effect == Effect::Ended {
+            self.task.resume(input);
+            self.desired = self.task.acceleration() - self.bias;
+        }
+        if effect != Effect::None {
+            self.projected.update(&data.mass_matrix_factor, rows, inversion, typical, Some(&self.desired));
+        }
         if let Some(bounded) = &mut self.bounded {
             bounded.update(data, &self.projected.jacobian, rows, inversion, typical, &self.desired);
         }
+    }
+
+    /// Updates the escape from a singular pose; returns its effect.
+    fn escape(&mut self, input: &ControlInput<'_>, levels_above: &[Self], above: &Nullspace) -> Effect {
+        let Some(escape) = &mut self.escape else { return Effect::None };
+        // Also what a standstill takes.
+        let desired = self.task.acceleration() - self.bias;
+        let input = EscapeInput {
+            model: input.model,
+            data: input.data,
+            time_s: input.measurement.time_s,
+            task: &*self.task,
+            desired,
+            above,
+            typical: self.typical.dynamic,
+        };
+        let tasks_above = levels_above.iter().map(|level| (&*level.task, level.typical.dynamic));
+        let effect = escape.update(&input, tasks_above, &mut self.projected);
+        if escape.acts() {
+            self.standstill = Standstill::new();
+        }
+        effect
+    }
+
+    /// Acceleration that the rows demand, given the joint accelerations `above` (n; `None` for zero) that the levels above
+    /// cause.
+    fn demand(&self, above: Option<&[f64]>) -> Vector6<f64> {
+        let mut demand = self.desired;
+        if let Some(above) = above {
+            demand -= product(&self.jacobian, above);
+        }
+        if let Some(escape) = &self.escape {
+            escape.replace_demand(&mut demand);
+        }
+        demand
     }
 
     /// Returns true if a direction of the task is damped for control.
@@ -146,14 +208,14 @@ impl PriorityLevel {
     /// Computes the task force, given the joint accelerations `above` (n; `None` for zero) that the levels above cause,
     /// and adds its joint torques to `torque` (n).
     pub(crate) fn add_torque(&mut self, above: Option<&[f64]>, torque: &mut [f64]) {
-        let mut desired = self.desired;
-        if let Some(above) = above {
-            desired -= product(&self.jacobian, above);
-        }
+        let desired = self.demand(above);
         let inertia = &self.projected.space.task_inertia;
         let applied: &Matrix6<f64> = self.bounded.as_ref().map_or(inertia, |b| &b.space.task_inertia);
         let mut force = applied * desired;
-        if let Some(added) = self.task.force(inertia) {
+        if let Some(mut added) = self.task.force(inertia) {
+            if let Some(escape) = &self.escape {
+                escape.remove_force(&mut added);
+            }
             force += added;
         }
         self.force = force;
@@ -232,7 +294,7 @@ impl PriorityLevel {
             return;
         }
         // At a standstill, the passive arm is only braked.
-        let demand = (self.desired - product(&self.jacobian, above)) * (1.0 - self.standstill.share());
+        let demand = self.demand(Some(above)) * (1.0 - self.standstill.share());
         self.resistance.update(data, &self.projected, &demand, self.typical.dynamic, period_s);
     }
 
@@ -246,6 +308,7 @@ impl PriorityLevel {
     /// before.
     pub(crate) fn is_observed(&self) -> bool {
         self.task.inversion().is_for_control()
+            && !self.escape.as_ref().is_some_and(|escape| escape.acts())
             && (self.limited || self.is_damped() || !self.standstill.is_idle())
     }
 
@@ -321,12 +384,21 @@ impl PriorityLevel {
         out.signal_with(|| self.task.slack_signal(), &self.slack);
     }
 
+    /// Records the acceleration of an escape from a singular pose, if the task has this option.
+    pub(crate) fn record_escape(&self, out: &mut SignalRecorder<'_>) {
+        if let Some(escape) = &self.escape {
+            out.scalar((self.name(), ESCAPE), "rad/s²", escape.acceleration());
+        }
+    }
+
     /// Records the task force, if the task has this signal, the lowest gain of its damped inverse, and its standstill.
     pub(crate) fn record_force(&self, out: &mut SignalRecorder<'_>) {
         let before = out.recorded();
         self.task.record_force(&self.force, out);
         if out.recorded() > before {
-            out.scalar((self.name(), MIN_SINGULAR_GAIN), "1", self.projected.space.min_singular_gain);
+            let gain = self.projected.space.min_singular_gain;
+            let gain = self.escape.as_ref().map_or(gain, |escape| escape.min_singular_gain);
+            out.scalar((self.name(), MIN_SINGULAR_GAIN), "1", gain);
             out.scalar((self.name(), STANDSTILL), "1", self.standstill.share());
         }
     }

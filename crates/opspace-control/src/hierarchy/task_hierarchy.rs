@@ -214,7 +214,7 @@ impl TaskHierarchy {
         for level in &mut self.levels {
             level.limited = false;
             match before.levels.iter_mut().find(|other| other.name() == level.name()) {
-                Some(before) => level.task.inherit(&mut *before.task, input),
+                Some(before) => level.inherit(before, input),
                 None => level.task.start(input),
             }
         }

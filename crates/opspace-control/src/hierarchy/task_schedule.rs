@@ -51,6 +51,7 @@ enum Group {
     Motion,
     Force,
     Slack,
+    Escape,
     Sensed,
     Target,
     AllJoints,
@@ -258,6 +259,7 @@ impl Slot {
             (Group::Motion, Some(level), _) => level.task.record(out),
             (Group::Force, Some(level), _) => level.record_force(out),
             (Group::Slack, Some(level), _) => level.record_slack(out),
+            (Group::Escape, Some(level), _) => level.record_escape(out),
             (Group::Sensed, Some(level), _) => level.task.record_sensed(out),
             (Group::Target, Some(level), _) => level.task.record_target(out),
             (Group::AllJoints, _, Some(task)) => task.record(out),
@@ -289,7 +291,7 @@ fn slots<'a>(
             let groups: &[Group] = match recorded {
                 RecordedSignals::Motion => &[Group::Motion, Group::Target],
                 RecordedSignals::Forces => {
-                    &[Group::Motion, Group::Force, Group::Slack, Group::Sensed, Group::Target]
+                    &[Group::Motion, Group::Force, Group::Slack, Group::Escape, Group::Sensed, Group::Target]
                 }
             };
             groups.iter().for_each(|&group| add(level.name(), level.task.kind(), group, hierarchy));

@@ -84,7 +84,7 @@ impl TaskSetBuilder<'_> {
     /// with the rows of the tasks above; a task of all joints above it.
     pub fn task(mut self, task: Box<dyn Task>) -> Result<Self, ControlError> {
         self.check_name(task.name())?;
-        let level = PriorityLevel::new(task, self.model, &self.hierarchy.levels);
+        let level = PriorityLevel::new(task, self.model, self.context, &self.hierarchy.levels);
         self.hierarchy.levels.push(level);
         check_rank(self.model, &self.hierarchy)?;
         Ok(self)

@@ -33,6 +33,7 @@ use crate::tasks::cartesian_target::{AxisSettings, inputs, settings};
 use crate::tasks::controlled_frame::ControlledFrame;
 use crate::tasks::force::ForceFeedback;
 use crate::tasks::gains::integrate;
+use crate::tasks::singular_escape::SingularEscape;
 use crate::tasks::task::{RowGains, SpeedLimit, Task, TaskInput};
 use crate::tasks::task_axes::TaskAxes;
 use crate::tasks::when_limited::{WhenLimited, axis_weights};
@@ -54,6 +55,7 @@ pub struct CartesianTask {
     rows_key: String,
     axes: TaskAxes,
     inversion: Inversion,
+    escape: SingularEscape,
     decoupling: Decoupling,
     weights: Option<Vector6<f64>>,
     when_limited: WhenLimited,
@@ -170,6 +172,7 @@ impl CartesianTask {
             when_limited: parameters.when_limited,
             axes,
             inversion: parameters.inversion(key)?,
+            escape: parameters.escape,
             decoupling: parameters.decoupling,
             axes_frame,
             modes: parameters.axes.modes(),
@@ -602,6 +605,10 @@ impl Task for CartesianTask {
 
     fn inversion(&self) -> Inversion {
         self.inversion
+    }
+
+    fn escape(&self) -> SingularEscape {
+        self.escape
     }
 
     fn weights(&self) -> Option<Vector6<f64>> {

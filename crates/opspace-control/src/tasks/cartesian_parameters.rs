@@ -9,6 +9,7 @@ use crate::tasks::damping_zone::DampingZone;
 use crate::tasks::force::ForceParameters;
 use crate::tasks::gains::AxisGains;
 use crate::tasks::impedance::ImpedanceParameters;
+use crate::tasks::singular_escape::SingularEscape;
 use crate::tasks::task::DEFAULT_INVERSION;
 use crate::tasks::when_limited::WhenLimited;
 use nalgebra::Vector6;
@@ -68,6 +69,11 @@ pub struct CartesianParameters {
     /// Zone below which directions are damped, growing with the demand; instead of `singularity_threshold`.
     #[serde(default)]
     pub damping_zone: Option<DampingZone>,
+    /// Behaviour of a task that rests in an exactly singular pose because the goal is along the lost direction: `"none"` (stay
+    /// there) if absent, or `"nullspace-step"`: the arm moves in the null space, at up to 0.5 rad/s, to where it can go to
+    /// the goal. Only for torque control.
+    #[serde(default)]
+    pub escape: SingularEscape,
     /// Characteristic length that scales rotations to displacements in the detection of singular directions, m; the
     /// arm's reach if absent.
     #[serde(default)]
@@ -106,6 +112,11 @@ pub struct CenterOfMassParameters {
     /// Zone below which directions are damped, growing with the demand; instead of `singularity_threshold`.
     #[serde(default)]
     pub damping_zone: Option<DampingZone>,
+    /// Behaviour of a task that rests in an exactly singular pose because the goal is along the lost direction: `"none"` (stay
+    /// there) if absent, or `"nullspace-step"`: the arm moves in the null space, at up to 0.5 rad/s, to where it can go to
+    /// the goal. Only for torque control.
+    #[serde(default)]
+    pub escape: SingularEscape,
     /// Weight of each axis when limits are in force, 1 if absent: a deviation of its acceleration counts this many times
     /// in the task's kinetic energy, so that limits take from axes of small weight first. A weight of ten is as strong as keeping the direction
     /// (`limits.lateral_weight`). The largest is at most 100 times the smallest. Without an active limit, weights
@@ -197,6 +208,7 @@ impl CartesianParameters {
             singularities: SingularityHandling::Damped,
             singularity_threshold: None,
             damping_zone: None,
+            escape: SingularEscape::None,
             characteristic_length_m: None,
             weight: equal_weights(),
             when_limited: WhenLimited::LeastSquares,
@@ -244,6 +256,12 @@ impl CartesianParameters {
 
     /// Inversion of Λ⁻¹ near singular directions. `key` is the path of the task in the file.
     pub(crate) fn inversion(&self, key: &str) -> Result<Inversion, ControlError> {
+        if self.escape != SingularEscape::None && self.singularities != SingularityHandling::Damped {
+            let message = "an escape needs the damping of singular directions: remove `singularities`, which has a method \
+                           for comparisons"
+                .to_owned();
+            return Err(ControlError::value(&format!("{key}.escape"), message));
+        }
         let threshold = self.singularity_threshold;
         let Some(zone) = &self.damping_zone else { return Ok(self.singularities.inversion(threshold)) };
         zone.check(threshold.is_some() || self.singularities != SingularityHandling::Damped, key)?;
@@ -267,6 +285,7 @@ impl CenterOfMassParameters {
             gains,
             singularity_threshold: None,
             damping_zone: None,
+            escape: SingularEscape::None,
             weight: equal_weights(),
             when_limited: WhenLimited::LeastSquares,
         }
@@ -280,6 +299,7 @@ impl CenterOfMassParameters {
             reference: self.reference.clone(),
             singularity_threshold: self.singularity_threshold,
             damping_zone: self.damping_zone,
+            escape: self.escape,
             weight: self.weight,
             when_limited: self.when_limited,
             ..CartesianParameters::new(String::new(), self.axes, self.gains)

@@ -3,6 +3,7 @@
 use crate::controller::ControlInput;
 use crate::error::ControlError;
 use crate::targets::{AllowedInputs, TaskTarget};
+use crate::tasks::singular_escape::SingularEscape;
 use crate::tasks::when_limited::WhenLimited;
 use nalgebra::{Matrix6, Matrix6xX, Vector6};
 use opspace_backend::{Signal, SignalRecorder, signal_names};
@@ -133,6 +134,11 @@ pub trait Task: Any + Send {
     /// Method for the inversion of Λ⁻¹ near singularities; its thresholds are relative to the typical mobility.
     fn inversion(&self) -> Inversion {
         DEFAULT_INVERSION
+    }
+
+    /// Behaviour of the task if it rests in a singular pose, away from its goal; only for torque control. It is constant.
+    fn escape(&self) -> SingularEscape {
+        SingularEscape::None
     }
 
     /// Lower bound of M's diagonal in the Λ that converts accelerations to forces, kg m²; `None` for the arm's own M.

@@ -17,6 +17,7 @@ mod qp;
 mod qp_allocation;
 mod reference_allocation;
 mod references;
+mod singular_escape;
 mod singularity;
 mod standstill;
 mod streamed_targets;

@@ -6,6 +6,7 @@
 
 mod chatter;
 mod cycles;
+mod escapes;
 mod hand;
 mod holds;
 mod interruptions;
@@ -24,10 +25,12 @@ pub use crate::evaluate::metric_tables::{
     Timing,
 };
 
+use crate::evaluate::escape_record::EscapeRecord;
 use crate::evaluate::failures::{HeldJoints, failures};
 use crate::evaluate::unreached::UnreachedGoal;
 use crate::run::experiment::Experiment;
 use cycles::Cycles;
+use escapes::Escapes;
 use hand::Hand;
 use interruptions::Interruptions;
 use joints::JointTorques;
@@ -71,6 +74,7 @@ pub(crate) struct Evaluator<'a> {
     hand: Option<Hand>,
     held_joints: HeldJoints,
     unreached: UnreachedGoals<'a>,
+    escapes: Escapes,
     interruptions: Interruptions,
     times: CycleTimes,
 }
@@ -80,6 +84,7 @@ pub(crate) struct Evaluated {
     pub(crate) evaluation: Evaluation,
     pub(crate) failures: Vec<String>,
     pub(crate) unreached: Vec<UnreachedGoal>,
+    pub(crate) escapes: Vec<EscapeRecord>,
     pub(crate) interruptions: Interruptions,
     pub(crate) times: CycleTimes,
 }
@@ -96,6 +101,7 @@ impl<'a> Evaluator<'a> {
             hand: Hand::new(experiment),
             held_joints: HeldJoints::new(experiment),
             unreached: UnreachedGoals::new(experiment),
+            escapes: Escapes::default(),
             interruptions: Interruptions::default(),
             times: CycleTimes::new(),
         }
@@ -115,6 +121,7 @@ impl<'a> Evaluator<'a> {
         self.joint_torques.add(&run);
         self.cycles.add(&run);
         self.unreached.add(&run);
+        self.escapes.add(&run);
         if let Some(hand) = &mut self.hand {
             hand.add(&run);
         }
@@ -138,7 +145,8 @@ impl<'a> Evaluator<'a> {
         }
         let unreached = self.unreached.finish();
         let failures = failures(&evaluation, &self.held_joints, &unreached);
-        Evaluated { evaluation, failures, unreached, interruptions: self.interruptions, times: self.times }
+        let (interruptions, times) = (self.interruptions, self.times);
+        Evaluated { evaluation, failures, unreached, escapes: self.escapes.finish(), interruptions, times }
     }
 }
 

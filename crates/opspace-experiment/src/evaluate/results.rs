@@ -528,6 +528,7 @@ pub(crate) mod tests {
             missed_expectations: Vec::new(),
             failures: Vec::new(),
             unreached_goals: Vec::new(),
+            escapes: Vec::new(),
             tasks: Default::default(),
             joints: Default::default(),
             missed_cycles: 0,

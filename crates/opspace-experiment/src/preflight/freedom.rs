@@ -4,6 +4,7 @@ use super::case::PreflightCase;
 use super::diagnostic::{Diagnostic, short};
 use crate::evaluate::direction::direction;
 use nalgebra::{DMatrix, Matrix6xX, SymmetricEigen, Vector6};
+use opspace_control::SingularEscape;
 use opspace_control::tasks::task::DEFAULT_INVERSION;
 use opspace_model::{Data, OperationalSpace, Postures, update};
 use std::fmt;
@@ -103,15 +104,22 @@ pub(crate) fn singular_start(case: &PreflightCase<'_>) -> Vec<Diagnostic> {
             spectrum.name,
             spectrum.direction,
             if level > 0 { ", or tasks of higher priority use the required joints" } else { "" },
-            if spectrum.share < LOST {
-                "; it does not leave towards a goal along that direction"
-            } else {
-                ""
+            match (spectrum.share < LOST, spectrum.escapes) {
+                (true, false) => "; it does not leave towards a goal along that direction",
+                (true, true) =>
+                    "; it leaves towards a goal along that direction by motion in the null space (`escape`)",
+                (false, _) => "",
             },
         );
-        let help = bend(case, level).unwrap_or_else(|| {
+        let mut help = bend(case, level).unwrap_or_else(|| {
             "start in another posture, free that axis, or control it by a task of higher priority".to_owned()
         });
+        if let Some(key) = spectrum.escape_key.as_ref().filter(|_| spectrum.share < LOST && !spectrum.escapes)
+        {
+            help += &format!(
+                "; or set {key} = \"nullspace-step\": the arm then leaves by motion in the null space"
+            );
+        }
         Diagnostic::new(&["start_rad"], message, help)
     })
     .collect()
@@ -129,6 +137,10 @@ struct Spectrum {
     /// Name of the task.
     name: String,
     share: f64,
+    /// True if the task has the option to escape from singular poses.
+    escapes: bool,
+    /// Key of this option in the task file; `None` if tasks of this kind do not have it.
+    escape_key: Option<String>,
     /// Weakest direction in the task's rows, rotations scaled to m: `z`, or `0.71 x - 0.71 rz`.
     direction: String,
 }
@@ -157,7 +169,13 @@ fn spectra(case: &PreflightCase<'_>, data: &Data) -> Vec<Spectrum> {
         };
         let weakest = spectrum.eigenvectors.column(spectrum.eigenvalues.imin());
         let direction = direction(weakest.as_slice(), &task.row_names());
-        found.push(Spectrum { name: task.name().to_owned(), share: space.min_singular_gain, direction });
+        found.push(Spectrum {
+            name: task.name().to_owned(),
+            share: space.min_singular_gain,
+            escapes: task.escape() != SingularEscape::None,
+            escape_key: task.rows_key().strip_suffix(".axes").map(|table| format!("{table}.escape")),
+            direction,
+        });
         space.nullspace(&projected, &mut left);
         freedom *= &left;
     }

@@ -75,6 +75,7 @@ impl RunSection {
             summary.missed_expectations.iter().map(|missed| format!("Expectation missed: {missed}.")),
         );
         warnings.extend(summary.unreached_goals.iter().map(|goal| format!("Note: {goal}.")));
+        warnings.extend(summary.escapes.iter().map(|escape| format!("Note: {escape}.")));
         if let Some(fault) = &summary.faulted {
             let time = summary.fault_time_s.unwrap_or(f64::NAN);
             warnings.push(format!("The run was stopped at {time:.3} s: {fault}."));

@@ -1,5 +1,6 @@
 //! Summary of a run: one row of a table, and `summary.json`.
 
+use crate::evaluate::escape_record::EscapeRecord;
 use crate::evaluate::expectations;
 use crate::evaluate::metrics::{Evaluated, Evaluator, JointMetrics, Metrics, TaskMetrics, Timing};
 use crate::evaluate::unreached::UnreachedGoal;
@@ -65,6 +66,9 @@ pub struct Summary {
     /// Goals that tasks did not reach, each with the limits that prevent it, in order of time.
     #[serde(default)]
     pub unreached_goals: Vec<UnreachedGoal>,
+    /// Escapes of tasks from singular poses, in order of time.
+    #[serde(default)]
+    pub escapes: Vec<EscapeRecord>,
     /// Metrics of the run.
     pub metrics: Metrics,
     /// Metrics of the tasks that have a priority at the start, by name.
@@ -112,7 +116,7 @@ impl Experiment {
         outcome: &OutcomeRecord,
         realtime_factor: Option<f64>,
     ) -> Summary {
-        let Evaluated { evaluation, failures, unreached, interruptions, times } = evaluated;
+        let Evaluated { evaluation, failures, unreached, escapes, interruptions, times } = evaluated;
         Summary {
             task: self.task().name(),
             robot: self.robot().name(),
@@ -139,6 +143,7 @@ impl Experiment {
             missed_expectations: expectations::missed(self.task(), &evaluation),
             failures,
             unreached_goals: unreached,
+            escapes,
             metrics: evaluation.metrics,
             tasks: evaluation.tasks,
             joints: evaluation.joints,

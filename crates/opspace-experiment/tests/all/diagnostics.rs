@@ -98,7 +98,7 @@ fn assert_says(finding: &Diagnostic, key: &str, words: &[&str]) {
 }
 
 /// Files of the project that cause diagnostics intentionally, with words of the diagnostics.
-const MADE_TO_GO_WRONG: [(&str, &str); 8] = [
+const MADE_TO_GO_WRONG: [(&str, &str); 9] = [
     ("panda-out-of-reach", "cannot be reached"),
     ("panda-unreachable", "cannot be reached"),
     ("ur5e-out-of-reach", "cannot be reached"),
@@ -108,6 +108,7 @@ const MADE_TO_GO_WRONG: [(&str, &str); 8] = [
     ("panda-too-fast", "the references move joint"),
     // The path around a singular posture requires high speeds.
     ("ur5e-wrist", "the references move joint"),
+    ("ur5e-straight", "it leaves towards a goal"),
 ];
 
 #[test]
