@@ -487,10 +487,14 @@ impl Task for CartesianTask {
     /// All axes of the task count as motion axes.
     fn kinematic_target(&self, model: &Model, data: &Data, gain_per_s: f64) -> Vector6<f64> {
         let axes = self.axes_at(model, data);
+        let velocity = axes.of_motion(&self.target.velocity);
+        if gain_per_s == 0.0 {
+            return axes.rows_of(&velocity);
+        }
         let mut active = [false; 6];
         axes.axes().iter().for_each(|&axis| active[axis] = true);
         let error = self.error_at(&axes.rotation, &axes.controlled.placement(model, data), active);
-        axes.rows_of(&(axes.of_motion(&self.target.velocity) + error * gain_per_s))
+        axes.rows_of(&(velocity + error * gain_per_s))
     }
 
     fn acceleration(&self) -> Vector6<f64> {
