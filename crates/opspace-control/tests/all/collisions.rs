@@ -349,6 +349,10 @@ const JUMP_AT_REST: f64 = 1e-2;
 /// Speed of an arm that does not come to rest, rad/s.
 const IN_A_CYCLE: f64 = 0.5;
 
+/// Duration of the motion of an arm that still moves fast at the end of the usual one, s: many slide along an obstacle
+/// towards their goals for longer.
+const LONG_S: f64 = 25.0;
+
 /// Checks motions to random goals: no distance is below the margin by more than a millimetre, and an arm that reaches its
 /// goal rests there, without a jump of its torques. Returns the number of arms that still move fast in the last second,
 /// and the number of scenes.
@@ -357,7 +361,10 @@ fn check_scenes(range: std::ops::Range<u64>, duration_s: f64) -> [usize; 2] {
     for number in range {
         let Some((scene, pose)) = scene(number) else { continue };
         count += 1;
-        let motion = run(&scene, pose, duration_s, true);
+        let mut motion = run(&scene, pose, duration_s, true);
+        if motion.final_speed > IN_A_CYCLE {
+            motion = run(&scene, pose, LONG_S, true);
+        }
         let name = format!("scene {number}, {}: {motion:?}", scene.robot.name);
         assert!(motion.least_m > MARGIN_M - AT_MARGIN_M, "{name}");
         moving += usize::from(motion.final_speed > IN_A_CYCLE);
@@ -377,13 +384,13 @@ fn arms_keep_their_distances() {
     check_scenes(0..24, 3.0);
 }
 
-/// Compared, for a thousand scenes: these distances with the margin. Most goals are blocked, and one arm in seventeen
-/// still moves in front of its obstacle after six seconds: their number must not grow.
+/// Compared, for a thousand scenes: these distances with the margin. Most goals are blocked, and one arm in twenty still
+/// slides along an obstacle or its limits after six seconds; none moves fast at the end of a longer time.
 #[test]
 #[ignore = "two minutes"]
 fn arms_keep_their_distances_in_a_thousand_scenes() {
     let [moving, count] = check_scenes(0..1000, 6.0);
-    assert!(moving * 100 <= 6 * count, "{moving} of {count} arms move");
+    assert!(moving == 0, "{moving} of {count} arms move");
 }
 
 /// Compared: the distances of the same scenes without limits: most of the arms collide.
