@@ -320,10 +320,6 @@ impl Controller for OperationalSpaceController {
 
     fn observe_while_held(&mut self, input: &ControlInput<'_>) {
         self.schedule.advance(input);
-        if let Some(limiter) = &mut self.limiter {
-            let (hierarchy, scratch) = (self.schedule.current_mut(), &mut self.scratch);
-            limiter.rehearse(input, &self.commanded, hierarchy, scratch, &self.compensation_torque);
-        }
         self.schedule.current_mut().observe(input);
     }
 

@@ -197,10 +197,10 @@ impl FrictionCompensation {
         }
     }
 
-    /// Returns true if the compensation follows the references.
+    /// Returns true if the compensation follows the references, and there is friction to compensate.
     #[must_use]
     pub fn follows_reference(&self) -> bool {
-        self.law == FrictionLaw::Reference
+        self.law == FrictionLaw::Reference && self.joints.iter().any(|joint| joint.coulomb > 0.0)
     }
 
     /// Sets the joint velocities q̇_r of the references (n; rad/s, m/s), zero until then.

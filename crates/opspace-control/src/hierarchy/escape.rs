@@ -17,8 +17,9 @@
 //!
 //! An escape is prepared if arm and reference have been at rest for 0.1 s, with a demand along a lost direction, and if the
 //! pose is a saddle. A demand along a lost direction is suspended while an arm that was at rest waits for its reference: at a
-//! saddle, a large force would set it on in a random direction. The [preview](crate::hierarchy::preview) of both directions of s selects the one that ends nearer to the
-//! goal; if neither does, the arm stays. s is scaled to a speed of 1 of the fastest joint, and follows the null space.
+//! saddle, a large force would set it on in a random direction. The [preview](crate::hierarchy::preview) of both directions of
+//! s selects the one that ends nearer to the goal; if neither does, the arm stays. s is scaled to a speed of 1 of the fastest
+//! joint, and follows the null space.
 //!
 //! The escape ends if λ exceeds the threshold or if the demand along lost directions vanishes; the reference then blends from
 //! the pose of the arm, as after a hold. It is given up after 10 s, or if the arm moves away from the goal; the arm then rests
@@ -31,7 +32,7 @@ use crate::hierarchy::nullspace::{Nullspace, ProjectedTask};
 use crate::hierarchy::preview::{Preview, STEPS};
 use crate::hierarchy::products::{dot, multiply, product};
 use crate::hierarchy::saddle::{LostPose, Saddle};
-use crate::tasks::task::Task;
+use crate::tasks::task::{Task, clear_free_rows};
 use nalgebra::{DVector, Matrix6xX, Vector6};
 use opspace_model::{Data, Model};
 
@@ -445,11 +446,7 @@ fn demand(input: &EscapeInput<'_>, projected: &ProjectedTask) -> Vector6<f64> {
     if let Some(force) = input.task.force(&projected.space.task_inertia) {
         demand += force * input.typical;
     }
-    demand
-        .iter_mut()
-        .enumerate()
-        .filter(|(row, _)| !input.task.follows_reference(*row))
-        .for_each(|(_, x)| *x = 0.0);
+    clear_free_rows(input.task, &mut demand);
     demand
 }
 

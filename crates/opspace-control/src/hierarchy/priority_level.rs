@@ -12,7 +12,7 @@ use crate::qp::level_cost::Reducible;
 use crate::qp::lexicographic::Residual;
 use crate::targets::TargetPlace;
 use crate::tasks::singular_escape::SingularEscape;
-use crate::tasks::task::{SpeedLimit, Task, TaskInput};
+use crate::tasks::task::{SpeedLimit, Task, TaskInput, clear_free_rows};
 use crate::tasks::when_limited::WhenLimited;
 use nalgebra::{DMatrix, Matrix6, Matrix6xX, Vector6};
 use opspace_backend::SignalRecorder;
@@ -115,21 +115,32 @@ impl PriorityLevel {
         self.task.observe(&self.task_input(input, true));
     }
 
+    /// Starts the task at the robot's present state.
+    pub(crate) fn start(&mut self, input: &ControlInput<'_>) {
+        self.reset();
+        self.task.start(input);
+    }
+
     /// Blends from the state of `input.data`, at rest, into the task's reference.
     pub(crate) fn resume(&mut self, input: &ControlInput<'_>) {
-        self.limited = false;
-        if let Some(escape) = &mut self.escape {
-            escape.reset();
-        }
+        self.reset();
         self.task.resume(input);
     }
 
     /// Continues from the level of the same name in the previous task set.
     pub(crate) fn inherit(&mut self, before: &mut Self, input: &ControlInput<'_>) {
+        self.reset();
+        self.task.inherit(&mut *before.task, input);
+    }
+
+    /// Forgets the cycles before.
+    fn reset(&mut self) {
+        self.limited = false;
+        self.resistance.release();
+        self.standstill = Standstill::new();
         if let Some(escape) = &mut self.escape {
             escape.reset();
         }
-        self.task.inherit(&mut *before.task, input);
     }
 
     /// Computes J at the state of `data`, and Λ in the null space of the tasks above, for any demand. The thresholds
@@ -231,11 +242,7 @@ impl PriorityLevel {
         scratch: &mut [f64],
     ) {
         let mut missing = self.task.kinematic_target(input.model, input.data, 0.0);
-        for row in 0..self.task.rows() {
-            if !self.task.follows_reference(row) {
-                missing[row] = 0.0;
-            }
-        }
+        clear_free_rows(&*self.task, &mut missing);
         missing -= product(&self.jacobian, velocity);
         let momentum = self.projected.space.task_inertia * missing;
         scratch.fill(0.0);
@@ -280,11 +287,7 @@ impl PriorityLevel {
             return Residual::Rows { jacobian, inertia: metric, heading: velocity, resistance };
         }
         // The force on a compliant axis is no motion that could be slowed down.
-        velocity
-            .iter_mut()
-            .enumerate()
-            .filter(|(row, _)| !self.task.follows_reference(*row))
-            .for_each(|(_, v)| *v = 0.0);
+        clear_free_rows(&*self.task, &mut velocity);
         Residual::ScaledRows { jacobian, inertia: metric, reducible: Reducible { velocity, horizon_s } }
     }
 
@@ -336,14 +339,8 @@ impl PriorityLevel {
             velocity: product(&self.jacobian, input.data.dq.as_slice()),
             speed: input.data.dq.norm(),
         };
-        for row in 0..self.task.rows() {
-            if !self.task.follows_reference(row) {
-                error[row] = 0.0;
-                outcome.demand[row] = 0.0;
-                outcome.commanded[row] = 0.0;
-                outcome.velocity[row] = 0.0;
-            }
-        }
+        let rows = [&mut error, &mut outcome.demand, &mut outcome.commanded, &mut outcome.velocity];
+        rows.into_iter().for_each(|values| clear_free_rows(&*self.task, values));
         self.standstill.follow(&error, &outcome, least_m_per_s, period_s);
     }
 

@@ -155,7 +155,7 @@ impl TaskHierarchy {
 
     /// Starts all tasks at the robot's present state.
     pub(crate) fn start(&mut self, input: &ControlInput<'_>) {
-        self.levels.iter_mut().for_each(|level| level.task.start(input));
+        self.levels.iter_mut().for_each(|level| level.start(input));
         if let Some(task) = &mut self.joint {
             task.start(input);
         }
@@ -212,10 +212,9 @@ impl TaskHierarchy {
     /// one starts at the robot's present state. Allocates nothing.
     pub(crate) fn inherit(&mut self, before: &mut Self, input: &ControlInput<'_>) {
         for level in &mut self.levels {
-            level.limited = false;
             match before.levels.iter_mut().find(|other| other.name() == level.name()) {
                 Some(before) => level.inherit(before, input),
-                None => level.task.start(input),
+                None => level.start(input),
             }
         }
         if let Some(task) = &mut self.joint {

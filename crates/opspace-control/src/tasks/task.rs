@@ -250,6 +250,13 @@ pub trait Task: Any + Send {
     fn record_sensed(&self, _out: &mut SignalRecorder<'_>) {}
 }
 
+/// Sets the values of the rows of a task that do not follow a reference to zero.
+pub(crate) fn clear_free_rows(task: &dyn Task, values: &mut Vector6<f64>) {
+    for row in (0..task.rows()).filter(|row| !task.follows_reference(*row)) {
+        values[row] = 0.0;
+    }
+}
+
 /// Unit of the force that is conjugate to a coordinate.
 fn force_unit(coordinate: &str) -> &'static str {
     if coordinate == "m" { "N" } else { "Nm" }

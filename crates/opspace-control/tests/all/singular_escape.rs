@@ -7,6 +7,18 @@ use opspace_control::{Controller, JointLimits, OperationalSpaceController, orien
 use opspace_model::{Data, FrameId, Model, Placement, aba, frame_jacobian, frame_placement, update};
 use opspace_testing::allocation::allocations;
 
+/// Rounding of positions, velocities and accelerations, relative to values of 1 to 100; matrices are nearly singular.
+const ROUNDING: f64 = 1e-6;
+
+/// Motion of an arm whose escape is refused, rad: it settles under the part of the demand that is not lost.
+const UNMOVED_RAD: f64 = 1e-3;
+
+/// Speed of this arm at the end, rad/s.
+const AT_REST_RAD_PER_S: f64 = 1e-4;
+
+/// Motion of an arm that escaped, rad, at least.
+const MOVED_RAD: f64 = 0.1;
+
 const PERIOD_S: f64 = 1e-3;
 
 /// Time within which a goal must be reached, s.
@@ -372,7 +384,7 @@ fn outcomes(count: usize, seed: u64, make: impl Fn(&mut Numbers) -> Option<Case>
     for (number, case) in cases.into_iter().filter(Case::is_reachable).enumerate() {
         let case = if number % 2 == 1 { case.with_noise(&mut noise) } else { case };
         let out = case.run(true, LONGEST_S);
-        assert!(out.violation < 1e-6, "case {number}: a limit is exceeded by {}", out.violation);
+        assert!(out.violation < ROUNDING, "case {number}: a limit is exceeded by {}", out.violation);
         counts[0] += 1;
         counts[1] += usize::from(out.reached);
         counts[2] += usize::from(out.escaped_s > 0.0);
@@ -436,8 +448,8 @@ fn arm_stays_at_rest_at_unreachable_goal() {
         let case = if number % 3 == 2 { case.with_noise(&mut numbers) } else { case };
         let out = case.run(true, 3.0);
         assert!(out.escaped_s == 0.0, "case {number} escapes for {} s", out.escaped_s);
-        assert!(out.moved_rad < 1e-3, "case {number} moves by {} rad", out.moved_rad);
-        assert!(out.speed < 1e-4, "case {number} moves at {} rad/s", out.speed);
+        assert!(out.moved_rad < UNMOVED_RAD, "case {number} moves by {} rad", out.moved_rad);
+        assert!(out.speed < AT_REST_RAD_PER_S, "case {number} moves at {} rad/s", out.speed);
     }
 }
 
@@ -450,7 +462,7 @@ fn arm_without_option_stays_in_singular_pose() {
     case.goal = Vector6::new(0.0, 0.0, -0.1, 0.0, 0.0, 0.0);
     let [with, without] = [true, false].map(|option| case.run(option, 5.0));
     assert!(with.reached && !without.reached);
-    assert!(without.moved_rad < 1e-6 && with.moved_rad > 0.1, "{without:?}");
+    assert!(without.moved_rad < ROUNDING && with.moved_rad > MOVED_RAD, "{without:?}");
 }
 
 /// Compared: all torques of a motion that passes no singular pose, with and without the option, bit for bit.
@@ -476,7 +488,7 @@ fn escape_does_not_affect_task_above() {
         let out = case.run(true, LONGEST_S);
         assert!(out.reached && out.escaped_s > 0.0, "case {number}: {} s", out.escaped_s);
         let off = out.first_off_rad_per_s2;
-        assert!(off < 1e-6, "case {number}: {off} rad/s²");
+        assert!(off < ROUNDING, "case {number}: {off} rad/s²");
     }
 }
 

@@ -1,6 +1,6 @@
 //! Standstill of a task at a goal that it cannot reach: only there, and only as long as the goal stays.
 
-use crate::common::{File, Numbers, at_state, control_context, jacobian, sampled};
+use crate::common::{File, Numbers, at_state, control_context, input, jacobian, sampled};
 use crate::out_of_reach::{Motion, limits_around, ur10_like};
 use nalgebra::{DVector, Vector3};
 use opspace_control::{ControlContext, JointLimits, OperationalSpaceController};
@@ -56,6 +56,27 @@ fn arm_returns_when_its_goal_does() {
         stood += usize::from(highest == 1.0);
     }
     assert!(stood >= cases / 4, "only {stood} came to a standstill");
+}
+
+/// A task set that is left at a standstill and chosen again begins without one.
+#[test]
+fn standstill_ends_with_its_task_set() {
+    let model = ur10_like();
+    let far = "point-to-point = { position = { offset_m = [0.6, -0.5, 0.4] }, duration_s = 1.0 }";
+    let text = task(far, "limits.standstill_below_m_per_s = 0.1");
+    let mut controller = controller(&model, limits_around(&START), &text);
+    let other = controller.prepare(&model, &File::read(&text).task_set()).expect("the same tasks");
+    let (mut motion, mut tau) = (Motion::new(&model, &START), [0.0; 6]);
+    while motion.time_s < 5.0 && standstill(&controller) < 1.0 {
+        assert!(motion.cycle(&model, &mut controller, &mut tau));
+    }
+    assert_eq!(standstill(&controller), 1.0, "the test needs a standstill");
+    let (data, measurement) = at_state(&model, &motion.q, &motion.dq, motion.time_s);
+    let input = input(&model, &data, &measurement);
+    let before = controller.switch(other, &input);
+    assert_eq!(standstill(&controller), 0.0);
+    controller.switch(before, &input);
+    assert_eq!(standstill(&controller), 0.0, "of the cycles before the switch");
 }
 
 /// With zero in the file, no task comes to a standstill.
