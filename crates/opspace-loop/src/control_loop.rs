@@ -363,7 +363,7 @@ impl ControlLoop {
             return Err(Fault::StaleTarget { task: stale.task, age_s: stale.age_s });
         }
         if kind == CommandKind::Torque {
-            self.anticipate_friction(targets);
+            self.announce_reference(targets);
             self.shape_torque();
         }
         let estimator = &self.state.estimator;
@@ -403,13 +403,13 @@ impl ControlLoop {
         }
     }
 
-    /// Tells the friction compensation of the next cycle the velocity of the references.
-    fn anticipate_friction(&mut self, targets: &Targets) {
+    /// Tells the transformer, and the friction compensation of the next cycle, the velocity of the references.
+    fn announce_reference(&mut self, targets: &Targets) {
         let velocity = self.reference_velocity.as_mut_slice();
-        if self.friction.follows_reference()
-            && self.controller.reference_velocity(&self.state.input(targets), velocity)
-        {
+        let is_used = self.friction.follows_reference() || self.transformer.uses_reference_velocity();
+        if is_used && self.controller.reference_velocity(&self.state.input(targets), velocity) {
             self.friction.set_reference_velocity(velocity);
+            self.transformer.set_reference_velocity(velocity);
         }
     }
 

@@ -105,6 +105,14 @@ impl Transformer for CurrentFeedback {
         self.inner.observe(sample)
     }
 
+    fn uses_reference_velocity(&self) -> bool {
+        self.inner.uses_reference_velocity()
+    }
+
+    fn set_reference_velocity(&mut self, velocity: &[f64]) {
+        self.inner.set_reference_velocity(velocity);
+    }
+
     fn transform(&mut self, data: &Data, tau: &[f64], q_desired: &mut [f64]) {
         self.asked.swap(0, 1);
         let asked = &mut self.asked[0];

@@ -82,6 +82,12 @@ impl VelocityEstimator {
         self.velocity.as_slice()
     }
 
+    /// Velocity (n; rad/s or m/s) at the last positions.
+    #[must_use]
+    pub fn velocity(&self) -> &[f64] {
+        self.velocity.as_slice()
+    }
+
     /// Resets the estimator: the next positions are the first.
     pub fn reset(&mut self) {
         self.last.fill(f64::NAN);

@@ -14,6 +14,7 @@ use opspace_backend::quantity::Positive;
 #[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::Deserialize;
+use std::f64::consts::PI;
 
 /// Rms error of a mean torque that the model doesn't explain, as a fraction of the torque limit.
 const NOISE: f64 = 0.01;
@@ -30,6 +31,14 @@ pub struct GainAdaptationParameters {
     pub time_s: Positive,
     /// Largest relative deviation of the gains from the nominal ones, between 0 and 1.
     pub max_relative_change: Share,
+}
+
+impl GainAdaptationParameters {
+    /// Returns the parameters of transformers that always adapt gains: a time of 2 s, and changes of up to a half.
+    #[must_use]
+    pub const fn usual() -> Self {
+        Self { time_s: Positive::literal(2.0), max_relative_change: Share(0.5) }
+    }
 }
 
 /// Fraction above 0 and below 1.
@@ -72,6 +81,27 @@ impl GainAdaptation {
             max_relative_change: parameters.max_relative_change.0,
             noise: (NOISE * torque_limit).powi(2),
         }
+    }
+
+    /// Returns the adaptation for torques that are low-passed at `cutoff_hz` (Hz): successive ones are nearly equal, so that
+    /// each counts less.
+    #[must_use]
+    pub fn of_filtered(
+        parameters: &GainAdaptationParameters,
+        torque_limit: f64,
+        period_s: f64,
+        cutoff_hz: f64,
+    ) -> Self {
+        let adaptation = Self::new(parameters, torque_limit, period_s);
+        let samples = (1.0 / (PI * cutoff_hz * period_s)).max(1.0);
+        Self { noise: adaptation.noise * samples, ..adaptation }
+    }
+
+    /// Rms error (Nm, N) of the torque of x₁ and x₂ that is due to the uncertainty of the scales.
+    #[must_use]
+    pub fn uncertainty(&self, of_position: f64, of_velocity: f64) -> f64 {
+        let x = Vector2::new(of_position, of_velocity);
+        x.dot(&(self.covariance * x)).max(0.0).sqrt()
     }
 
     /// Updates the estimates with the measured mean torque and with x₁ and x₂ (Nm, N); returns the scales a and b of

@@ -41,12 +41,16 @@
 
 #![forbid(unsafe_code)]
 
+mod active_setpoints;
 pub mod closed_loop_transformer;
 pub mod current;
 pub mod estimator;
+pub mod extrapolating_transformer;
 pub mod friction;
 pub mod gain_adaptation;
 pub mod identity;
+pub mod impedance;
+pub mod moving_joint;
 pub mod observed;
 pub mod observer;
 pub mod parameters;
@@ -64,6 +68,7 @@ pub use closed_loop_transformer::{
 };
 pub use current::{CurrentFeedback, CurrentObserver};
 pub use estimator::{EstimatorParameters, VelocityEstimator, VelocitySource};
+pub use extrapolating_transformer::{ExtrapolatingTransformer, ExtrapolationSetup};
 pub use friction::{FrictionCompensation, FrictionCompensationParameters, FrictionLaw, FrictionParameters};
 pub use gain_adaptation::{GainAdaptation, GainAdaptationParameters};
 pub use identity::Identity;

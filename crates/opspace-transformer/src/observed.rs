@@ -30,6 +30,14 @@ impl Transformer for ObservedTransformer {
         self.observer.observe(sample)
     }
 
+    fn uses_reference_velocity(&self) -> bool {
+        self.inner.uses_reference_velocity()
+    }
+
+    fn set_reference_velocity(&mut self, velocity: &[f64]) {
+        self.inner.set_reference_velocity(velocity);
+    }
+
     fn transform(&mut self, data: &Data, torque: &[f64], command: &mut [f64]) {
         self.inner.transform(data, torque, command);
     }

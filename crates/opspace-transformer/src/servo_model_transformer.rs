@@ -23,6 +23,7 @@
 //! includes the motion of the drive within the interval. δ is the excess of the motor torque over the emulated torque,
 //! if the current is [measured](crate::current).
 
+use crate::active_setpoints::ActiveSetpoints;
 use crate::current::CurrentObserver;
 use crate::friction::FrictionCompensation;
 use crate::gain_adaptation::{GainAdaptation, GainAdaptationParameters};
@@ -143,38 +144,6 @@ impl AdaptedDrive {
     }
 }
 
-/// Setpoints of the drives at the start of an interface cycle (n; rad, m or rad/s, m/s).
-#[derive(Clone, Debug)]
-struct ActiveSetpoints {
-    before: DVector<f64>,
-    last: DVector<f64>,
-    /// Servo ticks since the last setpoint took effect.
-    age: u32,
-}
-
-impl ActiveSetpoints {
-    /// Setpoint of a joint's drive at servo tick `tick`, counted from the interface cycle.
-    fn at(&self, ticks: Ticks, joint: usize, tick: u32) -> f64 {
-        ticks.setpoints.at(
-            self.before[joint],
-            self.last[joint],
-            self.age.saturating_add(tick),
-            ticks.servo_ticks_per_cycle,
-        )
-    }
-
-    /// Setpoint from which a drive interpolates to a new one, which takes effect `delay` servo ticks after the
-    /// interface cycle.
-    fn left(&self, ticks: Ticks, joint: usize) -> f64 {
-        match (self.age.saturating_add(ticks.delay)).checked_sub(1) {
-            Some(age) => {
-                ticks.setpoints.at(self.before[joint], self.last[joint], age, ticks.servo_ticks_per_cycle)
-            }
-            None => self.before[joint],
-        }
-    }
-}
-
 /// State of the arm and of the memory of its drives, at a servo tick.
 #[derive(Clone, Debug)]
 struct State {
@@ -281,11 +250,7 @@ impl EmulatingTransformer {
             predicted: State::new(n),
             rollout: State::new(n),
             disturbance: zero.clone(),
-            in_force: ActiveSetpoints {
-                before: zero.clone(),
-                last: zero.clone(),
-                age: setup.servo_ticks_per_cycle,
-            },
+            in_force: ActiveSetpoints::new(n, ticks),
             begun: false,
             mass_inverse: matrix.clone(),
             free: zero.clone(),
@@ -358,8 +323,7 @@ impl EmulatingTransformer {
         let law = &self.drives[joint].law;
         let (memory, setpoint) = law.rest(self.state.q[joint], torque);
         self.state.memory[joint] = memory;
-        self.in_force.before[joint] = setpoint;
-        self.in_force.last[joint] = setpoint;
+        self.in_force.hold(joint, setpoint);
     }
 
     /// True if brakes hold the robot until the setpoints of the present interface cycle act.
@@ -420,15 +384,7 @@ impl EmulatingTransformer {
         self.mean_error *= self.intervals;
         for tick in braked_ticks..ticks.servo_ticks_per_cycle {
             let in_force = &self.in_force;
-            let setpoint = |i: usize| match q_desired {
-                Some(new) if tick >= ticks.delay => ticks.setpoints.at(
-                    in_force.left(ticks, i),
-                    new[i],
-                    tick - ticks.delay,
-                    ticks.servo_ticks_per_cycle,
-                ),
-                _ => in_force.at(ticks, i, tick),
-            };
+            let setpoint = |i: usize| in_force.during(ticks, i, tick, q_desired);
             for (i, error) in self.mean_error.iter_mut().enumerate() {
                 *error += share * (setpoint(i) - self.rollout.q[i]);
             }
@@ -446,16 +402,7 @@ impl EmulatingTransformer {
         self.mean_torque /= self.intervals;
         self.mean_error /= self.intervals;
         self.predicted.copy_from(&self.rollout);
-        match q_desired {
-            Some(new) => {
-                for i in 0..new.len() {
-                    self.in_force.before[i] = self.in_force.left(ticks, i);
-                }
-                self.in_force.last.copy_from_slice(new);
-                self.in_force.age = ticks.servo_ticks_per_cycle - ticks.delay;
-            }
-            None => self.in_force.age = self.in_force.age.saturating_add(ticks.servo_ticks_per_cycle),
-        }
+        self.in_force.advance(ticks, q_desired);
     }
 }
 
@@ -539,7 +486,7 @@ impl Transformer for EmulatingTransformer {
         if let Some(current) = &mut self.current {
             current.reset();
         }
-        self.in_force.age = self.ticks.servo_ticks_per_cycle;
+        self.in_force.settle(self.ticks);
     }
 }
 

@@ -22,6 +22,8 @@ pub enum Method {
     Emulation,
     /// Emulation of the servo for drives that interpolate setpoints; matches the torque of each servo tick.
     Interpolating,
+    /// Extrapolation of each joint at its velocity over the next interval; matches the mean torque.
+    Extrapolation,
     /// Equation (K10) with the gains of a measured closed loop.
     Identified,
     /// Equation (K8) on a measured closed loop, for a single free joint.
@@ -40,6 +42,12 @@ impl Method {
     /// True if the method needs the delay until a setpoint acts.
     #[must_use]
     pub fn needs_delay(self) -> bool {
+        self.emulates_arm() || self == Self::Extrapolation
+    }
+
+    /// True if the method emulates the arm with its drives.
+    #[must_use]
+    pub fn emulates_arm(self) -> bool {
         matches!(self, Self::Emulation | Self::Interpolating)
     }
 }
@@ -55,13 +63,15 @@ pub struct TransformerKind {
 
 impl TransformerKind {
     /// All transformers.
-    pub const ALL: [Self; 12] = [
+    pub const ALL: [Self; 14] = [
         Self::new(Method::Paper, false),
         Self::new(Method::Paper, true),
         Self::new(Method::Emulation, false),
         Self::new(Method::Emulation, true),
         Self::new(Method::Interpolating, false),
         Self::new(Method::Interpolating, true),
+        Self::new(Method::Extrapolation, false),
+        Self::new(Method::Extrapolation, true),
         Self::new(Method::Identified, false),
         Self::new(Method::Identified, true),
         Self::new(Method::IdentifiedLiteral, false),
@@ -78,6 +88,8 @@ impl TransformerKind {
         "emulation+current",
         "interpolating",
         "interpolating+current",
+        "extrapolation",
+        "extrapolation+current",
         "identified",
         "identified+current",
         "identified-literal",
@@ -115,6 +127,9 @@ impl TransformerKind {
             Method::Emulation => "emulates the servo up to the next setpoint and matches the mean torque",
             Method::Interpolating => {
                 "emulates the servo of drives that interpolate setpoints and matches the torque of each servo tick"
+            }
+            Method::Extrapolation => {
+                "extrapolates each joint at its velocity up to the next setpoint and matches the mean torque"
             }
             Method::Identified => "equation (K10) with gains from a measured closed loop",
             Method::IdentifiedLiteral => {
@@ -183,6 +198,15 @@ pub trait Transformer: Send {
     fn observe(&mut self, _sample: &Sample) -> Option<&[f64]> {
         None
     }
+
+    /// Returns true if the transformer uses the velocities of the references.
+    fn uses_reference_velocity(&self) -> bool {
+        false
+    }
+
+    /// Announces the joint velocities of the references (n; rad/s, m/s) at the present sample. They depend on time and not
+    /// on the measured motion, so that their use adds no feedback.
+    fn set_reference_velocity(&mut self, _velocity: &[f64]) {}
 
     /// Computes the command (n; Nm, N or rad/s, m/s or rad, m) that makes the servos produce `torque` (n; Nm, N) in the
     /// state of `data`. Allocates nothing.

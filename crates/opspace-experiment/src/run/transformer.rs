@@ -7,10 +7,11 @@ use opspace_backend::quantity::NonNegative;
 use opspace_backend::{CommandKind, Measured, Setpoints};
 use opspace_model::{Data, update};
 use opspace_transformer::{
-    ClosedLoopModel, CurrentFeedback, EmulatingTransformer, EmulationSetup, FrictionCompensation,
-    FrictionCompensationParameters, FrictionLaw, Identity, LiteralTransformer, Method, ObservedTransformer,
-    PaperTransformer, ServoGains, ServoParameters, TorqueObjective, TorqueObserver, TorqueObserverSetup,
-    Transformer, TransformerKind, VelocitySource, VelocityTransformer,
+    ClosedLoopModel, CurrentFeedback, EmulatingTransformer, EmulationSetup, ExtrapolatingTransformer,
+    ExtrapolationSetup, FrictionCompensation, FrictionCompensationParameters, FrictionLaw,
+    GainAdaptationParameters, Identity, LiteralTransformer, Method, ObservedTransformer, PaperTransformer,
+    ServoGains, ServoParameters, TorqueObjective, TorqueObserver, TorqueObserverSetup, Transformer,
+    TransformerKind, VelocitySource, VelocityTransformer,
 };
 
 impl Experiment {
@@ -76,10 +77,14 @@ impl Experiment {
             }
             Method::IdentifiedLiteral => Box::new(literal(true)?),
             Method::IdentifiedOpenLoop => Box::new(literal(false)?),
+            Method::Extrapolation => {
+                let extrapolating = ExtrapolatingTransformer::new(&self.extrapolation(current)?);
+                Box::new(extrapolating.map_err(|(joint, e)| self.joint_error(self.servo_table(), joint, &e))?)
+            }
             Method::Emulation => return self.emulating(TorqueObjective::IntervalMean, current),
             Method::Interpolating => return self.emulating(TorqueObjective::PerTick, current),
         };
-        let converting: Box<dyn Transformer> = if current {
+        let converting: Box<dyn Transformer> = if current && method != Method::Extrapolation {
             let (ratio, delay) = (self.profile.servo_ticks_per_cycle.get(), self.profile.delay());
             Box::new(CurrentFeedback::new(plain, &self.robot.torque_limits(), ratio, delay))
         } else {
@@ -99,7 +104,7 @@ impl Experiment {
         let by_default = match self.options.backend {
             CommandKind::Torque => !self.robot.file.interface.measured.contains(&Measured::Velocity),
             CommandKind::Velocity => knows_delay,
-            CommandKind::Position => self.chosen_transformer().0.method.needs_delay(),
+            CommandKind::Position => self.chosen_transformer().0.method.emulates_arm(),
         };
         let default = if by_default { VelocitySource::Observer } else { VelocitySource::Filter };
         self.profile.estimator.velocity.unwrap_or(default)
@@ -172,6 +177,21 @@ impl Experiment {
             gravity_compensated_by: self.gravity_compensated_by(),
             current,
             adapt_gains: self.profile.adapt_gains,
+        })
+    }
+
+    fn extrapolation(&self, current: bool) -> Result<ExtrapolationSetup, FileError> {
+        Ok(ExtrapolationSetup {
+            servos: self.servos()?,
+            torque_limits: self.robot.torque_limits(),
+            servo_period_s: self.profile.servo_period_s(),
+            servo_ticks_per_cycle: self.profile.servo_ticks_per_cycle.get(),
+            delay: self.profile.delay(),
+            setpoints: self.robot.file.interface.setpoints,
+            estimator: self.profile.estimator.clone(),
+            gravity_compensated_by: self.gravity_compensated_by(),
+            has_brakes: self.capabilities().has_brakes,
+            current: current.then(|| self.profile.adapt_gains.unwrap_or(GainAdaptationParameters::usual())),
         })
     }
 

@@ -12,10 +12,10 @@ use opspace_transformer::{
 use std::f64::consts::TAU;
 use std::ops::Range;
 
-const SERVO_S: f64 = 1e-3;
-const RATIO: u32 = 5;
-const KP: [f64; 2] = [25.0, 20.0];
-const KV: [f64; 2] = [40.0, 8.0];
+pub(super) const SERVO_S: f64 = 1e-3;
+pub(super) const RATIO: u32 = 5;
+pub(super) const KP: [f64; 2] = [25.0, 20.0];
+pub(super) const KV: [f64; 2] = [40.0, 8.0];
 const FILTER_HZ: f64 = 200.0;
 
 /// Rounding error of an observer without an initial error: relative for torques, in m/s for velocities.
@@ -26,7 +26,7 @@ const GRAVITY: f64 = 9.81;
 const LOAD: [f64; 2] = [0.5 * GRAVITY, 0.2 * GRAVITY];
 
 /// Two prismatic joints in series along the same line: M is constant and couples them.
-fn model(loaded: bool) -> Model {
+pub(super) fn model(loaded: bool) -> Model {
     let gravity = Vector3::z() * if loaded { -GRAVITY } else { 0.0 };
     let mut model = Model::new("lifts").with_gravity(gravity);
     for (i, mass) in [0.3, 0.2].into_iter().enumerate() {
@@ -40,7 +40,7 @@ fn model(loaded: bool) -> Model {
 
 /// Structure of the drives.
 #[derive(Clone, Copy, Debug, PartialEq)]
-enum Servo {
+pub(super) enum Servo {
     Cascade,
     /// With an integral of the velocity error.
     CascadeIntegral,
@@ -54,15 +54,16 @@ enum Servo {
 }
 
 const INTEGRAL_TIME_S: f64 = 0.1;
-const POSITION_SERVOS: [Servo; 4] = [Servo::Cascade, Servo::CascadeIntegral, Servo::Pid, Servo::Late];
-const VELOCITY_SERVOS: [Servo; 2] = [Servo::Velocity, Servo::VelocityIntegral];
+pub(super) const POSITION_SERVOS: [Servo; 4] =
+    [Servo::Cascade, Servo::CascadeIntegral, Servo::Pid, Servo::Late];
+pub(super) const VELOCITY_SERVOS: [Servo; 2] = [Servo::Velocity, Servo::VelocityIntegral];
 
 impl Servo {
-    fn takes(self) -> CommandKind {
+    pub(super) fn takes(self) -> CommandKind {
         if VELOCITY_SERVOS.contains(&self) { CommandKind::Velocity } else { CommandKind::Position }
     }
 
-    fn parameters(self) -> Vec<ServoParameters> {
+    pub(super) fn parameters(self) -> Vec<ServoParameters> {
         let text = |i: usize| {
             let (kp, kv) = (KP[i], KV[i]);
             match self {
@@ -99,19 +100,19 @@ impl Servo {
 
 /// Drives of a robot, and the options of a test case.
 #[derive(Clone, Copy, Debug)]
-struct Case {
-    servo: Servo,
-    setpoints: Setpoints,
-    delay: u32,
-    current: bool,
+pub(super) struct Case {
+    pub(super) servo: Servo,
+    pub(super) setpoints: Setpoints,
+    pub(super) delay: u32,
+    pub(super) current: bool,
     /// Ratio of true to nominal gain: of the position loop, or of a velocity servo.
-    gain_scale: f64,
-    refined: bool,
-    loaded: bool,
-    has_brakes: bool,
+    pub(super) gain_scale: f64,
+    pub(super) refined: bool,
+    pub(super) loaded: bool,
+    pub(super) has_brakes: bool,
 }
 
-const CASE: Case = Case {
+pub(super) const CASE: Case = Case {
     servo: Servo::Cascade,
     setpoints: Setpoints::Held,
     delay: 0,
@@ -152,9 +153,9 @@ fn setup(case: Case) -> EmulationSetup {
 }
 
 /// Two masses and their drives, simulated by servo periods.
-struct Drives {
+pub(super) struct Drives {
     case: Case,
-    q: [f64; 2],
+    pub(super) q: [f64; 2],
     dq: [f64; 2],
     seen: [f64; 2],
     velocity: [f64; 2],
@@ -164,7 +165,7 @@ struct Drives {
 }
 
 impl Drives {
-    fn new(case: Case) -> Self {
+    pub(super) fn new(case: Case) -> Self {
         let q = [0.1, -0.2];
         let none = [0.0; 2];
         // Without brakes the integral holds the load.
@@ -172,7 +173,7 @@ impl Drives {
         Self { case, q, dq: none, seen: q, velocity: none, integral, error: none, last: none }
     }
 
-    fn torque(&mut self, i: usize, setpoint: f64) -> f64 {
+    pub(super) fn torque(&mut self, i: usize, setpoint: f64) -> f64 {
         let share = 1.0 - (-TAU * FILTER_HZ * SERVO_S).exp();
         self.velocity[i] += share * ((self.q[i] - self.seen[i]) / SERVO_S - self.velocity[i]);
         self.seen[i] = self.q[i];
@@ -236,7 +237,7 @@ struct Run {
     off: f64,
 }
 
-fn sample(takes: CommandKind, current: bool) -> Sample {
+pub(super) fn sample(takes: CommandKind, current: bool) -> Sample {
     let capabilities = Capabilities::new(["first", "second"], takes, SERVO_S);
     Sample::new(&if current { capabilities.measuring(&[Measured::MotorCurrent]) } else { capabilities })
 }

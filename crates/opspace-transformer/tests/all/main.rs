@@ -2,6 +2,8 @@
 
 mod closed_loop;
 mod emulation;
+mod extrapolation;
+mod impedance;
 
 mod servos;
 mod torque_observer;

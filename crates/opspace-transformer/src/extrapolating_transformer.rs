@@ -1,0 +1,469 @@
+//! Conversion of torques to positions or velocities with each joint extrapolated at its velocity up to the next setpoint.
+//!
+//! The transformer matches the mean motor torque of the interval in which the setpoint acts, like the
+//! [emulation](crate::servo_model_transformer), but for joints that go on at the velocity that they have. It needs no
+//! model of the arm: no inertia, gravity, friction or gear. For a cascade of gains kp and kv that holds its setpoints for
+//! R servo ticks of period Ts, d ticks after they are sent, and whose velocity filter has settled:
+//!
+//! ```text
+//! q_desired = τ/(kv kp) + q + v (1/kp + t̄)        t̄ = (d + (R − 1)/2) Ts
+//! ```
+//!
+//! This is equation (K10) of the paper with the position half of the interval ahead. For any other servo, the drive's law is
+//! evaluated at each servo tick of the interval: Y₀ is its mean torque for a setpoint at the joint, Y₁ the mean torque per
+//! unit of setpoint, and
+//!
+//! ```text
+//! q_desired = q + (τ − δ − Y₀)/Y₁
+//! ```
+//!
+//! holds for filters, integrals, interpolation, delay and feed-forward alike. The memory of the law follows from the
+//! setpoints that were sent and the positions that were measured.
+//!
+//! # Stability
+//!
+//! With τ = 0 the drive and the transformer act on the joint like a passive mechanism if the real part of their impedance
+//! is not negative at any frequency ([`impedance`](crate::impedance)). Extrapolation takes away the damping kv of the servo,
+//! and leaves an added inertia of kv times the lag of v, which does no harm. To take that inertia away too, as the
+//! emulation does with a model of the arm, makes the real part negative above some ten hertz; only a rigid joint with
+//! enough inertia of its own bears that.
+//!
+//! # Correction by current
+//!
+//! δ is the mean torque in excess of the desired one, low-passed at [`SETTLED_HZ`]. The servo's two gains are estimated from
+//! the same measurements ([`gain_adaptation`](crate::gain_adaptation)). While their uncertainty matters for the torque, δ is
+//! low-passed at up to [`UNSETTLED_HZ`] instead.
+
+use crate::active_setpoints::ActiveSetpoints;
+use crate::estimator::{EstimatorParameters, VelocityEstimator};
+use crate::gain_adaptation::{GainAdaptation, GainAdaptationParameters};
+use crate::servo::{ServoGains, ServoParameters};
+use crate::servo_inversion::{EmulationError, Ticks, TorqueObjective, check_inverse};
+use crate::servo_law::{MAX_ORDER, ServoLaw, ServoState};
+use crate::transformer::Transformer;
+use nalgebra::DVector;
+use opspace_backend::low_pass::{self, LowPass};
+use opspace_backend::{CommandKind, GravityCompensation, Sample, Setpoints};
+use opspace_model::Data;
+
+/// Cut-off frequency of the correction by current with known gains, Hz: a quarter of the antiresonance of a soft gear.
+pub const SETTLED_HZ: f64 = 4.0;
+
+/// Cut-off frequency of the correction by current with unknown gains, Hz.
+pub const UNSETTLED_HZ: f64 = 16.0;
+
+/// Cut-off frequency of the torques from which gains are estimated, Hz: below the resonance of gears.
+const ESTIMATION_HZ: f64 = 8.0;
+
+/// Uncertainty of the mean torque, as a fraction of the torque limit, at which the correction is half-way to
+/// [`UNSETTLED_HZ`].
+const UNSETTLED: f64 = 0.01;
+
+/// Bound on δ, as a multiple of the torque limit.
+const LIMIT: f64 = 3.0;
+
+/// Parameters of the extrapolation: servos and timing of the robot.
+#[derive(Clone, Debug)]
+pub struct ExtrapolationSetup {
+    /// Servos (n): either all position servos or all velocity servos.
+    pub servos: Vec<ServoParameters>,
+    /// Torque limit of each drive (n; Nm, N).
+    pub torque_limits: Vec<f64>,
+    /// Time between two servo ticks, s.
+    pub servo_period_s: f64,
+    /// Servo ticks per interface cycle.
+    pub servo_ticks_per_cycle: u32,
+    /// Delay until a setpoint acts, in servo ticks.
+    pub delay: u32,
+    /// Behaviour of the drives between two setpoints: hold or interpolate.
+    pub setpoints: Setpoints,
+    /// Estimate of the velocities.
+    pub estimator: EstimatorParameters,
+    /// Side that compensates gravity: the robot or the controller.
+    pub gravity_compensated_by: GravityCompensation,
+    /// True if brakes hold a velocity robot, with motors off, until its first setpoint acts. Ignored for a position
+    /// robot, which its servos hold.
+    pub has_brakes: bool,
+    /// Estimation of gains from measured motor torques and correction by them, if motor torques are measured.
+    pub current: Option<GainAdaptationParameters>,
+}
+
+/// Transformer that extrapolates each joint: see the [module](self).
+#[derive(Clone, Debug)]
+pub struct ExtrapolatingTransformer {
+    takes: CommandKind,
+    joints: Vec<Joint>,
+    ticks: Ticks,
+    velocity: VelocityEstimator,
+    /// Time between two interface cycles, s.
+    period_s: f64,
+    gravity_compensated_by: GravityCompensation,
+    has_brakes: bool,
+    active: ActiveSetpoints,
+    /// Setpoints sent at the last interface cycle, if `was_sent` (n; rad, m or rad/s, m/s).
+    sent: DVector<f64>,
+    was_sent: bool,
+    reference: Reference,
+    /// Positions of the last sample (n; rad, m).
+    q: DVector<f64>,
+    /// Interface cycles since the last sample.
+    elapsed: u32,
+    /// True after the first setpoint was sent; before, the robot holds itself.
+    begun: bool,
+    /// Setpoints of the last call of `transform`.
+    given: DVector<f64>,
+    /// Number of consecutive setpoints that were sent unchanged.
+    known: u32,
+}
+
+/// Joint velocities of the references (n; rad/s, m/s).
+#[derive(Clone, Debug)]
+struct Reference {
+    now: DVector<f64>,
+    before: DVector<f64>,
+    /// Velocity of the references with the lag of the estimate.
+    lagging: DVector<f64>,
+    /// Gain of the estimate's low-pass filter.
+    gain: f64,
+    /// True if there was a reference in the last cycle.
+    is_continued: bool,
+}
+
+impl Reference {
+    fn advance(&mut self, velocity: &[f64]) {
+        if !std::mem::replace(&mut self.is_continued, true) {
+            self.now.copy_from_slice(velocity);
+            self.lagging.copy_from_slice(velocity);
+        }
+        std::mem::swap(&mut self.now, &mut self.before);
+        self.now.copy_from_slice(velocity);
+        for ((lagging, now), before) in self.lagging.iter_mut().zip(&self.now).zip(&self.before) {
+            *lagging += self.gain * (0.5 * (now + before) - *lagging);
+        }
+    }
+
+    /// Ends the reference: joints go on at the velocity that they have.
+    fn end(&mut self) {
+        self.is_continued = false;
+        [&mut self.now, &mut self.before, &mut self.lagging].into_iter().for_each(|v| v.fill(0.0));
+    }
+}
+
+/// One joint: its drive, and the correction.
+#[derive(Clone, Debug)]
+struct Joint {
+    law: ServoLaw,
+    /// Memory of the drive at the last sample.
+    memory: ServoState,
+    /// Sum of the torques of an interval per unit of setpoint.
+    response: f64,
+    torque_limit: f64,
+    current: Option<Correction>,
+}
+
+/// Correction of a joint by measured motor torque.
+#[derive(Clone, Debug)]
+struct Correction {
+    /// Excess torque δ, Nm (N).
+    excess: f64,
+    /// Desired torques minus δ of the last two setpoints, the latest first, Nm (N).
+    asked: [f64; 2],
+    /// Gain of δ per interval, from settled to unsettled.
+    gains: [f64; 2],
+    estimation: Option<Estimation>,
+}
+
+/// Estimation of a servo's two gains.
+#[derive(Clone, Debug)]
+struct Estimation {
+    adaptation: GainAdaptation,
+    nominal: ServoGains,
+    now: ServoGains,
+    /// Measured torque, and torques of the nominal stiffness and damping.
+    low_pass: LowPass<3>,
+}
+
+/// Means over the time since the last sample.
+#[derive(Clone, Copy, Debug, Default)]
+struct Interval {
+    torque: f64,
+    /// Difference of setpoint and position.
+    error: f64,
+}
+
+impl Joint {
+    fn new(setup: &ExtrapolationSetup, i: usize, ticks: Ticks) -> Result<Self, EmulationError> {
+        let servo = &setup.servos[i];
+        let law = ServoLaw::new(servo, ticks.period_s)?;
+        check_inverse(&law, ticks, TorqueObjective::IntervalMean)?;
+        let mut joint = Self {
+            law,
+            memory: [0.0; MAX_ORDER],
+            response: 0.0,
+            torque_limit: setup.torque_limits[i],
+            current: setup.current.map(|parameters| Correction::new(setup, servo, i, &parameters)),
+        };
+        joint.respond(ticks);
+        Ok(joint)
+    }
+
+    /// Computes the response to a unit setpoint.
+    fn respond(&mut self, ticks: Ticks) {
+        let mut memory = [0.0; MAX_ORDER];
+        let unit = |tick| ticks.setpoints.at(0.0, 1.0, tick, ticks.servo_ticks_per_cycle);
+        let torque = |tick| self.law.step(&mut memory, unit(tick), 0.0);
+        self.response = (0..ticks.servo_ticks_per_cycle).map(torque).sum();
+    }
+
+    fn excess(&self) -> f64 {
+        self.current.as_ref().map_or(0.0, |current| current.excess)
+    }
+
+    /// Corrects the joint with the `measured` mean torque of the last interval. `was_asked` is true if its setpoints were
+    /// those of this transformer.
+    fn correct(&mut self, ticks: Ticks, measured: f64, interval: Interval, was_asked: bool) {
+        let Some(current) = &mut self.current else { return };
+        let mut unsettled = 0.0;
+        if let Some(estimation) = &mut current.estimation {
+            unsettled =
+                estimation.update(&mut self.law, measured, interval) / (UNSETTLED * self.torque_limit);
+        }
+        if was_asked {
+            let share = f64::from(ticks.delay) / f64::from(ticks.servo_ticks_per_cycle);
+            let expected = (1.0 - share) * current.asked[0] + share * current.asked[1];
+            let [settled, fastest] = current.gains;
+            let gain = settled + (fastest - settled) * unsettled / (1.0 + unsettled);
+            let excess = current.excess + gain * (measured - expected - current.excess);
+            let limit = LIMIT * self.torque_limit;
+            current.excess = excess.clamp(-limit, limit);
+        }
+        if current.estimation.is_some() {
+            self.respond(ticks);
+        }
+    }
+}
+
+impl Correction {
+    fn new(
+        setup: &ExtrapolationSetup,
+        servo: &ServoParameters,
+        joint: usize,
+        parameters: &GainAdaptationParameters,
+    ) -> Self {
+        let period_s = setup.servo_period_s * f64::from(setup.servo_ticks_per_cycle);
+        let nominal = servo.gains(setup.servo_period_s);
+        let estimation = servo.has_two_gains().then(|| Estimation {
+            adaptation: GainAdaptation::of_filtered(
+                parameters,
+                setup.torque_limits[joint],
+                period_s,
+                ESTIMATION_HZ,
+            ),
+            nominal,
+            now: nominal,
+            low_pass: LowPass::new(ESTIMATION_HZ, period_s),
+        });
+        Self {
+            excess: 0.0,
+            asked: [0.0; 2],
+            gains: [SETTLED_HZ, UNSETTLED_HZ].map(|hz| low_pass::gain(hz, period_s)),
+            estimation,
+        }
+    }
+}
+
+impl Estimation {
+    /// Updates the gains of the law, and returns the uncertainty of the mean torque that is due to them, Nm (N).
+    fn update(&mut self, law: &mut ServoLaw, measured: f64, interval: Interval) -> f64 {
+        let velocity = (self.now.stiffness * interval.error - interval.torque) / self.now.damping;
+        let nominal = self.nominal;
+        let torques = [measured, nominal.stiffness * interval.error, nominal.damping * velocity];
+        let [measured, of_position, of_velocity] = self.low_pass.update(&torques);
+        let before = self.now;
+        let [stiffness, damping] = self.adaptation.update(measured, of_position, of_velocity);
+        self.now =
+            ServoGains { stiffness: stiffness * nominal.stiffness, damping: damping * nominal.damping };
+        law.retune(before, self.now);
+        self.adaptation.uncertainty(of_position, of_velocity)
+    }
+}
+
+impl ExtrapolatingTransformer {
+    /// Returns the transformer for a robot at rest.
+    ///
+    /// # Errors
+    /// Index of the first joint whose servo cannot be inverted, and the reason.
+    pub fn new(setup: &ExtrapolationSetup) -> Result<Self, (usize, EmulationError)> {
+        let n = setup.servos.len();
+        let ticks = Ticks {
+            period_s: setup.servo_period_s,
+            servo_ticks_per_cycle: setup.servo_ticks_per_cycle,
+            delay: setup.delay,
+            setpoints: setup.setpoints,
+        };
+        let takes = setup.servos.first().map_or(CommandKind::Position, ServoParameters::takes);
+        let joint = |i: usize| {
+            let kind = setup.servos[i].takes();
+            if kind != takes {
+                return Err((i, EmulationError::Mixed { takes: kind, others: takes }));
+            }
+            Joint::new(setup, i, ticks).map_err(|error| (i, error))
+        };
+        let period_s = setup.servo_period_s * f64::from(setup.servo_ticks_per_cycle);
+        let zero = DVector::zeros(n);
+        Ok(Self {
+            takes,
+            joints: (0..n).map(joint).collect::<Result<_, _>>()?,
+            ticks,
+            velocity: VelocityEstimator::new(n, &setup.estimator, period_s),
+            period_s,
+            gravity_compensated_by: setup.gravity_compensated_by,
+            has_brakes: setup.has_brakes && takes == CommandKind::Velocity,
+            active: ActiveSetpoints::new(n, ticks),
+            reference: Reference {
+                now: zero.clone(),
+                before: zero.clone(),
+                lagging: zero.clone(),
+                gain: low_pass::gain(setup.estimator.velocity_filter_hz.get(), period_s),
+                is_continued: false,
+            },
+            sent: zero.clone(),
+            was_sent: false,
+            q: zero.clone(),
+            elapsed: 1,
+            begun: false,
+            given: zero,
+            known: 0,
+        })
+    }
+
+    /// Follows the drives from the last sample to this one: their memory, and the means of the interval.
+    fn follow(&mut self, sample: &Sample) {
+        let ticks = self.ticks;
+        let measured = sample.motor_torque.as_ref().filter(|_| self.elapsed == 1);
+        let all_ticks = self.elapsed * ticks.servo_ticks_per_cycle;
+        let share = 1.0 / f64::from(all_ticks);
+        let was_asked = self.known >= 2;
+        for (i, joint) in self.joints.iter_mut().enumerate() {
+            let (from, step) = (self.q[i], (sample.q[i] - self.q[i]) * share);
+            let mut mean = Interval::default();
+            for tick in 0..all_ticks {
+                let new = self.was_sent.then_some(self.sent.as_slice());
+                let setpoint = self.active.during(ticks, i, tick, new);
+                let position = from + step * f64::from(tick);
+                mean.torque += share * joint.law.step(&mut joint.memory, setpoint, position);
+                mean.error += share * (setpoint - position);
+            }
+            if let Some(measured) = measured {
+                joint.correct(ticks, measured[i], mean, was_asked);
+            }
+        }
+        for _ in 0..self.elapsed {
+            let new = std::mem::take(&mut self.was_sent).then_some(self.sent.as_slice());
+            self.active.advance(ticks, new);
+        }
+    }
+
+    /// Sets all drives to rest at the measured position: the robot holds itself.
+    fn hold(&mut self, data: &Data) {
+        for (i, joint) in self.joints.iter_mut().enumerate() {
+            let is_loaded =
+                !self.has_brakes && self.gravity_compensated_by == GravityCompensation::Controller;
+            let load = if is_loaded { data.gravity[i] } else { 0.0 };
+            let (memory, setpoint) = joint.law.rest(self.q[i], load);
+            joint.memory = memory;
+            self.active.hold(i, setpoint);
+        }
+    }
+}
+
+impl Transformer for ExtrapolatingTransformer {
+    fn takes(&self) -> CommandKind {
+        self.takes
+    }
+
+    fn observe(&mut self, sample: &Sample) -> Option<&[f64]> {
+        self.velocity.update_after(u64::from(self.elapsed), &sample.q);
+        if self.begun {
+            self.follow(sample);
+        }
+        self.q.copy_from_slice(&sample.q);
+        self.elapsed = 1;
+        None
+    }
+
+    fn uses_reference_velocity(&self) -> bool {
+        true
+    }
+
+    fn set_reference_velocity(&mut self, velocity: &[f64]) {
+        self.reference.advance(velocity);
+    }
+
+    fn transform(&mut self, data: &Data, tau: &[f64], q_desired: &mut [f64]) {
+        if !self.begun {
+            self.hold(data);
+        }
+        let ticks = self.ticks;
+        let ratio = ticks.servo_ticks_per_cycle;
+        let velocity = self.velocity.velocity();
+        for (i, joint) in self.joints.iter_mut().enumerate() {
+            let torque = tau[i] - joint.excess();
+            // The reference anticipates the velocity: its own lag, and its acceleration.
+            let q = self.q[i];
+            let v = velocity[i] + self.reference.now[i] - self.reference.lagging[i];
+            let acceleration = (self.reference.now[i] - self.reference.before[i]) / self.period_s;
+            let position = |tick: u32| {
+                let t = f64::from(tick) * ticks.period_s;
+                q + t * (v + 0.5 * t * acceleration)
+            };
+            let mut memory = joint.memory;
+            for tick in 0..ticks.delay {
+                joint.law.step(&mut memory, self.active.at(ticks, i, tick), position(tick));
+            }
+            // Y₀ is computed with the measured position or velocity as setpoint, so that the solution is a small
+            // difference with little rounding.
+            let about = if self.takes == CommandKind::Velocity { v } else { q };
+            let left = self.active.left(ticks, i);
+            let mut missing = f64::from(ratio) * torque;
+            for tick in 0..ratio {
+                let setpoint = ticks.setpoints.at(left, about, tick, ratio);
+                missing -= joint.law.step(&mut memory, setpoint, position(ticks.delay + tick));
+            }
+            q_desired[i] = about + missing / joint.response;
+            if let Some(current) = &mut joint.current {
+                current.asked = [torque, current.asked[0]];
+            }
+        }
+        self.given.copy_from_slice(q_desired);
+    }
+
+    fn sent(&mut self, data: &Data, q_desired: &[f64]) {
+        if !self.begun {
+            self.hold(data);
+            self.begun = true;
+        }
+        self.sent.copy_from_slice(q_desired);
+        self.was_sent = true;
+        self.known = if self.given.as_slice() == q_desired { self.known.saturating_add(1) } else { 0 };
+    }
+
+    fn missed(&mut self, periods: u64) {
+        self.known = 0;
+        self.reference.end();
+        self.elapsed = self.elapsed.saturating_add(u32::try_from(periods).unwrap_or(u32::MAX));
+    }
+
+    fn reset(&mut self) {
+        self.begun = false;
+        self.known = 0;
+        self.was_sent = false;
+        self.elapsed = 1;
+        self.velocity.reset();
+        self.reference.end();
+        self.active.settle(self.ticks);
+        for current in self.joints.iter_mut().filter_map(|joint| joint.current.as_mut()) {
+            current.excess = 0.0;
+        }
+    }
+}

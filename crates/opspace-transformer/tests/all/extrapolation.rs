@@ -1,0 +1,128 @@
+//! Extrapolating transformer against drives simulated independently, on joints that move as prescribed.
+#![expect(clippy::unwrap_used, reason = "a test")]
+
+use super::emulation::{
+    CASE, Case, Drives, POSITION_SERVOS, RATIO, SERVO_S, Servo, VELOCITY_SERVOS, model, sample,
+};
+use nalgebra::DVector;
+use opspace_backend::quantity::Positive;
+use opspace_backend::{CommandKind, GravityCompensation, Setpoints};
+use opspace_model::Data;
+use opspace_transformer::{
+    EmulationError, EstimatorParameters, ExtrapolatingTransformer, ExtrapolationSetup,
+    GainAdaptationParameters, Transformer,
+};
+use std::f64::consts::TAU;
+
+/// Relative rounding error of a torque.
+const EXACT: f64 = 1e-9;
+
+fn setup(case: Case) -> ExtrapolationSetup {
+    ExtrapolationSetup {
+        servos: case.servo.parameters(),
+        torque_limits: vec![10.0; 2],
+        servo_period_s: SERVO_S,
+        servo_ticks_per_cycle: RATIO,
+        delay: case.delay,
+        setpoints: case.setpoints,
+        estimator: EstimatorParameters {
+            velocity_filter_hz: Positive::literal(80.0),
+            ..EstimatorParameters::default()
+        },
+        gravity_compensated_by: GravityCompensation::Controller,
+        has_brakes: case.has_brakes,
+        current: case.current.then(GainAdaptationParameters::usual),
+    }
+}
+
+/// Relative error of the mean torques of the intervals in which setpoints act, after `skipped` cycles, on joints that move
+/// along `motion`: position at a time (s).
+fn error(case: Case, skipped: usize, motion: impl Fn(f64) -> f64) -> f64 {
+    let model = model(false);
+    let mut data = Data::new(&model);
+    let mut transformer = ExtrapolatingTransformer::new(&setup(case)).unwrap();
+    let takes = case.servo.takes();
+    let mut drives = Drives::new(case);
+    let starts = drives.q;
+    let mut sample = sample(takes, case.current);
+    let rest = if takes == CommandKind::Velocity { [0.0; 2] } else { starts };
+    let (mut from, mut to, mut new) = (rest, rest, DVector::from_column_slice(&rest));
+    let mut ramp = RATIO;
+    let (mut asked, mut torques) = (Vec::new(), Vec::new());
+    for k in 0..1200_u32 {
+        let time_s = |tick: u32| f64::from(k * RATIO + tick) * SERVO_S;
+        sample.q.copy_from_slice(&starts.map(|q| q + motion(time_s(0))));
+        assert!(transformer.observe(&sample).is_none());
+        let t = time_s(0);
+        let tau = [(TAU * 0.7 * t).sin(), 0.4 * (TAU * 1.1 * t).sin()];
+        transformer.transform(&data, &tau, new.as_mut_slice());
+        transformer.sent(&data, new.as_slice());
+        data.q.copy_from_slice(&sample.q);
+        asked.push(tau);
+        let mut mean = [0.0; 2];
+        for tick in 0..=RATIO {
+            if tick == case.delay {
+                (from, to, ramp) = (to, [new[0], new[1]], 0);
+            }
+            if tick == RATIO {
+                break;
+            }
+            ramp = (ramp + 1).min(RATIO);
+            let share = match case.setpoints {
+                Setpoints::Held => 1.0,
+                Setpoints::Interpolated => f64::from(ramp) / f64::from(RATIO),
+            };
+            drives.q = starts.map(|q| q + motion(time_s(tick)));
+            let torque = [0, 1].map(|i| drives.torque(i, from[i] + share * (to[i] - from[i])));
+            torques.push(torque);
+            mean = [0, 1].map(|i| mean[i] + torque[i] / f64::from(RATIO));
+        }
+        if let Some(measured) = &mut sample.motor_torque {
+            measured.copy_from_slice(&mean);
+        }
+    }
+    let (mut wrong, mut all) = (0.0, 0.0);
+    let windows = torques[case.delay as usize..].chunks_exact(RATIO as usize);
+    for (asked, window) in asked.iter().zip(windows).skip(skipped) {
+        for i in 0..2 {
+            let mean = window.iter().map(|t| t[i]).sum::<f64>() / f64::from(RATIO);
+            wrong += (mean - asked[i]).powi(2);
+            all += asked[i].powi(2);
+        }
+    }
+    (wrong / all).sqrt()
+}
+
+/// Compared: mean torques of joints at a constant velocity, and the desired ones, for all servos, setpoints and delays.
+#[test]
+fn mean_torque_is_exact_at_constant_velocity() {
+    for servo in POSITION_SERVOS.into_iter().chain(VELOCITY_SERVOS) {
+        for setpoints in [Setpoints::Held, Setpoints::Interpolated] {
+            for delay in [0, 2, RATIO] {
+                let case = Case { servo, setpoints, delay, ..CASE };
+                if let Err((_, EmulationError::Unstable { .. })) = ExtrapolatingTransformer::new(&setup(case))
+                {
+                    assert!(servo == Servo::Late && setpoints == Setpoints::Interpolated, "{case:?}");
+                    continue;
+                }
+                let error = error(case, 400, |t| 0.3 * t);
+                assert!(error < EXACT, "{case:?}: {error:e}");
+            }
+        }
+    }
+}
+
+/// Compared: errors of an oscillating joint whose gains are told wrong, without and with current.
+#[test]
+fn current_corrects_wrong_gains() {
+    let motion = |t: f64| 0.2 * (TAU * 0.9 * t).sin() + 0.05 * (TAU * 2.3 * t).sin();
+    for delay in [0, 3] {
+        let nominal = error(Case { current: true, delay, ..CASE }, 600, motion);
+        for gain_scale in [0.6, 0.9, 1.1, 1.4] {
+            let case = Case { gain_scale, delay, ..CASE };
+            let without = error(case, 600, motion);
+            let with = error(Case { current: true, ..case }, 600, motion);
+            assert!(with < 1.2 * nominal && with < 0.2 * without, "{case:?}: {with} and {without}");
+        }
+    }
+}

@@ -1,0 +1,160 @@
+//! Impedance of drives with their transformers.
+#![expect(clippy::unwrap_used, reason = "a test")]
+
+use super::emulation::{SERVO_S, model, sample};
+use nalgebra::Complex;
+use opspace_backend::quantity::Positive;
+use opspace_backend::{CommandKind, GravityCompensation, Setpoints};
+use opspace_model::{Data, update};
+use opspace_transformer::estimator::VelocityEstimator;
+use opspace_transformer::impedance::impedance;
+use opspace_transformer::moving_joint::{DriveTiming, MovingJoint};
+use opspace_transformer::{
+    CascadedServo, EstimatorParameters, ExtrapolatingTransformer, ExtrapolationSetup,
+    GainAdaptationParameters, PaperTransformer, ServoLaw, ServoParameters, Transformer,
+};
+use std::f64::consts::TAU;
+
+const KP: f64 = 40.0;
+const KV: f64 = 10.0;
+const FILTER_HZ: f64 = 300.0;
+const ESTIMATOR_HZ: f64 = 100.0;
+
+/// Rounding error of an impedance, relative to the damping of the servo.
+const ROUNDING: f64 = 1e-4;
+
+fn servo() -> ServoParameters {
+    ServoParameters::Cascaded(CascadedServo {
+        kp_per_s: Positive::literal(KP),
+        kv_nms_per_rad: Positive::literal(KV),
+        velocity_filter_hz: Positive::literal(FILTER_HZ),
+        velocity_integral_time_s: None,
+    })
+}
+
+fn timing(ratio: u32, delay: u32, setpoints: Setpoints) -> DriveTiming {
+    DriveTiming { servo_period_s: 0.4 * SERVO_S, servo_ticks_per_cycle: ratio, delay, setpoints }
+}
+
+fn positive(value: f64) -> Positive {
+    Positive::try_from(value).unwrap()
+}
+
+fn estimator(hz: f64) -> EstimatorParameters {
+    EstimatorParameters { velocity_filter_hz: positive(hz), ..EstimatorParameters::default() }
+}
+
+fn measure(
+    servo: &ServoParameters,
+    estimator_hz: f64,
+    transformer: &mut dyn Transformer,
+    timing: DriveTiming,
+    current: bool,
+    hz: &[f64],
+) -> Vec<(f64, Complex<f64>)> {
+    let model = model(false);
+    let mut data = Data::new(&model);
+    assert!(update(&model, &mut data, &[0.1, 0.2], &[0.0; 2]));
+    let estimator = estimator(estimator_hz);
+    let law = ServoLaw::new(servo, timing.servo_period_s).unwrap();
+    hz.iter()
+        .flat_map(|&hz| {
+            let mut arm = Some(MovingJoint::new(
+                &mut *transformer,
+                &data,
+                0,
+                VelocityEstimator::new(2, &estimator, timing.period_s()),
+                sample(CommandKind::Position, current),
+            ));
+            impedance(|| arm.take().unwrap(), law, timing, &[hz])
+        })
+        .collect()
+}
+
+fn low_pass(s: Complex<f64>, period_s: f64, cutoff_hz: f64) -> Complex<f64> {
+    let pole = (-TAU * cutoff_hz * period_s).exp();
+    let back = (-s * period_s).exp();
+    (1.0 - pole) * (1.0 - back) / (period_s * (1.0 - pole * back)) / s
+}
+
+/// Compared: impedance of the paper's transformer, measured and from the transfer functions of its parts.
+#[test]
+fn impedance_of_paper_transformer_matches_transfer_functions() {
+    for (ratio, delay) in [(1, 0), (5, 0), (5, 2)] {
+        let timing = timing(ratio, delay, Setpoints::Held);
+        let (ts, t) = (timing.servo_period_s, timing.period_s());
+        let mut paper = PaperTransformer::new(vec![servo().gains(ts); 2]);
+        for (hz, z) in measure(&servo(), ESTIMATOR_HZ, &mut paper, timing, false, &[3.0, 20.0, 90.0, 180.0]) {
+            let s = Complex::new(0.0, TAU * hz);
+            // The torque is held for a servo period; its phase counts from the middle of the period.
+            let hold = (-s * f64::from(delay) * ts).exp() * (1.0 - (-s * t).exp())
+                / (f64::from(ratio) * (1.0 - (-s * ts).exp()));
+            let drive = KV * (KP / s + low_pass(s, ts, FILTER_HZ));
+            let added = KV * (KP / s + low_pass(s, t, ESTIMATOR_HZ)) * hold;
+            let expected = (drive - added) * (-s * 0.5 * ts).exp();
+            assert!((z - expected).norm() < 1e-6 * drive.norm(), "{ratio} {delay} {hz}: {z} {expected}");
+        }
+    }
+}
+
+/// Drive and estimator with random parameters: servo, estimator cut-off (Hz), timing.
+fn random_drive(random: &mut impl FnMut(f64, f64) -> f64) -> (ServoParameters, f64, DriveTiming) {
+    let servo_hz = random(1e3, 8e3);
+    let ratio = random(1.0, 10.99) as u32;
+    let interface_hz = servo_hz / f64::from(ratio);
+    let servo = ServoParameters::Cascaded(CascadedServo {
+        kp_per_s: positive(random(15.0, 60.0).min(interface_hz / 10.0)),
+        kv_nms_per_rad: positive(random(3.0, 100.0)),
+        velocity_filter_hz: positive(random(0.05, 0.3) * servo_hz),
+        velocity_integral_time_s: None,
+    });
+    let timing = DriveTiming {
+        servo_period_s: 1.0 / servo_hz,
+        servo_ticks_per_cycle: ratio,
+        delay: random(0.0, f64::from(ratio) + 0.99) as u32,
+        setpoints: if random(0.0, 1.0) < 0.5 { Setpoints::Held } else { Setpoints::Interpolated },
+    };
+    (servo, random(0.05, 0.4) * interface_hz, timing)
+}
+
+/// Checks the real part of the impedance up to half of the Nyquist frequency of the interface, beyond which sampling alone
+/// makes servos active: not negative without current. With current, which takes away the added inertia below
+/// [`SETTLED_HZ`](opspace_transformer::extrapolating_transformer::SETTLED_HZ), it may be as low as a quarter of kv.
+#[test]
+fn extrapolation_is_passive() {
+    let mut state = 12_345_u64;
+    let mut random = |low: f64, high: f64| {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        low + (high - low) * (state >> 11) as f64 / (1_u64 << 53) as f64
+    };
+    for _ in 0..60 {
+        let (servo, estimator_hz, timing) = random_drive(&mut random);
+        let setup = ExtrapolationSetup {
+            servos: vec![servo.clone(); 2],
+            torque_limits: vec![100.0; 2],
+            servo_period_s: timing.servo_period_s,
+            servo_ticks_per_cycle: timing.servo_ticks_per_cycle,
+            delay: timing.delay,
+            setpoints: timing.setpoints,
+            estimator: estimator(estimator_hz),
+            gravity_compensated_by: GravityCompensation::Controller,
+            has_brakes: false,
+            current: None,
+        };
+        for current in [false, true] {
+            let current_setup = ExtrapolationSetup {
+                current: current.then(GainAdaptationParameters::usual),
+                ..setup.clone()
+            };
+            let mut extrapolation = ExtrapolatingTransformer::new(&current_setup).unwrap();
+            let nyquist = 0.5 / timing.period_s();
+            let hz = [0.01, 0.02, 0.04, 0.06, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5].map(|x| x * nyquist);
+            let z = measure(&servo, estimator_hz, &mut extrapolation, timing, current, &hz);
+            let worst = z.iter().min_by(|a, b| a.1.re.total_cmp(&b.1.re)).unwrap();
+            let kv = servo.gains(timing.servo_period_s).damping;
+            let least = worst.1.re / kv;
+            let allowed = if current { 0.25 } else { 0.0 };
+            assert!(least > -allowed - ROUNDING, "{timing:?}: {least} kv at {} Hz", worst.0);
+        }
+    }
+}
