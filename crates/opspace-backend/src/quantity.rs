@@ -23,6 +23,12 @@ pub struct Positive(#[cfg_attr(feature = "schema", schemars(range(min = 0.0)))] 
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 pub struct NonNegative(#[cfg_attr(feature = "schema", schemars(range(min = 0.0)))] f64);
 
+/// A number from 0 to 1.
+#[derive(Clone, Copy, Debug, Default, PartialEq, PartialOrd)]
+#[cfg_attr(feature = "serde", derive(Deserialize), serde(try_from = "f64"))]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+pub struct Fraction(#[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 1.0)))] f64);
+
 /// An integer above zero.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 #[cfg_attr(feature = "serde", derive(Deserialize), serde(try_from = "u32"))]
@@ -49,6 +55,18 @@ impl TryFrom<f64> for NonNegative {
             Ok(Self(value))
         } else {
             Err(format!("expected a number not below 0, got {value}"))
+        }
+    }
+}
+
+impl TryFrom<f64> for Fraction {
+    type Error = String;
+
+    fn try_from(value: f64) -> Result<Self, String> {
+        if (0.0..=1.0).contains(&value) {
+            Ok(Self(value))
+        } else {
+            Err(format!("expected a number from 0 to 1, got {value}"))
         }
     }
 }
@@ -99,6 +117,24 @@ impl NonNegative {
     #[must_use]
     pub const fn literal(value: f64) -> Self {
         assert!(value >= 0.0);
+        Self(value)
+    }
+}
+
+impl Fraction {
+    /// Returns the number.
+    #[must_use]
+    pub const fn get(self) -> f64 {
+        self.0
+    }
+
+    /// Returns a constant, for defaults in code.
+    ///
+    /// # Panics
+    /// If `value` is not from 0 to 1 (at compile time in a `const`).
+    #[must_use]
+    pub const fn literal(value: f64) -> Self {
+        assert!(value >= 0.0 && value <= 1.0);
         Self(value)
     }
 }

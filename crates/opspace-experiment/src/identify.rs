@@ -280,6 +280,7 @@ impl IdentificationJob {
     fn structure(&self, joint: usize) -> Result<Structure, FileError> {
         let name = &self.robot.model.joints()[joint].name;
         let what = match &self.robot.servos(&self.profile)[joint] {
+            servo if !servo.has_plain_setpoint() => "with feed-forward or a setpoint filter",
             ServoParameters::Cascaded(servo) if servo.velocity_integral_time_s.is_none() => {
                 return Ok(Structure::Cascaded);
             }
@@ -298,7 +299,7 @@ impl IdentificationJob {
         let key = ["profile", &self.profile_name, "servo", name];
         let message = format!("the servo of joint '{name}' is {what}, which cannot be identified");
         let help = "supported are cascaded servos without an integral, and PID servos without an integral whose derivative is of \
-             the position";
+             the position, both without feed-forward and setpoint filter";
         Err(FileError::at_key(&self.robot.source, key, message, Some(help.to_owned())))
     }
 }

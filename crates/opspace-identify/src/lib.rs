@@ -25,12 +25,10 @@
 //!   <joint name="hinge" type="continuous"><parent link="base"/><child link="disc"/><axis xyz="0 0 1"/></joint>
 //!   <link name="disc"><inertial><mass value="2"/>
 //!     <inertia ixx="0.3" ixy="0" ixz="0" iyy="0.3" iyz="0" izz="0.6"/></inertial></link></robot>"#;
-//! let servo = ServoParameters::Cascaded(CascadedServo {
-//!     kp_per_s: Positive::literal(20.0),
-//!     kv_nms_per_rad: Positive::literal(30.0),
-//!     velocity_filter_hz: Positive::literal(600.0),
-//!     velocity_integral_time_s: None,
-//! });
+//! let (kp_per_s, kv_nms_per_rad) = (Positive::literal(20.0), Positive::literal(30.0));
+//! let velocity_filter_hz = Positive::literal(600.0);
+//! let servo =
+//!     ServoParameters::Cascaded(CascadedServo::new(kp_per_s, kv_nms_per_rad, velocity_filter_hz));
 //! let capabilities = Capabilities::new(["hinge"], CommandKind::Position, 1e-3)
 //!     .measuring(&[Measured::MotorCurrent])
 //!     .simulated();

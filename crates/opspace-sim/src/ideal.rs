@@ -91,12 +91,7 @@ fn drive(effort: f64) -> JointParameters {
 
 /// Placeholder servo for a robot whose drives use none.
 fn unused_servo() -> ServoParameters {
-    ServoParameters::Cascaded(CascadedServo {
-        kp_per_s: UNUSED,
-        kv_nms_per_rad: UNUSED,
-        velocity_filter_hz: UNUSED,
-        velocity_integral_time_s: None,
-    })
+    ServoParameters::Cascaded(CascadedServo::new(UNUSED, UNUSED, UNUSED))
 }
 
 fn profile(servo_hz: Positive) -> ProfileParameters {

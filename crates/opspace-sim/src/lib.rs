@@ -29,12 +29,10 @@
 //!     <inertia ixx="0.1" ixy="0" ixz="0" iyy="0.1" iyz="0" izz="0.1"/></inertial></link>
 //! </robot>"#;
 //! let model = Model::from_urdf(urdf)?.model;
-//! let servo = ServoParameters::Cascaded(CascadedServo {
-//!     kp_per_s: Positive::literal(20.0),
-//!     kv_nms_per_rad: Positive::literal(30.0),
-//!     velocity_filter_hz: Positive::literal(600.0),
-//!     velocity_integral_time_s: None,
-//! });
+//! let (kp_per_s, kv_nms_per_rad) = (Positive::literal(20.0), Positive::literal(30.0));
+//! let velocity_filter_hz = Positive::literal(600.0);
+//! let servo =
+//!     ServoParameters::Cascaded(CascadedServo::new(kp_per_s, kv_nms_per_rad, velocity_filter_hz));
 //! let capabilities = Capabilities::new(["hinge"], CommandKind::Position, 1e-3)
 //!     .measuring(&[Measured::MotorCurrent])
 //!     .simulated();

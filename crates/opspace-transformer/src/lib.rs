@@ -16,12 +16,10 @@
 //!     <inertia ixx="0.1" ixy="0" ixz="0" iyy="0.1" iyz="0" izz="0.1"/></inertial></link>
 //! </robot>"#;
 //! let model = Model::from_urdf(urdf)?.model;
-//! let servo = ServoParameters::Cascaded(CascadedServo {
-//!     kp_per_s: Positive::literal(20.0),
-//!     kv_nms_per_rad: Positive::literal(30.0),
-//!     velocity_filter_hz: Positive::literal(600.0),
-//!     velocity_integral_time_s: None,
-//! });
+//! let (kp_per_s, kv_nms_per_rad) = (Positive::literal(20.0), Positive::literal(30.0));
+//! let velocity_filter_hz = Positive::literal(600.0);
+//! let servo =
+//!     ServoParameters::Cascaded(CascadedServo::new(kp_per_s, kv_nms_per_rad, velocity_filter_hz));
 //! let period_s = 2e-4;
 //! let law = ServoLaw::new(&servo, period_s)?;
 //! let mut transformer = PaperTransformer::new(vec![servo.gains(period_s)]);
@@ -75,7 +73,7 @@ pub use identity::Identity;
 pub use observed::ObservedTransformer;
 pub use observer::{ObservedJoint, ObserverGain};
 pub use parameters::{JointParameters, ProfileParameters, RotorParameters};
-pub use servo::{CascadedServo, ServoGains, ServoParameters, VelocityServo};
+pub use servo::{CascadedServo, ServoGains, ServoParameters, SetpointFilter, VelocityServo};
 pub use servo_inversion::{EmulationError, TorqueObjective};
 pub use servo_law::{ServoError, ServoLaw, ServoState};
 pub use servo_model_transformer::{EmulatingTransformer, EmulationSetup};

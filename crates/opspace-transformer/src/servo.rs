@@ -5,7 +5,7 @@
 use crate::polynomial::value;
 use nalgebra::Complex;
 use opspace_backend::CommandKind;
-use opspace_backend::quantity::{NonNegative, Positive};
+use opspace_backend::quantity::{Fraction, NonNegative, Positive};
 #[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::Deserialize;
@@ -41,6 +41,16 @@ pub struct CascadedServo {
     /// Integral time of the velocity loop, s; no integral if absent.
     #[serde(default)]
     pub velocity_integral_time_s: Option<Positive>,
+    /// Fraction of the setpoint's velocity that is fed forward to the velocity loop: `velocity_feed_forward (q_desired −
+    /// q_desired₋)/Ts` is added to its setpoint, with q_desired₋ of the servo tick before.
+    #[serde(default)]
+    pub velocity_feed_forward: Fraction,
+    /// Torque fed forward per acceleration of the setpoint (its second difference divided by Ts²), kg m² (kg).
+    #[serde(default)]
+    pub acceleration_feed_forward_kg_m2: NonNegative,
+    /// Filter of the setpoint at servo rate, before the loop and the feed-forward; none if absent.
+    #[serde(default)]
+    pub setpoint_filter: Option<SetpointFilter>,
 }
 
 /// `τ = K e + D ė + Ki ∫ e`, with e = q_desired − q, and ė or −q̇ from a filtered finite difference.
@@ -60,6 +70,37 @@ pub struct PidServo {
     /// Integral gain Ki, Nm/(rad s) (N/(m s)).
     #[serde(default)]
     pub integral_nm_per_rad_s: NonNegative,
+    /// Fraction of the setpoint's velocity that is fed forward: the torque `D velocity_feed_forward (q_desired −
+    /// q_desired₋)/Ts` is added, with q_desired₋ of the servo tick before. Zero with the derivative of the error.
+    #[serde(default)]
+    pub velocity_feed_forward: Fraction,
+    /// Torque fed forward per acceleration of the setpoint (its second difference divided by Ts²), kg m² (kg).
+    #[serde(default)]
+    pub acceleration_feed_forward_kg_m2: NonNegative,
+    /// Filter of the setpoint at servo rate, before the loop and the feed-forward; none if absent.
+    #[serde(default)]
+    pub setpoint_filter: Option<SetpointFilter>,
+}
+
+/// Low-pass filter of a drive's setpoint, exact for setpoints that are constant over each servo period. Its output at a
+/// servo tick is the value at the end of the period that begins there.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(rename_all = "kebab-case", deny_unknown_fields)]
+#[non_exhaustive]
+pub enum SetpointFilter {
+    /// `ω/(s + ω)`, with ω = 2π `cutoff_hz`.
+    FirstOrder {
+        /// Cut-off frequency (−3 dB), Hz.
+        cutoff_hz: Positive,
+    },
+    /// `ω²/(s² + 2 ζ ω s + ω²)`, with ω = 2π `natural_frequency_hz` and ζ = `damping_ratio`.
+    SecondOrder {
+        /// Natural frequency, Hz.
+        natural_frequency_hz: Positive,
+        /// Damping ratio; 1 is critical.
+        damping_ratio: Positive,
+    },
 }
 
 /// `τ = kv (q̇_desired − q̇) + ki ∫ (q̇_desired − q̇)`, with q̇ from a filtered finite difference.
@@ -118,6 +159,22 @@ impl ServoGains {
     }
 }
 
+impl CascadedServo {
+    /// Returns a cascade without an integral, feed-forward or setpoint filter.
+    #[must_use]
+    pub const fn new(kp_per_s: Positive, kv_nms_per_rad: Positive, velocity_filter_hz: Positive) -> Self {
+        Self {
+            kp_per_s,
+            kv_nms_per_rad,
+            velocity_filter_hz,
+            velocity_integral_time_s: None,
+            velocity_feed_forward: Fraction::literal(0.0),
+            acceleration_feed_forward_kg_m2: NonNegative::literal(0.0),
+            setpoint_filter: None,
+        }
+    }
+}
+
 /// Frequency, as a fraction of the servo rate, at which the gains of a transfer function are evaluated: above most
 /// integrals, below most filters.
 const GAINS_AT: f64 = 0.01;
@@ -158,22 +215,67 @@ impl ServoParameters {
     }
 
     /// True if the servo consists of these two gains only: stiffness on the position error, and damping on the filtered
-    /// velocity.
+    /// velocity, or on its difference from a fraction of the setpoint's velocity.
     #[must_use]
     pub fn has_two_gains(&self) -> bool {
         match self {
-            Self::Cascaded(servo) => servo.velocity_integral_time_s.is_none(),
+            Self::Cascaded(servo) => {
+                servo.velocity_integral_time_s.is_none()
+                    && servo.acceleration_feed_forward_kg_m2.get() == 0.0
+                    && servo.setpoint_filter.is_none()
+            }
             Self::Pid(servo) => {
                 servo.integral_nm_per_rad_s.get() == 0.0
                     && servo.derivative_of == DerivativeOf::Position
                     && servo.damping_nms_per_rad.get() > 0.0
+                    && servo.acceleration_feed_forward_kg_m2.get() == 0.0
+                    && servo.setpoint_filter.is_none()
             }
             Self::TransferFunction(_) | Self::Velocity(_) => false,
         }
     }
 
+    /// Fraction of the setpoint's velocity that is fed forward; 0 for a transfer function and a velocity servo.
+    #[must_use]
+    pub fn velocity_feed_forward(&self) -> f64 {
+        match self {
+            Self::Cascaded(servo) => servo.velocity_feed_forward.get(),
+            Self::Pid(servo) => servo.velocity_feed_forward.get(),
+            Self::TransferFunction(_) | Self::Velocity(_) => 0.0,
+        }
+    }
+
+    /// Torque fed forward per acceleration of the setpoint, kg m² (kg); 0 for a transfer function and a velocity servo.
+    #[must_use]
+    pub fn acceleration_feed_forward_kg_m2(&self) -> f64 {
+        match self {
+            Self::Cascaded(servo) => servo.acceleration_feed_forward_kg_m2.get(),
+            Self::Pid(servo) => servo.acceleration_feed_forward_kg_m2.get(),
+            Self::TransferFunction(_) | Self::Velocity(_) => 0.0,
+        }
+    }
+
+    /// Filter of the setpoint, if any.
+    #[must_use]
+    pub fn setpoint_filter(&self) -> Option<SetpointFilter> {
+        match self {
+            Self::Cascaded(servo) => servo.setpoint_filter,
+            Self::Pid(servo) => servo.setpoint_filter,
+            Self::TransferFunction(_) | Self::Velocity(_) => None,
+        }
+    }
+
+    /// True if the setpoint acts on the position error only, and unfiltered: no feed-forward and no setpoint filter.
+    #[must_use]
+    pub fn has_plain_setpoint(&self) -> bool {
+        self.velocity_feed_forward() == 0.0
+            && self.acceleration_feed_forward_kg_m2() == 0.0
+            && self.setpoint_filter().is_none()
+    }
+
     /// Returns this servo with the gain of its position loop multiplied by `kp` and the gain of the whole servo
-    /// multiplied by `kv`. A velocity servo has no position loop and ignores `kp`.
+    /// multiplied by `kv`. A velocity servo has no position loop and ignores `kp`. The acceleration feed-forward is
+    /// unchanged.
     #[must_use]
     pub fn scaled(&self, kp: f64, kv: f64) -> Self {
         let times = |value: Positive, scale: f64| Positive::try_from(value.get() * scale).unwrap_or(value);

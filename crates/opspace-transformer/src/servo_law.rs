@@ -8,14 +8,17 @@
 //! velocity instead of q_desired. The simulated drives run this law, and the emulating transformer predicts with it.
 
 use crate::servo::{
-    CascadedServo, DerivativeOf, PidServo, ServoGains, ServoParameters, TransferFunctionServo, VelocityServo,
+    CascadedServo, DerivativeOf, PidServo, ServoGains, ServoParameters, SetpointFilter,
+    TransferFunctionServo, VelocityServo,
 };
 use nalgebra::{Complex, DMatrix, DVector};
 use opspace_backend::low_pass;
+use std::f64::consts::TAU;
 use std::ops::{Add, Mul, Sub};
 use thiserror::Error;
 
-/// Largest number of memory entries: the largest order of a transfer function.
+/// Largest number of memory entries: the largest order of a transfer function, and that of a cascade with an integral, a
+/// filter of second order and acceleration feed-forward.
 pub const MAX_ORDER: usize = 6;
 
 /// Bound on memory and setpoint at rest: larger values are rounding errors of a singular system without a solution.
@@ -40,6 +43,11 @@ pub enum ServoError {
     /// Transfer function that is zero: no error produces a torque.
     #[error("the numerator is zero: no position error would produce a torque")]
     NoTorque,
+    /// Setpoint velocity that is fed forward twice.
+    #[error(
+        "derivative_of = \"error\" differentiates the setpoint already: velocity_feed_forward must be 0 or absent"
+    )]
+    FeedForwardTwice,
     /// Servo that has no setpoint for a constant torque at rest.
     #[error("this servo cannot hold a torque at rest: no constant position error produces one")]
     HoldsNothing,
@@ -119,7 +127,7 @@ impl ServoLaw {
     pub fn new(servo: &ServoParameters, period_s: f64) -> Result<Self, ServoError> {
         let law = match servo {
             ServoParameters::Cascaded(servo) => Self::cascaded(servo, period_s),
-            ServoParameters::Pid(servo) => Self::pid(servo, period_s),
+            ServoParameters::Pid(servo) => Self::pid(servo, period_s)?,
             ServoParameters::TransferFunction(servo) => Self::transfer_function(servo)?,
             ServoParameters::Velocity(servo) => Self::velocity(servo, period_s),
         };
@@ -131,6 +139,12 @@ impl ServoLaw {
         let mut all = [Form::default(); MAX_ORDER];
         all[..next.len()].copy_from_slice(next);
         Self { order: next.len(), next: all, torque, rest: [([0.0; MAX_ORDER], 0.0); 2] }
+    }
+
+    /// Returns the law of a loop behind a setpoint path, whose memory follows that of the loop.
+    fn with_path(next: &[Form], torque: Form, path: &SetpointPath) -> Self {
+        let next: Vec<Form> = next.iter().chain(&path.next).copied().collect();
+        Self::of(&next, path.add_acceleration(torque))
     }
 
     /// Solves for the memory and the setpoint at rest, at `position` with `torque`: linear equations.
@@ -154,7 +168,8 @@ impl ServoLaw {
         Ok((std::array::from_fn(|i| if i < n { solution[i] } else { 0.0 }), solution[n]))
     }
 
-    /// Cascade: `w ← w + a ((y − y₋)/Ts − w)`, `e = kp (q_desired − y) − w`, `z ← z + e Ts/Ti`, `τ = kv (e + z)`.
+    /// Cascade: `w ← w + a ((y − y₋)/Ts − w)`, `e = kp (q_desired − y) − w`, `z ← z + e Ts/Ti`, `τ = kv (e + z)`. With
+    /// feed-forward, e also has the setpoint's velocity and τ its acceleration.
     fn cascaded(servo: &CascadedServo, period_s: f64) -> Self {
         let (velocity, integral) = (Form::memory(0), Form::memory(2));
         let velocity = filtered_rate(
@@ -163,33 +178,55 @@ impl ServoLaw {
             servo.velocity_filter_hz.get(),
             period_s,
         );
-        let error = (Form::SET_POINT - Form::POSITION) * servo.kp_per_s.get() - velocity;
+        let path = SetpointPath::new(
+            servo.setpoint_filter,
+            servo.velocity_feed_forward.get(),
+            servo.acceleration_feed_forward_kg_m2.get(),
+            if servo.velocity_integral_time_s.is_some() { 3 } else { 2 },
+            period_s,
+        );
+        let error = (path.setpoint - Form::POSITION) * servo.kp_per_s.get() - velocity;
+        let error = path.add_velocity(error, 1.0);
         let kv = servo.kv_nms_per_rad.get();
         match servo.velocity_integral_time_s {
-            None => Self::of(&[velocity, Form::POSITION], error * kv),
+            None => Self::with_path(&[velocity, Form::POSITION], error * kv, &path),
             Some(time_s) => {
                 let integral = integral + error * (period_s / time_s.get());
-                Self::of(&[velocity, Form::POSITION, integral], (error + integral) * kv)
+                Self::with_path(&[velocity, Form::POSITION, integral], (error + integral) * kv, &path)
             }
         }
     }
 
-    /// PID: `τ = K e + D w + i`, with w the filtered rate of e or of −y, and `i ← i + Ki Ts e`.
-    fn pid(servo: &PidServo, period_s: f64) -> Self {
-        let error = Form::SET_POINT - Form::POSITION;
+    /// PID: `τ = K e + D w + i`, with w the filtered rate of e or of −y, and `i ← i + Ki Ts e`. With feed-forward, τ also
+    /// has the setpoint's velocity and acceleration.
+    fn pid(servo: &PidServo, period_s: f64) -> Result<Self, ServoError> {
+        let feed_forward = servo.velocity_feed_forward.get();
+        if servo.derivative_of == DerivativeOf::Error && feed_forward > 0.0 {
+            return Err(ServoError::FeedForwardTwice);
+        }
+        let gain = servo.integral_nm_per_rad_s.get();
+        let path = SetpointPath::new(
+            servo.setpoint_filter,
+            feed_forward,
+            servo.acceleration_feed_forward_kg_m2.get(),
+            if gain == 0.0 { 2 } else { 3 },
+            period_s,
+        );
+        let error = path.setpoint - Form::POSITION;
         let differentiated = match servo.derivative_of {
             DerivativeOf::Position => Form::POSITION * -1.0,
             DerivativeOf::Error => error,
         };
         let change = differentiated - Form::memory(1);
         let rate = filtered_rate(Form::memory(0), change, servo.derivative_filter_hz.get(), period_s);
-        let torque = error * servo.stiffness_nm_per_rad.get() + rate * servo.damping_nms_per_rad.get();
-        let gain = servo.integral_nm_per_rad_s.get();
+        let damping = servo.damping_nms_per_rad.get();
+        let torque = error * servo.stiffness_nm_per_rad.get() + rate * damping;
+        let torque = path.add_velocity(torque, damping);
         if gain == 0.0 {
-            return Self::of(&[rate, differentiated], torque);
+            return Ok(Self::with_path(&[rate, differentiated], torque, &path));
         }
         let integral = Form::memory(2) + error * (gain * period_s);
-        Self::of(&[rate, differentiated, integral], torque + integral)
+        Ok(Self::with_path(&[rate, differentiated, integral], torque + integral, &path))
     }
 
     /// Velocity loop: `w ← w + a ((y − y₋)/Ts − w)`, `e = q̇_desired − w`, `i ← i + ki Ts e`, `τ = kv e + i`.
@@ -241,7 +278,11 @@ impl ServoLaw {
         // The torque without K e is the damping torque.
         let damped = self.torque - error * from.stiffness;
         self.torque = error * to.stiffness + damped * (to.damping / from.damping);
-        self.rest[1].1 = 1.0 / to.stiffness;
+        // At rest with torque 1, the setpoint and its memory are one over the stiffness.
+        let (memory, setpoint) = &mut self.rest[1];
+        let scale = from.stiffness / to.stiffness;
+        memory.iter_mut().for_each(|value| *value *= scale);
+        *setpoint = 1.0 / to.stiffness;
     }
 
     /// Advances `memory` by one servo tick and returns the torque (Nm or N). `setpoint` is in rad or m (rad/s or m/s
@@ -286,6 +327,89 @@ impl ServoLaw {
         };
         [of(|form| form.setpoint), of(|form| form.position)]
     }
+}
+
+/// Path of a setpoint to the loop: filter and feed-forward.
+struct SetpointPath {
+    /// Filtered setpoint.
+    setpoint: Form,
+    /// Velocity fed forward.
+    velocity: Option<Form>,
+    /// Torque fed forward for the acceleration.
+    acceleration: Option<Form>,
+    /// Next values of its memory.
+    next: Vec<Form>,
+}
+
+impl SetpointPath {
+    /// Returns the path whose memory begins at the entry `first`. Its first entry is the filtered setpoint of the servo
+    /// tick before, which the differences of the feed-forward need too.
+    fn new(
+        filter: Option<SetpointFilter>,
+        velocity_feed_forward: f64,
+        acceleration_feed_forward: f64,
+        first: usize,
+        period_s: f64,
+    ) -> Self {
+        let before = Form::memory(first);
+        let mut next = match filter {
+            None => vec![Form::SET_POINT],
+            Some(SetpointFilter::FirstOrder { cutoff_hz }) => {
+                vec![before + (Form::SET_POINT - before) * low_pass::gain(cutoff_hz.get(), period_s)]
+            }
+            Some(SetpointFilter::SecondOrder { natural_frequency_hz, damping_ratio }) => {
+                let natural = TAU * natural_frequency_hz.get();
+                let [[to_q, q_of_dq], [to_dq, dq_of_dq]] =
+                    second_order(natural, damping_ratio.get(), period_s);
+                // The distance from the setpoint decays.
+                let (gap, rate) = (before - Form::SET_POINT, Form::memory(first + 1));
+                vec![Form::SET_POINT + gap * to_q + rate * q_of_dq, gap * to_dq + rate * dq_of_dq]
+            }
+        };
+        let setpoint = next[0];
+        let rate = (setpoint - before) * (1.0 / period_s);
+        let velocity = (velocity_feed_forward > 0.0).then(|| rate * velocity_feed_forward);
+        let acceleration = (acceleration_feed_forward > 0.0).then(|| {
+            let change = rate - Form::memory(first + next.len());
+            next.push(rate);
+            change * (acceleration_feed_forward / period_s)
+        });
+        if filter.is_none() && velocity.is_none() && acceleration.is_none() {
+            next.clear();
+        }
+        Self { setpoint, velocity, acceleration, next }
+    }
+
+    /// Adds the velocity fed forward, times `gain`.
+    fn add_velocity(&self, to: Form, gain: f64) -> Form {
+        self.velocity.map_or(to, |velocity| to + velocity * gain)
+    }
+
+    /// Adds the torque fed forward for the acceleration.
+    fn add_acceleration(&self, torque: Form) -> Form {
+        self.acceleration.map_or(torque, |acceleration| torque + acceleration)
+    }
+}
+
+/// Transition matrix of position and velocity over `time_s` (s) of `ẍ = −2 ζ ω ẋ − ω² x`, with ω = `natural` (rad/s) and
+/// ζ = `damping_ratio`.
+fn second_order(natural: f64, damping_ratio: f64, time_s: f64) -> [[f64; 2]; 2] {
+    let decay = damping_ratio * natural;
+    let split = natural * (1.0 - damping_ratio * damping_ratio).abs().sqrt();
+    // exp(−ζ ω t) times the cosine, and times the sine over its frequency; hyperbolic if overdamped.
+    let (cosine, sine) = if damping_ratio < 1.0 {
+        let fading = (-decay * time_s).exp();
+        (fading * (split * time_s).cos(), fading * (split * time_s).sin() / split)
+    } else if split == 0.0 {
+        let fading = (-decay * time_s).exp();
+        (fading, fading * time_s)
+    } else {
+        // The slower pole, ζ ω − split, without cancellation.
+        let slow = (-natural * natural / (decay + split) * time_s).exp();
+        let ratio_less_one = (-2.0 * split * time_s).exp_m1();
+        (slow * (1.0 + 0.5 * ratio_less_one), -slow * ratio_less_one / (2.0 * split))
+    };
+    [[cosine + decay * sine, sine], [-natural * natural * sine, cosine - decay * sine]]
 }
 
 /// Filtered finite difference of a quantity that changed by `change` since the last servo tick; `rate` is its previous

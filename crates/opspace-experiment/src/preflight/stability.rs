@@ -467,12 +467,8 @@ mod tests {
     /// Position servo as in the robots' profiles: a velocity loop with a bandwidth of `hz`, and a position loop with
     /// a fifth of it.
     fn servo(hz: f64, filter_hz: f64) -> ServoParameters {
-        ServoParameters::Cascaded(CascadedServo {
-            kp_per_s: Positive::literal(TAU * hz / 5.0),
-            kv_nms_per_rad: Positive::literal(TAU * hz * INERTIA),
-            velocity_filter_hz: Positive::literal(filter_hz),
-            velocity_integral_time_s: None,
-        })
+        let (kp, kv) = (Positive::literal(TAU * hz / 5.0), Positive::literal(TAU * hz * INERTIA));
+        ServoParameters::Cascaded(CascadedServo::new(kp, kv, Positive::literal(filter_hz)))
     }
 
     /// Velocity servo that consists of the velocity loop of `servo`.
