@@ -18,7 +18,9 @@
 //! ```
 //!
 //! holds for filters, integrals, interpolation, delay and feed-forward alike. The memory of the law follows from the
-//! setpoints that were sent and the positions that were measured.
+//! setpoints that were sent and the positions that were measured. If the setpoints for the mean torque of one interval would
+//! grow without bound, as behind a setpoint filter, the mean torque of several intervals is matched, in which the setpoint
+//! moves on with the joint.
 //!
 //! # Stability
 //!
@@ -38,7 +40,7 @@ use crate::active_setpoints::ActiveSetpoints;
 use crate::estimator::{EstimatorParameters, VelocityEstimator};
 use crate::gain_adaptation::{GainAdaptation, GainAdaptationParameters};
 use crate::servo::{ServoGains, ServoParameters};
-use crate::servo_inversion::{EmulationError, Ticks, TorqueObjective, check_inverse};
+use crate::servo_inversion::{EmulationError, Ticks, least_horizon};
 use crate::servo_law::{MAX_ORDER, ServoLaw, ServoState};
 use crate::transformer::Transformer;
 use nalgebra::DVector;
@@ -58,6 +60,9 @@ const ESTIMATION_HZ: f64 = 8.0;
 /// Uncertainty of the mean torque, as a fraction of the torque limit, at which the correction is half-way to
 /// [`UNSETTLED_HZ`].
 const UNSETTLED: f64 = 0.01;
+
+/// Largest number of intervals whose mean torque is matched.
+const LONGEST_HORIZON: u32 = 8;
 
 /// Bound on δ, as a multiple of the torque limit.
 const LIMIT: f64 = 3.0;
@@ -155,7 +160,9 @@ struct Joint {
     law: ServoLaw,
     /// Memory of the drive at the last sample.
     memory: ServoState,
-    /// Sum of the torques of an interval per unit of setpoint.
+    /// Number of intervals whose mean torque is matched.
+    horizon: u32,
+    /// Sum of the torques of these intervals per unit of setpoint.
     response: f64,
     torque_limit: f64,
     current: Option<Correction>,
@@ -195,8 +202,8 @@ impl Joint {
     fn new(setup: &ExtrapolationSetup, i: usize, ticks: Ticks) -> Result<Self, EmulationError> {
         let servo = &setup.servos[i];
         let law = ServoLaw::new(servo, ticks.period_s)?;
-        check_inverse(&law, ticks, TorqueObjective::IntervalMean)?;
         let mut joint = Self {
+            horizon: least_horizon(&law, ticks, LONGEST_HORIZON)?,
             law,
             memory: [0.0; MAX_ORDER],
             response: 0.0,
@@ -212,7 +219,7 @@ impl Joint {
         let mut memory = [0.0; MAX_ORDER];
         let unit = |tick| ticks.setpoints.at(0.0, 1.0, tick, ticks.servo_ticks_per_cycle);
         let torque = |tick| self.law.step(&mut memory, unit(tick), 0.0);
-        self.response = (0..ticks.servo_ticks_per_cycle).map(torque).sum();
+        self.response = (0..self.horizon * ticks.servo_ticks_per_cycle).map(torque).sum();
     }
 
     fn excess(&self) -> f64 {
@@ -424,11 +431,17 @@ impl Transformer for ExtrapolatingTransformer {
             // Y₀ is computed with the measured position or velocity as setpoint, so that the solution is a small
             // difference with little rounding.
             let about = if self.takes == CommandKind::Velocity { v } else { q };
-            let left = self.active.left(ticks, i);
-            let mut missing = f64::from(ratio) * torque;
-            for tick in 0..ratio {
-                let setpoint = ticks.setpoints.at(left, about, tick, ratio);
-                missing -= joint.law.step(&mut memory, setpoint, position(ticks.delay + tick));
+            // Later setpoints move with the joint.
+            let moves = if self.takes == CommandKind::Velocity { acceleration } else { v } * self.period_s;
+            let mut missing = f64::from(joint.horizon * ratio) * torque;
+            let (mut from, mut to) = (self.active.left(ticks, i), about);
+            for interval in 0..joint.horizon {
+                for tick in 0..ratio {
+                    let setpoint = ticks.setpoints.at(from, to, tick, ratio);
+                    let at = ticks.delay + interval * ratio + tick;
+                    missing -= joint.law.step(&mut memory, setpoint, position(at));
+                }
+                (from, to) = (to, to + moves);
             }
             q_desired[i] = about + missing / joint.response;
             if let Some(current) = &mut joint.current {

@@ -60,23 +60,49 @@ pub enum EmulationError {
     },
 }
 
-/// Checks that the setpoints for a desired torque are bounded, for a joint that doesn't move. The state is the servo's
-/// memory and the previous setpoint; each setpoint is chosen so that the torque is zero.
+/// Checks that the setpoints for a desired torque are bounded, for a joint that doesn't move.
 pub(crate) fn check_inverse(
     law: &ServoLaw,
     ticks: Ticks,
     matching: TorqueObjective,
 ) -> Result<(), EmulationError> {
-    let run = |memory: ServoState, before: f64, new: f64| {
+    let growth = inverse_growth(law, ticks, matching, 1)?;
+    if growth > LARGEST_GROWTH { Err(EmulationError::Unstable { growth }) } else { Ok(()) }
+}
+
+/// Returns the least number of intervals, at most `longest`, over which a mean torque can be matched with bounded
+/// setpoints.
+pub(crate) fn least_horizon(law: &ServoLaw, ticks: Ticks, longest: u32) -> Result<u32, EmulationError> {
+    let mut least = f64::INFINITY;
+    for intervals in 1..=longest {
+        let growth = inverse_growth(law, ticks, TorqueObjective::IntervalMean, intervals)?;
+        if growth <= LARGEST_GROWTH {
+            return Ok(intervals);
+        }
+        least = least.min(growth);
+    }
+    Err(EmulationError::Unstable { growth: least })
+}
+
+/// Growth of the setpoints per interface cycle if each matches the torques of the next `intervals`, for a joint that
+/// doesn't move. The state is the servo's memory and the previous setpoint; each setpoint is chosen so that the torque is
+/// zero.
+fn inverse_growth(
+    law: &ServoLaw,
+    ticks: Ticks,
+    matching: TorqueObjective,
+    intervals: u32,
+) -> Result<f64, EmulationError> {
+    let run = |memory: ServoState, before: f64, new: f64, intervals: u32| {
         let mut memory = memory;
-        let torques: Vec<f64> = (0..ticks.servo_ticks_per_cycle)
+        let torques: Vec<f64> = (0..intervals * ticks.servo_ticks_per_cycle)
             .map(|tick| {
                 law.step(&mut memory, ticks.setpoints.at(before, new, tick, ticks.servo_ticks_per_cycle), 0.0)
             })
             .collect();
         (memory, torques)
     };
-    let (_, unit) = run([0.0; MAX_ORDER], 0.0, 1.0);
+    let (_, unit) = run([0.0; MAX_ORDER], 0.0, 1.0, intervals);
     let weigh = |torques: &[f64]| -> f64 {
         match matching {
             TorqueObjective::IntervalMean => torques.iter().sum(),
@@ -95,17 +121,16 @@ pub(crate) fn check_inverse(
         let mut memory = [0.0; MAX_ORDER];
         let mut before = 0.0;
         *memory[..order].get_mut(column).unwrap_or(&mut before) = 1.0;
-        let (_, torques) = run(memory, before, 0.0);
+        let (_, torques) = run(memory, before, 0.0, intervals);
         let new = -weigh(&torques) / response;
-        let (after, _) = run(memory, before, new);
+        let (after, _) = run(memory, before, new, 1);
         for (row, &value) in after[..order].iter().chain([&new]).enumerate() {
             growth[(row, column)] = value;
         }
     }
     let decomposed = Schur::try_new(growth, f64::EPSILON, MAX_ITERATIONS);
     // A matrix that is not finite grows without bound.
-    let growth = decomposed.map_or(f64::INFINITY, |decomposed| {
+    Ok(decomposed.map_or(f64::INFINITY, |decomposed| {
         decomposed.complex_eigenvalues().iter().map(|v| v.norm()).fold(0.0, f64::max)
-    });
-    if growth > LARGEST_GROWTH { Err(EmulationError::Unstable { growth }) } else { Ok(()) }
+    }))
 }

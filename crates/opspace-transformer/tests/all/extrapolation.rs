@@ -8,9 +8,11 @@ use nalgebra::DVector;
 use opspace_backend::quantity::Positive;
 use opspace_backend::{CommandKind, GravityCompensation, Setpoints};
 use opspace_model::Data;
+use opspace_transformer::estimator::VelocityEstimator;
+use opspace_transformer::moving_joint::{DriveTiming, MovingJoint, SampledDrive};
 use opspace_transformer::{
-    EmulationError, EstimatorParameters, ExtrapolatingTransformer, ExtrapolationSetup,
-    GainAdaptationParameters, Transformer,
+    EstimatorParameters, ExtrapolatingTransformer, ExtrapolationSetup, GainAdaptationParameters, ServoLaw,
+    ServoParameters, Transformer,
 };
 use std::f64::consts::TAU;
 
@@ -100,13 +102,10 @@ fn mean_torque_is_exact_at_constant_velocity() {
         for setpoints in [Setpoints::Held, Setpoints::Interpolated] {
             for delay in [0, 2, RATIO] {
                 let case = Case { servo, setpoints, delay, ..CASE };
-                if let Err((_, EmulationError::Unstable { .. })) = ExtrapolatingTransformer::new(&setup(case))
-                {
-                    assert!(servo == Servo::Late && setpoints == Setpoints::Interpolated, "{case:?}");
-                    continue;
-                }
                 let error = error(case, 400, |t| 0.3 * t);
-                assert!(error < EXACT, "{case:?}: {error:e}");
+                // Only several intervals of this servo have a bounded inverse; the torque changes meanwhile.
+                let is_late = servo == Servo::Late && setpoints == Setpoints::Interpolated;
+                assert!(error < if is_late { 0.01 } else { EXACT }, "{case:?}: {error:e}");
             }
         }
     }
@@ -123,6 +122,67 @@ fn current_corrects_wrong_gains() {
             let without = error(case, 600, motion);
             let with = error(Case { current: true, ..case }, 600, motion);
             assert!(with < 1.2 * nominal && with < 0.2 * without, "{case:?}: {with} and {without}");
+        }
+    }
+}
+
+/// Largest error of the mean torques (Nm) that a drive with this servo produces for a constant torque of 2 Nm, after a
+/// second at 0.3 rad/s.
+fn error_at_constant_velocity(servo: &ServoParameters, timing: DriveTiming) -> f64 {
+    let model = model(false);
+    let data = Data::new(&model);
+    let period_s = timing.period_s();
+    let mut transformer = ExtrapolatingTransformer::new(&ExtrapolationSetup {
+        servos: vec![servo.clone(); 2],
+        servo_period_s: timing.servo_period_s,
+        servo_ticks_per_cycle: timing.servo_ticks_per_cycle,
+        delay: timing.delay,
+        setpoints: timing.setpoints,
+        ..setup(CASE)
+    })
+    .unwrap();
+    let velocity = VelocityEstimator::new(2, &setup(CASE).estimator, period_s);
+    let sample = sample(CommandKind::Position, false);
+    let mut arm = MovingJoint::new(&mut transformer, &data, 0, velocity, sample);
+    let law = ServoLaw::new(servo, timing.servo_period_s).unwrap();
+    let mut drive = SampledDrive::new(law, timing, 0.0, 0.0);
+    let cycles = (1.2 / period_s) as u32;
+    let settled = (1.0 / period_s) as u32;
+    let mut worst = 0.0_f64;
+    for cycle in 0..cycles {
+        let at = |tick: u32| 0.3 * (f64::from(cycle) * period_s + f64::from(tick) * timing.servo_period_s);
+        let setpoint = arm.cycle(at(0), 0.0, |_| 2.0);
+        for tick in 0..timing.servo_ticks_per_cycle {
+            drive.step(setpoint, at(tick));
+        }
+        let mean = drive.end_cycle(setpoint);
+        if cycle > settled {
+            worst = worst.max((mean - 2.0).abs());
+        }
+    }
+    worst
+}
+
+/// Compared: mean torques of drives that feed the setpoint's velocity forward or filter setpoints, and the desired ones.
+#[test]
+fn feed_forward_and_filters_are_inverted_exactly() {
+    let cascade = "kp_per_s = 40.0, kv_nms_per_rad = 10.0, velocity_filter_hz = 300.0";
+    for more in [
+        "velocity_feed_forward = 1.0",
+        "velocity_feed_forward = 0.7",
+        "setpoint_filter = { first-order = { cutoff_hz = 100.0 } }",
+        "setpoint_filter = { first-order = { cutoff_hz = 20.0 } }",
+        "setpoint_filter = { second-order = { natural_frequency_hz = 100.0, damping_ratio = 1.0 } }",
+        "setpoint_filter = { second-order = { natural_frequency_hz = 20.0, damping_ratio = 0.7 } }",
+        "setpoint_filter = { first-order = { cutoff_hz = 50.0 } }, velocity_feed_forward = 1.0",
+    ] {
+        let servo: ServoParameters = toml::from_str(&format!("cascaded = {{ {cascade}, {more} }}")).unwrap();
+        for setpoints in [Setpoints::Held, Setpoints::Interpolated] {
+            for delay in [0, 2] {
+                let timing = DriveTiming { servo_period_s: 4e-4, servo_ticks_per_cycle: 5, delay, setpoints };
+                let error = error_at_constant_velocity(&servo, timing);
+                assert!(error < EXACT, "{more} {setpoints:?} {delay}: {error:e}");
+            }
         }
     }
 }

@@ -24,12 +24,8 @@ const ESTIMATOR_HZ: f64 = 100.0;
 const ROUNDING: f64 = 1e-4;
 
 fn servo() -> ServoParameters {
-    ServoParameters::Cascaded(CascadedServo {
-        kp_per_s: Positive::literal(KP),
-        kv_nms_per_rad: Positive::literal(KV),
-        velocity_filter_hz: Positive::literal(FILTER_HZ),
-        velocity_integral_time_s: None,
-    })
+    let [kp, kv, filter_hz] = [KP, KV, FILTER_HZ].map(positive);
+    ServoParameters::Cascaded(CascadedServo::new(kp, kv, filter_hz))
 }
 
 fn timing(ratio: u32, delay: u32, setpoints: Setpoints) -> DriveTiming {
@@ -102,12 +98,10 @@ fn random_drive(random: &mut impl FnMut(f64, f64) -> f64) -> (ServoParameters, f
     let servo_hz = random(1e3, 8e3);
     let ratio = random(1.0, 10.99) as u32;
     let interface_hz = servo_hz / f64::from(ratio);
-    let servo = ServoParameters::Cascaded(CascadedServo {
-        kp_per_s: positive(random(15.0, 60.0).min(interface_hz / 10.0)),
-        kv_nms_per_rad: positive(random(3.0, 100.0)),
-        velocity_filter_hz: positive(random(0.05, 0.3) * servo_hz),
-        velocity_integral_time_s: None,
-    });
+    let kp = positive(random(15.0, 60.0).min(interface_hz / 10.0));
+    let kv = positive(random(3.0, 100.0));
+    let filter_hz = positive(random(0.05, 0.3) * servo_hz);
+    let servo = ServoParameters::Cascaded(CascadedServo::new(kp, kv, filter_hz));
     let timing = DriveTiming {
         servo_period_s: 1.0 / servo_hz,
         servo_ticks_per_cycle: ratio,
