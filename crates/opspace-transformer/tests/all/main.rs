@@ -4,6 +4,7 @@ mod closed_loop;
 mod emulation;
 
 mod servos;
+mod setpoint_limits;
 mod torque_observer;
 mod transformer;
 mod velocity_stability;
