@@ -60,6 +60,8 @@ pub const SETPOINT_SPEED: &str = "setpoint_speed";
 pub const SETPOINT_ACCELERATION: &str = "setpoint_acceleration";
 /// 1 for each joint whose setpoint was clamped to the largest allowed distance from the measurement (n).
 pub const SETPOINT_CLAMPED: &str = "setpoint_clamped";
+/// 1 for each joint whose last setpoint was beyond a limit of its drive, which clamped or refused it (n).
+pub const SETPOINT_LIMITED: &str = "setpoint_limited";
 /// Code of the limits that are active at each joint (n): 1 acceleration, 2 torque, 3 both.
 pub const LIMITED: &str = "limited";
 /// Code of the solver that enforced the limits.

@@ -6,17 +6,25 @@ use crate::environment::{EnvironmentObject, EnvironmentObjectParameters, Operato
 use crate::error::SimulationError;
 use crate::force_sensor::SimulatedForceSensor;
 use crate::friction::LuGre;
+use crate::gear::{ElasticGear, GearConfig, MAX_STEPS};
 use crate::motor::Motor;
-use crate::parameters::SimulatedParameters;
+use crate::parameters::{EncoderSide, SimulatedParameters};
 use crate::random::{RngStream, generator};
 use crate::timing::{Clock, Timing};
-use nalgebra::{DVector, Vector3};
+use nalgebra::{DMatrix, DVector, Vector3};
 use opspace_backend::quantity::NonNegative;
 use opspace_backend::{Capabilities, CommandKind, GravityCompensation};
-use opspace_model::{Data, FrameId, Model, Placement, frame_placement, kinematics};
+use opspace_model::{Data, FrameId, Model, Placement, crba, frame_placement, kinematics};
 use opspace_transformer::{
     FrictionParameters, JointParameters, ProfileParameters, ServoLaw, ServoParameters,
 };
+use std::f64::consts::TAU;
+
+/// Largest product of a physics step and an angular frequency of links on elastic gears: the method is stable up to 2.
+const LARGEST_GEAR_STEP: f64 = 1.5;
+
+/// Largest product of a physics step and the damping of elastic gears over the inertia of the links.
+const LARGEST_DAMPING_STEP: f64 = 1.0;
 
 /// Configuration of a simulated arm.
 #[derive(Clone, Debug)]
@@ -93,11 +101,20 @@ impl ArmConfig {
             ("servo", self.simulated.servo.keys().collect::<Vec<_>>()),
             ("velocity_servo", self.simulated.velocity_servo.keys().collect()),
             ("friction", self.simulated.friction.keys().collect()),
+            ("gear", self.simulated.gear.keys().collect()),
         ];
         for (section, joints) in truths {
             for joint in joints {
                 self.model.joint(joint).map_err(|source| SimulationError::Joint { section, source })?;
             }
+        }
+        if let Some(limits) = &self.profile.setpoint_limits {
+            for joint in limits.joint.keys() {
+                self.model.joint(joint).map_err(|source| SimulationError::SetpointLimits { source })?;
+            }
+        }
+        for joint in 0..self.model.n() {
+            self.check_gear(joint)?;
         }
         for sensor in &self.capabilities.force_sensors {
             if !self.simulated.force_sensor.contains_key(&sensor.name) {
@@ -180,13 +197,68 @@ impl ArmConfig {
         self.simulated.friction.get(self.name(joint)).unwrap_or(&self.joints[joint].friction)
     }
 
-    /// Returns the drivetrains; their motors produce `motor_torque` (n; Nm, N) at the start.
+    /// Returns the elastic gear of a joint; `None` if its gear is rigid.
+    fn gear(&self, joint: usize) -> Option<GearConfig> {
+        let gear = self.simulated.gear.get(self.name(joint));
+        let nominal = self.joints[joint].gear_stiffness_nm_per_rad;
+        let scale = &self.simulated.true_over_nominal;
+        let stiffness = gear.and_then(|gear| gear.stiffness_nm_per_rad).or(nominal)?;
+        Some(GearConfig {
+            stiffness: stiffness.get() * scale.gear_stiffness.get(),
+            damping: gear.map_or(0.0, |gear| gear.damping_nms_per_rad.get()),
+            backlash: gear.map_or(0.0, |gear| gear.backlash_rad.get()),
+            inertia: self.model.rotor_inertia()[joint] * scale.inertia.get(),
+        })
+    }
+
+    fn check_gear(&self, joint: usize) -> Result<(), SimulationError> {
+        let name = || self.name(joint).to_owned();
+        match self.gear(joint) {
+            Some(gear) if gear.inertia > 0.0 => Ok(()),
+            Some(_) => Err(SimulationError::GearRotor { joint: name() }),
+            None if self.simulated.gear.contains_key(self.name(joint)) => {
+                Err(SimulationError::GearStiffness { joint: name() })
+            }
+            None => Ok(()),
+        }
+    }
+
+    /// Checks that the links on elastic gears do not vibrate too fast for the physics rate. `model` has the true rigid
+    /// bodies, without the rotors of these gears.
+    fn check_physics_rate(&self, model: &Model, physics_hz: f64) -> Result<(), SimulationError> {
+        let gears: Vec<Option<GearConfig>> = (0..model.n()).map(|joint| self.gear(joint)).collect();
+        if gears.iter().all(Option::is_none) {
+            return Ok(());
+        }
+        let mut data = Data::new(model);
+        kinematics(model, &mut data, &self.start, &vec![0.0; model.n()]);
+        crba(model, &mut data);
+        let factor = data.mass_matrix.clone().cholesky().ok_or(SimulationError::GearLinks)?;
+        // Largest eigenvalue of M⁻¹ times the gears' stiffness or damping.
+        let largest = |of: fn(&GearConfig) -> f64| {
+            let root = |i: usize| gears[i].as_ref().map_or(0.0, of).sqrt();
+            let scaled = DMatrix::from_fn(model.n(), model.n(), |i, j| if i == j { root(i) } else { 0.0 });
+            (&scaled * factor.solve(&scaled)).symmetric_eigenvalues().max()
+        };
+        let frequency = largest(|gear| gear.stiffness).sqrt();
+        let needed_hz =
+            (frequency / LARGEST_GEAR_STEP).max(largest(|gear| gear.damping) / LARGEST_DAMPING_STEP);
+        if needed_hz > physics_hz {
+            return Err(SimulationError::GearRate { physics_hz, needed_hz, frequency_hz: frequency / TAU });
+        }
+        Ok(())
+    }
+
+    /// Returns the drivetrains; at the start their motors produce `motor_torque` (n; Nm, N), and elastic gears carry
+    /// `holding` (n; Nm, N).
     pub(crate) fn drivetrains(
         &self,
         model: &Model,
         motor_torque: &DVector<f64>,
+        holding: &DVector<f64>,
         physics_hz: f64,
-    ) -> Vec<Drivetrain> {
+    ) -> Result<Vec<Drivetrain>, SimulationError> {
+        self.check_physics_rate(model, physics_hz)?;
         let simulated = &self.simulated;
         let dt = 1.0 / physics_hz;
         let bandwidth_hz = simulated.current_loop_hz.map(|hz| hz.get());
@@ -197,16 +269,38 @@ impl ArmConfig {
                 simulated.true_over_nominal.friction.get(),
             );
             let slip_torque = parameters.torque_limit_nm.get() * simulated.brake.holding_torque_ratio.get();
-            let resolution = simulated.encoder_quantisation.then(|| parameters.rotor.resolution_rad());
-            Drivetrain::new(
+            let drivetrain = Drivetrain::new(
                 Motor::new(bandwidth_hz, dt, motor_torque[i]),
                 friction,
                 EndStop::new(&model.joints()[i].limits, &simulated.end_stop),
                 Brake::new(&simulated.brake, slip_torque),
-                Encoder::new(resolution),
-            )
+                self.encoder(parameters, simulated.encoder.drive),
+            );
+            let drivetrain =
+                drivetrain.with_interface_encoder(self.encoder(parameters, simulated.encoder.interface));
+            let Some(gear) = self.gear(i) else { return Ok(drivetrain) };
+            let stiffness =
+                simulated.brake.stiffness_nm_per_rad.get() + simulated.bristle.stiffness_nm_per_rad.get();
+            let scale = simulated.true_over_nominal.friction.get();
+            let damping = simulated.brake.damping_nms_per_rad.get()
+                + simulated.bristle.damping_nms_per_rad.get()
+                + scale * self.true_friction(i).viscous_nms_per_rad.get();
+            let steps = gear.steps(dt, stiffness, damping);
+            if steps > MAX_STEPS {
+                return Err(SimulationError::GearRotor { joint: self.name(i).to_owned() });
+            }
+            Ok(drivetrain.with_gear(ElasticGear::new(&gear, steps, self.start[i], holding[i])))
         };
         self.joints.iter().enumerate().map(joint).collect()
+    }
+
+    /// Returns an encoder of a joint on this side of its gear.
+    fn encoder(&self, parameters: &JointParameters, side: EncoderSide) -> Encoder {
+        let resolution_rad = match (side, self.simulated.encoder.link_counts_per_turn) {
+            (EncoderSide::Link, Some(counts)) => TAU / f64::from(counts.get()),
+            _ => parameters.rotor.resolution_rad(),
+        };
+        Encoder::new(self.simulated.encoder_quantisation.then_some(resolution_rad)).on(side)
     }
 
     /// Returns the drives' torque limits (n; Nm, N), if torque saturation is simulated.
@@ -272,9 +366,12 @@ impl ArmConfig {
         Err(SimulationError::ServoKind { joint: self.name(joint).to_owned(), truth: false, setpoints })
     }
 
-    /// Returns the true rigid bodies of the plant.
+    /// Returns the true rigid bodies of the plant, without the rotors on elastic gears.
     pub(crate) fn true_model(&self) -> Model {
         let model = self.model.clone().with_scaled_inertia(self.simulated.true_over_nominal.inertia.get());
+        let rotor = |(joint, &inertia)| if self.gear(joint).is_some() { 0.0 } else { inertia };
+        let rotors: Vec<f64> = model.rotor_inertia().iter().enumerate().map(rotor).collect();
+        let model = model.with_rotor_inertia(&rotors);
         let model = match self.placement == Placement::identity() {
             true => model,
             false => {

@@ -25,6 +25,8 @@ pub(crate) struct Drives {
     /// True if a command with values was received.
     commanded: bool,
     position: DVector<f64>,
+    /// Positions that the interface reports (n; rad, m).
+    reported: DVector<f64>,
     asked: DVector<f64>,
     joint_torque: IntervalMean,
     limited: bool,
@@ -177,6 +179,7 @@ impl Drives {
             last: DVector::zeros(n),
             commanded: false,
             position,
+            reported: DVector::zeros(n),
             asked: DVector::zeros(n),
             joint_torque: IntervalMean::new(holding),
             limited: false,
@@ -330,10 +333,21 @@ impl Drives {
         }
     }
 
-    /// Returns the encoder readings at the true positions `q` (n; rad, m).
+    /// Returns the positions that the interface reports (n; rad, m), with the links at `q` (n; rad, m).
     pub fn positions(&mut self, q: &[f64]) -> &[f64] {
         self.read_encoders(q);
-        self.position.as_slice()
+        for (to, (joint, &q)) in self.reported.iter_mut().zip(self.drivetrains.iter().zip(q)) {
+            *to = joint.read_interface_encoder(q);
+        }
+        self.reported.as_slice()
+    }
+
+    /// Writes the velocities that the interface reports (n; rad/s, m/s), with the links at velocities `dq` (n; rad/s,
+    /// m/s).
+    pub fn velocities(&self, dq: &[f64], reported: &mut [f64]) {
+        for ((to, joint), &dq) in reported.iter_mut().zip(&self.drivetrains).zip(dq) {
+            *to = joint.interface_velocity(dq);
+        }
     }
 
     /// Returns the mean torques on the links since the last call (n; Nm, N).

@@ -1,12 +1,14 @@
 //! Drivetrain of a joint: motor with its current loop, friction, end stop, brake, encoder.
 //!
-//! The torque on the link is `((motor − friction) + end stop) + brake`; contact forces are part of the
-//! [plant](crate::plant). The gear is rigid: the motor moves with the link, and the rotor's inertia is in the plant's
-//! mass matrix.
+//! With a rigid gear the motor moves with the link, the rotor's inertia is in the plant's mass matrix, and the torque on
+//! the link is `((motor − friction) + end stop) + brake`. With an [elastic gear](crate::gear), motor, friction and brake
+//! act on the rotor, whose motion is a state of the drivetrain, and the torque on the link is `gear + end stop`. Contact
+//! forces are part of the [plant](crate::plant).
 
 use crate::friction::LuGre;
+use crate::gear::ElasticGear;
 use crate::motor::Motor;
-use crate::parameters::{BrakeParameters, EndStopParameters};
+use crate::parameters::{BrakeParameters, EncoderSide, EndStopParameters};
 use opspace_model::Limits;
 
 /// Drivetrain of one joint.
@@ -17,25 +19,56 @@ pub struct Drivetrain {
     end_stop: EndStop,
     brake: Brake,
     encoder: Encoder,
+    interface_encoder: Encoder,
+    gear: Option<ElasticGear>,
     motor_torque: f64,
     joint_torque: f64,
 }
 
 impl Drivetrain {
-    /// Returns a drivetrain with its brake released.
+    /// Returns a drivetrain with a rigid gear and its brake released. Drive and interface read the same encoder.
     #[must_use]
     pub fn new(motor: Motor, friction: LuGre, end_stop: EndStop, brake: Brake, encoder: Encoder) -> Self {
-        Self { motor, friction, end_stop, brake, encoder, motor_torque: 0.0, joint_torque: 0.0 }
+        let interface_encoder = encoder.clone();
+        Self {
+            motor,
+            friction,
+            end_stop,
+            brake,
+            encoder,
+            interface_encoder,
+            gear: None,
+            motor_torque: 0.0,
+            joint_torque: 0.0,
+        }
+    }
+
+    /// Replaces the rigid gear by an elastic one.
+    #[must_use]
+    pub fn with_gear(self, gear: ElasticGear) -> Self {
+        Self { gear: Some(gear), ..self }
+    }
+
+    /// Sets the encoder that the interface reports.
+    #[must_use]
+    pub fn with_interface_encoder(self, interface_encoder: Encoder) -> Self {
+        Self { interface_encoder, ..self }
     }
 
     /// Returns the torque on the link (Nm, N), constant over the next `dt_s` (s), at position `q` (rad, m) and velocity
     /// `dq` (rad/s, m/s); `commanded` (Nm, N) is the input of the current loop.
     pub fn step(&mut self, q: f64, dq: f64, dt_s: f64, commanded: f64) -> f64 {
         let motor = self.motor.step(commanded);
-        let friction = self.friction.step(dq, dt_s);
-        let stop = self.end_stop.torque(q, dq);
         self.motor_torque = motor;
-        self.joint_torque = motor - friction + stop + self.brake.torque(q, dq);
+        let stop = self.end_stop.torque(q, dq);
+        let Self { friction, brake, .. } = self;
+        if let Some(gear) = &mut self.gear {
+            let rotor = |q: f64, dq: f64, h: f64| motor - friction.step(dq, h) + brake.torque(q, dq);
+            self.joint_torque = gear.step(q, dq, dt_s, rotor);
+            return self.joint_torque + stop;
+        }
+        let friction = friction.step(dq, dt_s);
+        self.joint_torque = motor - friction + stop + brake.torque(q, dq);
         self.joint_torque
     }
 
@@ -45,21 +78,57 @@ impl Drivetrain {
         self.motor_torque
     }
 
-    /// Torque on the link during the last step, Nm or N.
+    /// Torque of the gear on the link during the last step, Nm or N; of a rigid gear with that of the end stop.
     #[must_use]
     pub fn joint_torque(&self) -> f64 {
         self.joint_torque
     }
 
-    /// Returns the encoder reading at position `q` (rad, m).
+    /// Returns the reading of the drive's encoder with the link at position `q` (rad, m).
     #[must_use]
     pub fn read_encoder(&self, q: f64) -> f64 {
-        self.encoder.read(q)
+        self.encoder.read(self.seen(&self.encoder, q))
     }
 
-    /// Engages the brake at position `q` (rad, m). A brake that is already engaged keeps its position.
+    /// Returns the reading of the interface's encoder with the link at position `q` (rad, m).
+    #[must_use]
+    pub fn read_interface_encoder(&self, q: f64) -> f64 {
+        self.interface_encoder.read(self.seen(&self.interface_encoder, q))
+    }
+
+    /// Returns the velocity (rad/s, m/s) that the interface reports, with the link at velocity `dq` (rad/s, m/s).
+    #[must_use]
+    pub fn interface_velocity(&self, dq: f64) -> f64 {
+        match (&self.gear, self.interface_encoder.side) {
+            (Some(gear), EncoderSide::Motor) => gear.velocity(),
+            _ => dq,
+        }
+    }
+
+    /// Position that an encoder is on, with the link at `q` (rad, m).
+    fn seen(&self, encoder: &Encoder, q: f64) -> f64 {
+        match encoder.side {
+            EncoderSide::Motor => self.rotor_position(q),
+            EncoderSide::Link => q,
+        }
+    }
+
+    /// Elastic gear; `None` if the gear is rigid.
+    #[must_use]
+    pub fn gear(&self) -> Option<&ElasticGear> {
+        self.gear.as_ref()
+    }
+
+    /// Position of the rotor at the joint with the link at `q`, rad or m.
+    #[must_use]
+    pub fn rotor_position(&self, q: f64) -> f64 {
+        self.gear.as_ref().map_or(q, ElasticGear::position)
+    }
+
+    /// Engages the brake with the link at position `q` (rad, m). A brake that is already engaged keeps its position.
     pub fn engage_brake(&mut self, q: f64) {
-        self.brake.engaged_at.get_or_insert(q);
+        let rotor = self.rotor_position(q);
+        self.brake.engaged_at.get_or_insert(rotor);
     }
 
     /// Releases the brake.
@@ -131,14 +200,21 @@ impl Brake {
 /// Position sensor with a finite resolution.
 #[derive(Clone, Debug)]
 pub struct Encoder {
+    side: EncoderSide,
     resolution_rad: Option<f64>,
 }
 
 impl Encoder {
-    /// Returns an encoder with steps of `resolution_rad` (rad); `None` reads the exact position.
+    /// Returns an encoder on the rotor with steps of `resolution_rad` (rad, at the joint); `None` reads the exact position.
     #[must_use]
     pub fn new(resolution_rad: Option<f64>) -> Self {
-        Self { resolution_rad }
+        Self { side: EncoderSide::Motor, resolution_rad }
+    }
+
+    /// Sets the side of the gear on which it is.
+    #[must_use]
+    pub fn on(self, side: EncoderSide) -> Self {
+        Self { side, ..self }
     }
 
     fn read(&self, q: f64) -> f64 {

@@ -27,6 +27,49 @@ pub enum SimulationError {
         /// Unknown name, and the model's joints.
         source: UnknownJoint,
     },
+    /// Setpoint limits of a joint that doesn't exist.
+    #[error("setpoint_limits.joint: {source}")]
+    SetpointLimits {
+        /// Unknown name, and the model's joints.
+        source: UnknownJoint,
+    },
+    /// Elastic gear without a stiffness.
+    #[error(
+        "the elastic gear of joint '{joint}' has no stiffness: give stiffness_nm_per_rad here, or \
+         gear_stiffness_nm_per_rad in [joint.{joint}]"
+    )]
+    GearStiffness {
+        /// Name of the joint.
+        joint: String,
+    },
+    /// Elastic gear on a rotor without inertia, or with too little for the physics rate.
+    #[error(
+        "the rotor of joint '{joint}' has no inertia, or too little for its elastic gear: rotor.inertia_kg_m2 must be \
+         larger, or physics_hz higher"
+    )]
+    GearRotor {
+        /// Name of the joint.
+        joint: String,
+    },
+    /// Elastic gears on links without inertia.
+    #[error(
+        "without the rotors on elastic gears a joint moves no inertia: give the links behind these gears mass and \
+         inertia"
+    )]
+    GearLinks,
+    /// Links that vibrate on elastic gears too fast for the physics rate.
+    #[error(
+        "the links vibrate on their elastic gears with up to {frequency_hz:.0} Hz: physics_hz is {physics_hz}, at \
+         least {needed_hz:.0} is needed"
+    )]
+    GearRate {
+        /// Physics rate `physics_hz`, Hz.
+        physics_hz: f64,
+        /// Lowest physics rate that is enough, Hz.
+        needed_hz: f64,
+        /// Highest frequency of the links on their gears at the start, Hz.
+        frequency_hz: f64,
+    },
     /// Invalid servo.
     #[error("the servo of joint '{joint}': {source}")]
     Servo {
@@ -205,11 +248,21 @@ impl SimulationError {
                     false => Key::Profile(own.into()),
                 }
             }
+            Self::SetpointLimits { source } => {
+                Key::Profile(vec!["setpoint_limits".into(), "joint".into(), source.name.clone()])
+            }
+            Self::GearStiffness { joint } => {
+                Key::Robot(vec!["simulated".into(), "gear".into(), joint.clone()])
+            }
+            Self::GearRotor { joint } => Key::Robot(vec!["joint".into(), joint.clone(), "rotor".into()]),
+            Self::GearLinks => Key::Robot(vec!["simulated".into(), "gear".into()]),
             Self::Servos { .. } => Key::Profile(vec!["servo".into()]),
             Self::Period { .. } | Self::ServoRates { .. } => Key::Profile(vec!["servo_hz".into()]),
             Self::Joints { .. } => Key::Robot(vec!["joint".into()]),
             Self::NoArm | Self::Coupling { .. } => Key::Task(Vec::new()),
-            Self::PhysicsRate { .. } => Key::Robot(vec!["simulated".into(), "physics_hz".into()]),
+            Self::PhysicsRate { .. } | Self::GearRate { .. } => {
+                Key::Robot(vec!["simulated".into(), "physics_hz".into()])
+            }
             Self::LostCycles { .. } => bus("lost_cycles_share"),
             Self::Dropout { .. } => bus("dropouts"),
             Self::Jitter { .. } => bus("jitter_servo_ticks"),

@@ -1,6 +1,7 @@
 //! Faults that a simulated robot reports: codes and messages.
 
 use opspace_backend::{CommandKind, DeviceFault};
+use opspace_transformer::SetpointLimit;
 
 /// Code of [`diverged`].
 pub const DIVERGED: u32 = 1;
@@ -8,6 +9,8 @@ pub const DIVERGED: u32 = 1;
 pub const WRONG_COMMAND: u32 = 2;
 /// Code of [`wrong_length`].
 pub const WRONG_LENGTH: u32 = 3;
+/// Code of [`setpoint_limit`] and [`stopped`].
+pub const SETPOINT_LIMIT: u32 = 4;
 
 /// Returns the fault of a simulation whose true state is no longer finite.
 #[must_use]
@@ -30,4 +33,26 @@ pub fn wrong_command(takes: CommandKind) -> DeviceFault {
 #[must_use]
 pub fn wrong_length() -> DeviceFault {
     DeviceFault::new(WRONG_LENGTH, "the command does not have one value per joint")
+}
+
+/// Returns the fault of a drive that stops because the setpoint of its joint exceeds a limit. `unit` is that of the
+/// joint's position.
+#[must_use]
+pub fn setpoint_limit(joint: &str, exceeded: SetpointLimit, limit: f64, unit: &str) -> DeviceFault {
+    let per = match exceeded {
+        SetpointLimit::Acceleration => "/s²",
+        SetpointLimit::Jerk => "/s³",
+        _ => "/s",
+    };
+    let quantity = exceeded.name();
+    let words = format!(
+        "the setpoint of joint '{joint}' exceeds the drive's {quantity} limit of {limit} {unit}{per}"
+    );
+    DeviceFault::new(SETPOINT_LIMIT, words)
+}
+
+/// Returns the fault of a robot that a setpoint beyond a limit has stopped before.
+#[must_use]
+pub fn stopped() -> DeviceFault {
+    DeviceFault::new(SETPOINT_LIMIT, "a setpoint beyond a limit has stopped the drives")
 }

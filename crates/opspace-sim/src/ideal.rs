@@ -74,6 +74,7 @@ fn drive(effort: f64) -> JointParameters {
         torque_limit_nm: Positive::try_from(effort).unwrap_or(Positive::literal(f64::MAX)),
         torque_rate_limit_nm_per_s: None,
         acceleration_limit_rad_per_s2: None,
+        gear_stiffness_nm_per_rad: None,
         rotor: RotorParameters {
             inertia_kg_m2: NonNegative::default(),
             gear_ratio: UNUSED,
@@ -104,6 +105,7 @@ fn profile(servo_hz: Positive) -> ProfileParameters {
         estimator: EstimatorParameters::default(),
         servo: BTreeMap::new(),
         velocity_servo: BTreeMap::new(),
+        setpoint_limits: None,
         identified: BTreeMap::new(),
     }
 }
@@ -132,6 +134,8 @@ fn plant(physics_hz: Positive) -> SimulatedParameters {
         servo: BTreeMap::new(),
         velocity_servo: BTreeMap::new(),
         friction: BTreeMap::new(),
+        gear: BTreeMap::new(),
+        encoder: Default::default(),
         delay_servo_ticks: None,
     }
 }

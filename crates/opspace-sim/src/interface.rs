@@ -9,8 +9,9 @@ use crate::fault;
 use crate::force_sensor::SimulatedForceSensor;
 use crate::plant::{Plant, PlantFrame};
 use crate::random::{RngStream, generator};
+use crate::setpoint_check::SetpointCheck;
 use crate::timing::{Clock, Timing};
-use crate::truth::TruthRows;
+use crate::truth::{TruthConfig, TruthRows};
 use nalgebra::DVector;
 use opspace_backend::{Capabilities, Command, CommandKind, DeviceFault, Sample, Status};
 use opspace_model::{Data, FrameId, Model, gravity, kinematics};
@@ -35,6 +36,7 @@ pub(crate) struct ArmInterface {
     /// Additional delay, in servo ticks, of a command written in the last cycle that was not lost.
     late: u32,
     drives: Drives,
+    setpoint_check: Option<SetpointCheck>,
     sensors: Vec<(FrameId, SimulatedForceSensor)>,
     torque_noise: (f64, ChaCha8Rng),
     interval_torque: DVector<f64>,
@@ -70,7 +72,7 @@ impl ArmInterface {
             has_brakes,
             setpoints,
             servo_ticks_per_cycle: timing.servo_ticks_per_cycle,
-            drivetrains: config.drivetrains(model, &motor_start, clock.physics_hz),
+            drivetrains: config.drivetrains(model, &motor_start, &holding, clock.physics_hz)?,
             laws: config.true_servos(timing.servo_period_s)?,
             torque_limits: config.torque_limits(),
             q: config.start.clone(),
@@ -79,14 +81,19 @@ impl ArmInterface {
         let contacts = config.environment.iter().map(|(name, _)| name.clone()).chain(place.couplings);
         let silent_s: f64 = config.simulated.bus.dropouts.iter().map(|d| d.duration_s.get()).sum();
         let cycles = (silent_s / config.profile.period_s()).ceil() as usize + LOST_CYCLES;
+        let setpoint_check = SetpointCheck::new(config);
         let mut arm = Self {
             rows: TruthRows::new(
                 model,
-                contacts.collect(),
-                config.external_forces,
+                TruthConfig {
+                    contacts: contacts.collect(),
+                    has_external: config.external_forces,
+                    has_setpoint_limits: setpoint_check.is_some(),
+                },
                 cycles,
                 timing.servo_ticks_per_cycle as usize,
             ),
+            setpoint_check,
             external: config.external_forces.then(ExternalForceHandle::default),
             index: place.index,
             joints: place.joints,
@@ -122,7 +129,11 @@ impl ArmInterface {
     pub fn begin_cycle(&mut self, plant: &mut dyn Plant) -> bool {
         let cycle = self.timing.cycles;
         self.timing.cycles += 1;
-        self.rows.begin_cycle(plant, self.index, &self.joints);
+        let limited = self.setpoint_check.as_ref().map_or(&[][..], SetpointCheck::limited);
+        self.rows.begin_cycle(plant, self.index, &self.joints, limited);
+        if let Some(check) = &mut self.setpoint_check {
+            check.begin_cycle();
+        }
         if let Some(handle) = &self.external {
             let force = handle.get();
             self.rows.add_external(force.as_ref(), &plant.external_force(self.index));
@@ -154,7 +165,7 @@ impl ArmInterface {
         sample.time_s = self.timing.time_s(self.timing.servo_tick);
         sample.q.copy_from_slice(self.drives.positions(&plant.q()[self.joints.clone()]));
         if let Some(measured) = &mut sample.dq {
-            measured.copy_from_slice(&plant.dq()[self.joints.clone()]);
+            self.drives.velocities(&plant.dq()[self.joints.clone()], measured);
         }
         self.rows.average_motor_torque(self.interval_torque.as_mut_slice());
         let (noise, random) = &mut self.torque_noise;
@@ -182,6 +193,9 @@ impl ArmInterface {
         let acts_at = self.timing.servo_tick + u64::from(self.timing.delay + self.late);
         let values = match command {
             Command::Hold => {
+                if let Some(check) = &mut self.setpoint_check {
+                    check.restart();
+                }
                 self.drives.hold(self.q(plant), acts_at);
                 return Ok(());
             }
@@ -193,6 +207,10 @@ impl ArmInterface {
         if values.len() != self.joints.len() {
             return Err(fault::wrong_length());
         }
+        let values = match &mut self.setpoint_check {
+            Some(check) => check.apply(values)?,
+            None => values,
+        };
         self.drives.command(values, acts_at);
         Ok(())
     }

@@ -2,7 +2,7 @@
 //! parameters of the plant. The controller doesn't know them.
 
 use crate::bus::BusParameters;
-use opspace_backend::quantity::{NonNegative, Positive};
+use opspace_backend::quantity::{Count, NonNegative, Positive};
 use opspace_transformer::{FrictionParameters, ServoParameters, VelocityServo};
 #[cfg(feature = "schema")]
 use schemars::JsonSchema;
@@ -51,6 +51,12 @@ pub struct SimulatedParameters {
     /// True friction, by joint name, if it differs from the nominal one; `true_over_nominal` applies to it.
     #[serde(default)]
     pub friction: BTreeMap<String, FrictionParameters>,
+    /// Elastic gears, by joint name; the others are rigid, unless `joint.NAME.gear_stiffness_nm_per_rad` states a stiffness.
+    #[serde(default)]
+    pub gear: BTreeMap<String, GearParameters>,
+    /// Encoders that drives and interface read.
+    #[serde(default)]
+    pub encoder: EncoderParameters,
     /// True delay of setpoints in servo ticks, at most `servo_ticks_per_cycle`, if it differs from the nominal one; 0
     /// if neither is given.
     #[serde(default)]
@@ -98,6 +104,51 @@ pub struct BrakeParameters {
     pub damping_nms_per_rad: NonNegative,
 }
 
+/// Elastic gear between the rotor of a motor and its link.
+#[derive(Clone, Debug, Default, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct GearParameters {
+    /// Stiffness, Nm/rad (N/m); that of the joint, `gear_stiffness_nm_per_rad`, if absent.
+    /// `true_over_nominal.gear_stiffness` multiplies both.
+    #[serde(default)]
+    pub stiffness_nm_per_rad: Option<Positive>,
+    /// Damping of the twist, Nms/rad (Ns/m).
+    #[serde(default)]
+    pub damping_nms_per_rad: NonNegative,
+    /// Free play of the link while the rotor is at rest, from end to end, rad (m).
+    #[serde(default)]
+    pub backlash_rad: NonNegative,
+}
+
+/// Encoders of all joints: on the rotor, whose position counts at the joint, or on the link.
+#[derive(Clone, Debug, Default, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct EncoderParameters {
+    /// Encoder on which the drives close their loops.
+    #[serde(default)]
+    pub drive: EncoderSide,
+    /// Encoder that the interface reports.
+    #[serde(default)]
+    pub interface: EncoderSide,
+    /// Counts per turn of the encoders on the links; those at the rotors, times the gear ratio, if absent.
+    #[serde(default)]
+    pub link_counts_per_turn: Option<Count>,
+}
+
+/// Side of the gear on which an encoder is.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(rename_all = "kebab-case")]
+pub enum EncoderSide {
+    /// Rotor of the motor.
+    #[default]
+    Motor,
+    /// Link.
+    Link,
+}
+
 /// Six-axis force sensor.
 #[derive(Clone, Debug, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
@@ -132,6 +183,9 @@ pub struct ScaleParameters {
     /// Scale of all masses and inertias.
     #[serde(default = "one")]
     pub inertia: Positive,
+    /// Scale of the stiffness of all elastic gears.
+    #[serde(default = "one")]
+    pub gear_stiffness: Positive,
 }
 
 const fn one() -> Positive {
@@ -144,6 +198,6 @@ const fn one_or_none() -> NonNegative {
 
 impl Default for ScaleParameters {
     fn default() -> Self {
-        Self { kp: one(), kv: one(), friction: one_or_none(), inertia: one() }
+        Self { kp: one(), kv: one(), friction: one_or_none(), inertia: one(), gear_stiffness: one() }
     }
 }

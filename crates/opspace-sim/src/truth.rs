@@ -4,7 +4,9 @@ use crate::external::{self, ExternalForce, ExternalRows};
 use crate::plant::Plant;
 use crate::timing::Timing;
 use nalgebra::Vector3;
-use opspace_backend::signal_names::{DQ, FORCE, MOTOR_TORQUE, Q, SERVO_CHANNEL, TRUTH_CHANNEL};
+use opspace_backend::signal_names::{
+    DQ, FORCE, MOTOR_TORQUE, Q, SERVO_CHANNEL, SETPOINT_LIMITED, TRUTH_CHANNEL,
+};
 use opspace_backend::{Layout, Signal, SignalRecorder, TruthLayouts, TruthRow};
 use opspace_model::{JointUnits, Model};
 use std::ops::Range;
@@ -23,11 +25,22 @@ pub(crate) struct TruthRows {
     kept: bool,
 }
 
+/// Contents of the rows besides the motion.
+pub(crate) struct TruthConfig {
+    /// Names of the contacts.
+    pub contacts: Vec<String>,
+    /// True if external forces may be applied.
+    pub has_external: bool,
+    /// True if the drives limit their setpoints.
+    pub has_setpoint_limits: bool,
+}
+
 /// Signals of the true state of an arm.
 struct ArmSignals {
     joints: Vec<String>,
     units: JointUnits,
     contacts: Vec<String>,
+    has_setpoint_limits: bool,
 }
 
 impl ArmSignals {
@@ -36,6 +49,7 @@ impl ArmSignals {
         q: &[f64],
         dq: &[f64],
         force: impl Fn(usize) -> Vector3<f64>,
+        setpoint_limited: &[f64],
         out: &mut SignalRecorder<'_>,
     ) {
         out.signal(Q, &self.units.position, &self.joints, q);
@@ -43,35 +57,33 @@ impl ArmSignals {
         for (i, contact) in self.contacts.iter().enumerate() {
             out.signal((contact, FORCE), "N", &["x", "y", "z"], force(i).as_slice());
         }
+        if self.has_setpoint_limits {
+            out.signal(SETPOINT_LIMITED, "1", &self.joints, setpoint_limited);
+        }
     }
 }
 
 impl TruthRows {
     /// Returns empty rows with memory for `cycles` interface cycles of `ratio` servo ticks.
-    pub fn new(
-        model: &Model,
-        contacts: Vec<String>,
-        with_external: bool,
-        cycles: usize,
-        ratio: usize,
-    ) -> Self {
+    pub fn new(model: &Model, config: TruthConfig, cycles: usize, ratio: usize) -> Self {
         let joints: Vec<String> = model.joints().iter().map(|j| j.name.clone()).collect();
         let n = joints.len();
-        let truth_width = 2 * n + 3 * contacts.len();
+        let TruthConfig { contacts, has_external, has_setpoint_limits } = config;
+        let truth_width = 2 * n + 3 * contacts.len() + if has_setpoint_limits { n } else { 0 };
         Self {
             truth: Vec::with_capacity(cycles * truth_width),
             truth_width,
             servo: Vec::with_capacity(cycles * ratio * n),
             servo_commands: Vec::with_capacity(cycles * ratio),
-            external: with_external.then(|| ExternalRows::new(model, cycles)),
-            arm: ArmSignals { joints, units: model.joint_units(), contacts },
+            external: has_external.then(|| ExternalRows::new(model, cycles)),
+            arm: ArmSignals { joints, units: model.joint_units(), contacts, has_setpoint_limits },
             read: false,
             kept: true,
         }
     }
 
     pub fn layouts(&self) -> TruthLayouts {
-        let truth = SignalRecorder::describe(|out| self.arm.record(&[], &[], |_| Vector3::zeros(), out));
+        let truth = SignalRecorder::describe(|out| self.arm.record(&[], &[], |_| Vector3::zeros(), &[], out));
         let servo = vec![Signal::new(MOTOR_TORQUE, &self.arm.units.torque, &self.arm.joints)];
         let layouts = TruthLayouts::new(
             Layout { channel: TRUTH_CHANNEL.to_owned(), signals: truth },
@@ -118,14 +130,21 @@ impl TruthRows {
         &mut self.servo[begin..]
     }
 
-    /// Adds the row of an interface cycle.
-    pub fn begin_cycle(&mut self, plant: &dyn Plant, arm: usize, joints: &Range<usize>) {
+    /// Adds the row of an interface cycle. `setpoint_limited` is 1 for each joint whose setpoint of the cycle before was
+    /// beyond a limit of its drive (n); empty without such limits.
+    pub fn begin_cycle(
+        &mut self,
+        plant: &dyn Plant,
+        arm: usize,
+        joints: &Range<usize>,
+        setpoint_limited: &[f64],
+    ) {
         self.clear_if_read();
         let begin = self.truth.len();
         self.truth.resize(begin + self.truth_width, f64::NAN);
         let (q, dq) = (&plant.q()[joints.clone()], &plant.dq()[joints.clone()]);
         let mut out = SignalRecorder::sampling(&mut self.truth[begin..]);
-        self.arm.record(q, dq, |contact| plant.contact_force(arm, contact), &mut out);
+        self.arm.record(q, dq, |contact| plant.contact_force(arm, contact), setpoint_limited, &mut out);
     }
 
     /// Adds a row: the external force that is set from this cycle on, and the force that acted before it (N).

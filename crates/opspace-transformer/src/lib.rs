@@ -57,6 +57,7 @@ pub mod servo;
 pub mod servo_inversion;
 pub mod servo_law;
 pub mod servo_model_transformer;
+pub mod setpoint_limits;
 pub mod torque_observer;
 pub mod transformer;
 pub mod velocity_transformer;
@@ -77,6 +78,9 @@ pub use servo::{CascadedServo, ServoGains, ServoParameters, SetpointFilter, Velo
 pub use servo_inversion::{EmulationError, TorqueObjective};
 pub use servo_law::{ServoError, ServoLaw, ServoState};
 pub use servo_model_transformer::{EmulatingTransformer, EmulationSetup};
+pub use setpoint_limits::{
+    JointSetpointLimits, SetpointLimit, SetpointLimitParameters, SetpointReaction, SetpointStream,
+};
 pub use torque_observer::{TorqueObserver, TorqueObserverSetup};
 pub use transformer::{Method, PaperTransformer, Transformer, TransformerKind};
 pub use velocity_transformer::VelocityTransformer;

@@ -5,6 +5,7 @@ use crate::estimator::EstimatorParameters;
 use crate::friction::FrictionParameters;
 use crate::gain_adaptation::GainAdaptationParameters;
 use crate::servo::{ServoParameters, VelocityServo};
+use crate::setpoint_limits::SetpointLimitParameters;
 use crate::transformer::TransformerKind;
 use opspace_backend::quantity::{Count, NonNegative, Positive};
 #[cfg(feature = "schema")]
@@ -27,6 +28,10 @@ pub struct JointParameters {
     /// half of the torque that gravity leaves in the worst of many postures.
     #[serde(default)]
     pub acceleration_limit_rad_per_s2: Option<Positive>,
+    /// Stiffness of the gear between rotor and link, Nm/rad (N/m); rigid, or unknown, if absent. The simulated gear has
+    /// it, unless `simulated.gear` has another.
+    #[serde(default)]
+    pub gear_stiffness_nm_per_rad: Option<Positive>,
     /// Rotor and encoder of the motor.
     pub rotor: RotorParameters,
     /// Friction at the joint.
@@ -89,6 +94,9 @@ pub struct ProfileParameters {
     /// Velocity servo of each joint, by joint name, for a robot that accepts velocities; absent otherwise.
     #[serde(default)]
     pub velocity_servo: BTreeMap<String, VelocityServo>,
+    /// Limits of the drives on the sequence of setpoints, and their reaction; none if absent.
+    #[serde(default)]
+    pub setpoint_limits: Option<SetpointLimitParameters>,
     /// Measured closed loop of each joint, by joint name, for the `identified` transformers.
     #[serde(default)]
     pub identified: BTreeMap<String, ClosedLoopModel>,

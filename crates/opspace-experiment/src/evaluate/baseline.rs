@@ -19,7 +19,7 @@ use std::fmt;
 pub const TOLERANCE: f64 = 0.01;
 
 /// Metrics of which a smaller value is better.
-const SMALLER: [&str; 19] = [
+const SMALLER: [&str; 20] = [
     "position_rms_m",
     "position_max_m",
     "orientation_rms_rad",
@@ -34,6 +34,7 @@ const SMALLER: [&str; 19] = [
     "torque_error_tick",
     "torque_error_of_limit_max",
     "hold_ripple",
+    "setpoints_limited",
     "torque_saturated_share",
     "torque_step_max_nm",
     "damped_fraction",

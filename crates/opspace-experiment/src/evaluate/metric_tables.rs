@@ -38,6 +38,9 @@ pub struct Metrics {
     pub setpoint_speed_max_rad_per_s: Option<f64>,
     /// Highest acceleration of a velocity setpoint, rad/s².
     pub setpoint_acceleration_max_rad_per_s2: Option<f64>,
+    /// Number of setpoints that a drive clamped or refused because of its limits, from the start of control, of all joints;
+    /// `None` if the drives have none.
+    pub setpoints_limited: Option<u64>,
     /// Fraction of interface cycles in which a desired torque was saturated.
     pub torque_saturated_share: Option<f64>,
     /// Largest torque that the controller commanded to a joint, before saturation, Nm.

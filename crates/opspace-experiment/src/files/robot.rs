@@ -141,6 +141,7 @@ impl RobotDefinition {
             if !profile.identified.is_empty() {
                 joints_of(&source, &model, &profile.identified, &["profile", name, "identified"])?;
             }
+            check_setpoint_limits(&source, &model, name, profile)?;
             let (delay, ratio) = (profile.delay(), profile.servo_ticks_per_cycle.get());
             if delay > ratio {
                 let key = ["profile", name, "delay_servo_ticks"];
@@ -354,6 +355,24 @@ fn check_servos(
             let key = ["profile", name, "velocity_servo", joint.as_str()];
             FileError::at_key(source, key, error.to_string(), None)
         })?;
+    }
+    Ok(())
+}
+
+/// Checks that the setpoint limits of a profile are those of joints of the model.
+fn check_setpoint_limits(
+    source: &Source,
+    model: &Model,
+    name: &str,
+    profile: &ProfileParameters,
+) -> Result<(), FileError> {
+    let joints = profile.setpoint_limits.iter().flat_map(|limits| limits.joint.keys());
+    for joint in joints {
+        if let Err(unknown) = model.joint(joint) {
+            let key = ["profile", name, "setpoint_limits", "joint", joint.as_str()];
+            let message = format!("the URDF has no moving joint '{joint}'");
+            return Err(FileError::at_key(source, key, message, Some(choices(joint, &unknown.known))));
+        }
     }
     Ok(())
 }

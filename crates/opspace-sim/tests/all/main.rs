@@ -7,6 +7,8 @@ mod drives;
 mod energy;
 mod environment;
 mod external;
+mod gear;
 mod ideal;
+mod setpoint_limits;
 mod simulation;
 mod velocity;

@@ -5,7 +5,7 @@ use crate::evaluate::metric_tables::Metrics;
 use crate::run::experiment::{ControllerKind, Experiment};
 use opspace_backend::signal_names::{
     self, COMMAND, DQ, LEAST_DISTANCE, LIMITS_SOLVER, MIN_SINGULAR_GAIN, MISSED_CYCLES,
-    SETPOINT_ACCELERATION, SETPOINT_SPEED, TORQUE_SATURATED, TRUTH_CHANNEL,
+    SETPOINT_ACCELERATION, SETPOINT_LIMITED, SETPOINT_SPEED, TORQUE_SATURATED, TRUTH_CHANNEL,
 };
 use opspace_log::Column;
 
@@ -21,6 +21,7 @@ pub(super) struct Cycles {
     limited: Mean,
     damped: Mean,
     least_distance: Option<f64>,
+    setpoints_limited: Option<u64>,
     setpoint_speed: Option<f64>,
     setpoint_acceleration: Option<f64>,
     torque: Option<f64>,
@@ -40,6 +41,7 @@ impl Cycles {
             limited: Mean::default(),
             damped: Mean::default(),
             least_distance: None,
+            setpoints_limited: None,
             setpoint_speed: None,
             setpoint_acceleration: None,
             torque: None,
@@ -86,6 +88,11 @@ impl Cycles {
             }
         }
         let positions = run.recording.channel(TRUTH_CHANNEL).unwrap_or(run.tick);
+        if let Some(limited) = positions.signal(SETPOINT_LIMITED) {
+            let joints = (0..positions.len()).flat_map(|k| limited.row(k));
+            let count = joints.filter(|limited| **limited != 0.0).count() as u64;
+            self.setpoints_limited = Some(self.setpoints_limited.unwrap_or(0) + count);
+        }
         if let Some(dq) = positions.signal(DQ) {
             run.settled(&positions.time_s).for_each(|k| enlarge(&mut self.speed, dq.row(k).iter().copied()));
         }
@@ -108,6 +115,7 @@ impl Cycles {
         metrics.limited_share = self.limited.get();
         metrics.damped_fraction = self.damped.get();
         metrics.least_distance_m = self.least_distance;
+        metrics.setpoints_limited = self.setpoints_limited;
         metrics.setpoint_speed_max_rad_per_s = self.setpoint_speed;
         metrics.setpoint_acceleration_max_rad_per_s2 = self.setpoint_acceleration;
         metrics.torque_commanded_max_nm = self.torque;
