@@ -7,18 +7,21 @@ use crate::error::SimulationError;
 use crate::force_sensor::SimulatedForceSensor;
 use crate::friction::LuGre;
 use crate::gear::{ElasticGear, GearConfig, MAX_STEPS};
-use crate::motor::Motor;
+use crate::motor::{AngleTorque, Motor};
 use crate::parameters::{EncoderSide, SimulatedParameters};
 use crate::random::{RngStream, generator};
 use crate::timing::{Clock, Timing};
 use nalgebra::{DMatrix, DVector, Vector3};
 use opspace_backend::quantity::NonNegative;
 use opspace_backend::{Capabilities, CommandKind, GravityCompensation};
-use opspace_model::{Data, FrameId, Model, Placement, crba, frame_placement, kinematics};
+use opspace_model::{Data, FrameId, Inertia, Model, Placement, crba, frame_placement, kinematics};
 use opspace_transformer::{
     FrictionParameters, JointParameters, ProfileParameters, ServoLaw, ServoParameters,
 };
 use std::f64::consts::TAU;
+
+/// Largest lateness of measured motor torques, servo ticks; more indicates a mistake in a unit.
+const MAX_CURRENT_DELAY: u32 = 10_000;
 
 /// Largest product of a physics step and an angular frequency of links on elastic gears: the method is stable up to 2.
 const LARGEST_GEAR_STEP: f64 = 1.5;
@@ -102,6 +105,10 @@ impl ArmConfig {
             ("velocity_servo", self.simulated.velocity_servo.keys().collect()),
             ("friction", self.simulated.friction.keys().collect()),
             ("gear", self.simulated.gear.keys().collect()),
+            (
+                "current_measurement.joint_scale",
+                self.simulated.current_measurement.joint_scale.keys().collect(),
+            ),
         ];
         for (section, joints) in truths {
             for joint in joints {
@@ -115,6 +122,15 @@ impl ArmConfig {
         }
         for joint in 0..self.model.n() {
             self.check_gear(joint)?;
+        }
+        let delay = self.simulated.current_measurement.delay_servo_ticks;
+        if delay > MAX_CURRENT_DELAY {
+            return Err(SimulationError::CurrentDelay { delay, most: MAX_CURRENT_DELAY });
+        }
+        for (name, payload) in &self.simulated.payload {
+            self.model
+                .frame_id(&payload.frame)
+                .map_err(|source| SimulationError::Payload { payload: name.clone(), source })?;
         }
         for sensor in &self.capabilities.force_sensors {
             if !self.simulated.force_sensor.contains_key(&sensor.name) {
@@ -276,8 +292,15 @@ impl ArmConfig {
                 Brake::new(&simulated.brake, slip_torque),
                 self.encoder(parameters, simulated.encoder.drive),
             );
-            let drivetrain =
-                drivetrain.with_interface_encoder(self.encoder(parameters, simulated.encoder.interface));
+            let angle_torque = AngleTorque::new(
+                simulated.cogging.as_ref(),
+                simulated.torque_ripple.as_ref(),
+                parameters.rotor.gear_ratio.get(),
+                parameters.torque_limit_nm.get(),
+            );
+            let drivetrain = drivetrain
+                .with_angle_torque(angle_torque)
+                .with_interface_encoder(self.encoder(parameters, simulated.encoder.interface));
             let Some(gear) = self.gear(i) else { return Ok(drivetrain) };
             let stiffness =
                 simulated.brake.stiffness_nm_per_rad.get() + simulated.bristle.stiffness_nm_per_rad.get();
@@ -371,7 +394,7 @@ impl ArmConfig {
         let model = self.model.clone().with_scaled_inertia(self.simulated.true_over_nominal.inertia.get());
         let rotor = |(joint, &inertia)| if self.gear(joint).is_some() { 0.0 } else { inertia };
         let rotors: Vec<f64> = model.rotor_inertia().iter().enumerate().map(rotor).collect();
-        let model = model.with_rotor_inertia(&rotors);
+        let model = self.with_payloads(model.with_rotor_inertia(&rotors));
         let model = match self.placement == Placement::identity() {
             true => model,
             false => {
@@ -384,6 +407,19 @@ impl ArmConfig {
             // A robot that compensates its weight is simulated without gravity.
             GravityCompensation::Robot => model.with_gravity(Vector3::zeros()),
         }
+    }
+
+    /// Adds the loads that only the true arm has.
+    fn with_payloads(&self, mut model: Model) -> Model {
+        for (name, payload) in &self.simulated.payload {
+            if let Ok(frame) = model.frame_id(&payload.frame) {
+                // A frame of its own: the payload of that frame may be a tool.
+                let offset = Placement::from_rpy([0.0; 3], payload.centre_m);
+                let own = model.add_frame_on(&format!("payload {name}"), frame, offset);
+                model.set_payload(own, Inertia { mass: payload.mass_kg.get(), ..Inertia::zero() });
+            }
+        }
+        model
     }
 
     /// Returns the environment objects, each with its frame.

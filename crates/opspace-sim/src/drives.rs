@@ -327,6 +327,11 @@ impl Drives {
         self.drivetrains.iter().map(Drivetrain::motor_torque)
     }
 
+    /// Torques during the last physics step that the motor currents stand for, Nm or N.
+    pub fn current_torques(&self) -> impl Iterator<Item = f64> {
+        self.drivetrains.iter().map(Drivetrain::current_torque)
+    }
+
     fn read_encoders(&mut self, q: &[f64]) {
         for (to, (joint, &q)) in self.position.iter_mut().zip(self.drivetrains.iter().zip(q)) {
             *to = joint.read_encoder(q);

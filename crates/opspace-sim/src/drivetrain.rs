@@ -7,7 +7,7 @@
 
 use crate::friction::LuGre;
 use crate::gear::ElasticGear;
-use crate::motor::Motor;
+use crate::motor::{AngleTorque, Motor};
 use crate::parameters::{BrakeParameters, EncoderSide, EndStopParameters};
 use opspace_model::Limits;
 
@@ -21,6 +21,8 @@ pub struct Drivetrain {
     encoder: Encoder,
     interface_encoder: Encoder,
     gear: Option<ElasticGear>,
+    angle_torque: AngleTorque,
+    current_torque: f64,
     motor_torque: f64,
     joint_torque: f64,
 }
@@ -38,6 +40,8 @@ impl Drivetrain {
             encoder,
             interface_encoder,
             gear: None,
+            angle_torque: AngleTorque::default(),
+            current_torque: 0.0,
             motor_torque: 0.0,
             joint_torque: 0.0,
         }
@@ -49,6 +53,12 @@ impl Drivetrain {
         Self { gear: Some(gear), ..self }
     }
 
+    /// Adds torques of the motor that depend on its angle.
+    #[must_use]
+    pub fn with_angle_torque(self, angle_torque: AngleTorque) -> Self {
+        Self { angle_torque, ..self }
+    }
+
     /// Sets the encoder that the interface reports.
     #[must_use]
     pub fn with_interface_encoder(self, interface_encoder: Encoder) -> Self {
@@ -58,7 +68,8 @@ impl Drivetrain {
     /// Returns the torque on the link (Nm, N), constant over the next `dt_s` (s), at position `q` (rad, m) and velocity
     /// `dq` (rad/s, m/s); `commanded` (Nm, N) is the input of the current loop.
     pub fn step(&mut self, q: f64, dq: f64, dt_s: f64, commanded: f64) -> f64 {
-        let motor = self.motor.step(commanded);
+        self.current_torque = self.motor.step(commanded);
+        let motor = self.angle_torque.torque(self.current_torque, self.rotor_position(q));
         self.motor_torque = motor;
         let stop = self.end_stop.torque(q, dq);
         let Self { friction, brake, .. } = self;
@@ -76,6 +87,12 @@ impl Drivetrain {
     #[must_use]
     pub fn motor_torque(&self) -> f64 {
         self.motor_torque
+    }
+
+    /// Mean torque over the last step that the current of the motor stands for, Nm or N: without cogging and ripple.
+    #[must_use]
+    pub fn current_torque(&self) -> f64 {
+        self.current_torque
     }
 
     /// Torque of the gear on the link during the last step, Nm or N; of a rigid gear with that of the end stop.

@@ -22,7 +22,7 @@ pub enum SimulationError {
     /// True parameter of a joint that doesn't exist.
     #[error("simulated.{section}: {source}")]
     Joint {
-        /// Key of `[simulated]`.
+        /// Key of `[simulated]`, with a dot between the parts.
         section: &'static str,
         /// Unknown name, and the model's joints.
         source: UnknownJoint,
@@ -32,6 +32,22 @@ pub enum SimulationError {
     SetpointLimits {
         /// Unknown name, and the model's joints.
         source: UnknownJoint,
+    },
+    /// Measured motor torques that are too late.
+    #[error("measured motor torques are {delay} servo ticks late; at most {most} are possible")]
+    CurrentDelay {
+        /// Lateness, `delay_servo_ticks`.
+        delay: u32,
+        /// Largest lateness allowed.
+        most: u32,
+    },
+    /// Payload on a frame that doesn't exist.
+    #[error("simulated.payload.{payload}: {source}")]
+    Payload {
+        /// Name of the payload.
+        payload: String,
+        /// Unknown name, and the model's frames.
+        source: UnknownFrame,
     },
     /// Elastic gear without a stiffness.
     #[error(
@@ -239,7 +255,8 @@ impl SimulationError {
             }
             Self::Delay { .. } => Key::Profile(vec!["delay_servo_ticks".into()]),
             Self::Joint { section, source } => {
-                Key::Robot(vec!["simulated".into(), (*section).into(), source.name.clone()])
+                let path = ["simulated"].into_iter().chain(section.split('.')).chain([source.name.as_str()]);
+                Key::Robot(path.map(str::to_owned).collect())
             }
             Self::Servo { joint, setpoints, truth, .. } | Self::ServoKind { joint, setpoints, truth } => {
                 let own = [table(*setpoints).to_owned(), joint.clone()];
@@ -250,6 +267,14 @@ impl SimulationError {
             }
             Self::SetpointLimits { source } => {
                 Key::Profile(vec!["setpoint_limits".into(), "joint".into(), source.name.clone()])
+            }
+            Self::CurrentDelay { .. } => {
+                let path = ["simulated", "current_measurement", "delay_servo_ticks"];
+                Key::Robot(path.map(str::to_owned).to_vec())
+            }
+            Self::Payload { payload, .. } => {
+                let path = ["simulated", "payload", payload, "frame"];
+                Key::Robot(path.map(str::to_owned).to_vec())
             }
             Self::GearStiffness { joint } => {
                 Key::Robot(vec!["simulated".into(), "gear".into(), joint.clone()])

@@ -135,6 +135,10 @@ fn plant(physics_hz: Positive) -> SimulatedParameters {
         velocity_servo: BTreeMap::new(),
         friction: BTreeMap::new(),
         gear: BTreeMap::new(),
+        cogging: None,
+        torque_ripple: None,
+        current_measurement: Default::default(),
+        payload: BTreeMap::new(),
         encoder: Default::default(),
         delay_servo_ticks: None,
     }

@@ -2,21 +2,19 @@
 
 use crate::bus::Bus;
 use crate::config::ArmConfig;
+use crate::current_sensor::CurrentSensor;
 use crate::drives::{Drives, DrivesConfig};
 use crate::error::SimulationError;
 use crate::external::ExternalForceHandle;
 use crate::fault;
 use crate::force_sensor::SimulatedForceSensor;
 use crate::plant::{Plant, PlantFrame};
-use crate::random::{RngStream, generator};
 use crate::setpoint_check::SetpointCheck;
 use crate::timing::{Clock, Timing};
 use crate::truth::{TruthConfig, TruthRows};
 use nalgebra::DVector;
 use opspace_backend::{Capabilities, Command, CommandKind, DeviceFault, Sample, Status};
 use opspace_model::{Data, FrameId, Model, gravity, kinematics};
-use rand_chacha::ChaCha8Rng;
-use rand_distr::{Distribution, StandardNormal};
 use std::ops::Range;
 
 /// Number of consecutive lost cycles, in addition to dropouts, for whose rows memory is preallocated.
@@ -38,8 +36,7 @@ pub(crate) struct ArmInterface {
     drives: Drives,
     setpoint_check: Option<SetpointCheck>,
     sensors: Vec<(FrameId, SimulatedForceSensor)>,
-    torque_noise: (f64, ChaCha8Rng),
-    interval_torque: DVector<f64>,
+    current: CurrentSensor,
 }
 
 /// Position of an arm in its simulation.
@@ -103,11 +100,7 @@ impl ArmInterface {
             late: 0,
             drives,
             sensors: config.force_sensors(timing.servo_period_s),
-            torque_noise: (
-                config.simulated.torque_noise_nm.get(),
-                generator(config.seed, RngStream::MotorTorque),
-            ),
-            interval_torque: motor_start,
+            current: CurrentSensor::new(config, motor_start),
             timing,
         };
         arm.find_next_sample(0);
@@ -167,14 +160,7 @@ impl ArmInterface {
         if let Some(measured) = &mut sample.dq {
             self.drives.velocities(&plant.dq()[self.joints.clone()], measured);
         }
-        self.rows.average_motor_torque(self.interval_torque.as_mut_slice());
-        let (noise, random) = &mut self.torque_noise;
-        if let Some(measured) = &mut sample.motor_torque {
-            for (to, torque) in measured.iter_mut().zip(&self.interval_torque) {
-                let white: f64 = StandardNormal.sample(random);
-                *to = torque + *noise * white;
-            }
-        }
+        self.current.read(sample.motor_torque.as_mut());
         if let Some(measured) = &mut sample.joint_torque {
             measured.copy_from_slice(self.drives.take_joint_torque());
         }
@@ -238,10 +224,12 @@ impl ArmInterface {
         for (sum, torque) in self.rows.servo_row().iter_mut().zip(self.drives.motor_torques()) {
             *sum += torque / steps;
         }
+        self.current.add(self.drives.current_torques(), steps);
     }
 
     /// Ends a servo period.
     pub fn end_servo_period(&mut self, plant: &mut dyn Plant) {
+        self.current.end_tick();
         for (frame, sensor) in &mut self.sensors {
             sensor.follow(&plant.contact_wrench(PlantFrame { arm: self.index, frame: *frame }));
         }

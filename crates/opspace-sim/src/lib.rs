@@ -56,6 +56,7 @@
 pub mod arm;
 pub mod bus;
 pub mod config;
+mod current_sensor;
 mod drives;
 pub mod drivetrain;
 pub mod environment;

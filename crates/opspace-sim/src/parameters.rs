@@ -2,7 +2,7 @@
 //! parameters of the plant. The controller doesn't know them.
 
 use crate::bus::BusParameters;
-use opspace_backend::quantity::{Count, NonNegative, Positive};
+use opspace_backend::quantity::{Count, Fraction, NonNegative, Positive, exactly};
 use opspace_transformer::{FrictionParameters, ServoParameters, VelocityServo};
 #[cfg(feature = "schema")]
 use schemars::JsonSchema;
@@ -54,6 +54,18 @@ pub struct SimulatedParameters {
     /// Elastic gears, by joint name; the others are rigid, unless `joint.NAME.gear_stiffness_nm_per_rad` states a stiffness.
     #[serde(default)]
     pub gear: BTreeMap<String, GearParameters>,
+    /// Cogging of all motors; none if absent.
+    #[serde(default)]
+    pub cogging: Option<CoggingParameters>,
+    /// Ripple of the torque of all motors; none if absent.
+    #[serde(default)]
+    pub torque_ripple: Option<TorqueRippleParameters>,
+    /// Errors of the measured motor torques in addition to `torque_noise_nm`.
+    #[serde(default)]
+    pub current_measurement: CurrentMeasurementParameters,
+    /// Loads of the true arm that its model does not have, by name.
+    #[serde(default)]
+    pub payload: BTreeMap<String, PayloadParameters>,
     /// Encoders that drives and interface read.
     #[serde(default)]
     pub encoder: EncoderParameters,
@@ -119,6 +131,64 @@ pub struct GearParameters {
     /// Free play of the link while the rotor is at rest, from end to end, rad (m).
     #[serde(default)]
     pub backlash_rad: NonNegative,
+}
+
+/// Cogging: a torque at the joint that is a sine of the motor's angle. The motor current does not show it.
+#[derive(Clone, Debug, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct CoggingParameters {
+    /// Amplitude as a fraction of the joint's torque limit.
+    pub amplitude_of_limit: Fraction,
+    /// Periods per turn of the motor.
+    pub periods_per_motor_turn: Count,
+}
+
+/// Torque ripple: a sine of the motor's angle that multiplies the motor's torque. The motor current does not show it.
+#[derive(Clone, Debug, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct TorqueRippleParameters {
+    /// Amplitude as a fraction of the motor's torque.
+    pub amplitude: Fraction,
+    /// Periods per turn of the motor.
+    pub periods_per_motor_turn: Count,
+}
+
+/// Errors of the motor torques that the interface reports.
+#[derive(Clone, Debug, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct CurrentMeasurementParameters {
+    /// Measured over true torque, of all joints.
+    #[serde(default = "one")]
+    pub scale: Positive,
+    /// Measured over true torque of single joints, by joint name; multiplied by `scale`.
+    #[serde(default)]
+    pub joint_scale: BTreeMap<String, Positive>,
+    /// Lateness of the measured torques, in servo ticks.
+    #[serde(default)]
+    pub delay_servo_ticks: u32,
+}
+
+impl Default for CurrentMeasurementParameters {
+    fn default() -> Self {
+        Self { scale: one(), joint_scale: BTreeMap::new(), delay_servo_ticks: 0 }
+    }
+}
+
+/// Load on the true arm that its model does not have: a point mass.
+#[derive(Clone, Debug, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct PayloadParameters {
+    /// Link of the URDF, or tool, that carries it.
+    pub frame: String,
+    /// Mass, kg.
+    pub mass_kg: NonNegative,
+    /// Position in the axes of the frame, m; its origin if absent.
+    #[serde(default, deserialize_with = "exactly")]
+    pub centre_m: [f64; 3],
 }
 
 /// Encoders of all joints: on the rotor, whose position counts at the joint, or on the link.

@@ -9,7 +9,7 @@ use opspace_transformer::{SetpointLimit, SetpointReaction, SetpointStream};
 pub(crate) struct SetpointCheck {
     reaction: SetpointReaction,
     streams: Vec<SetpointStream>,
-    /// Setpoints after the reaction (n).
+    /// Setpoints that act, after the reaction (n).
     values: Vec<f64>,
     /// 1 for each joint whose last setpoint was beyond a limit (n).
     limited: Vec<f64>,
@@ -66,6 +66,8 @@ impl SetpointCheck {
     /// Forgets the setpoints: the robot holds itself.
     pub fn restart(&mut self) {
         self.streams.iter_mut().for_each(SetpointStream::restart);
+        // A velocity robot holds itself with a velocity of zero; the first position is accepted anyway.
+        self.values.fill(0.0);
     }
 
     /// Returns the setpoints (n; rad, m; rad/s, m/s) that act after those that were commanded.
@@ -78,8 +80,7 @@ impl SetpointCheck {
                 (None, _) => commanded[i],
                 (Some(_), SetpointReaction::Clamp) => stream.clamp(commanded[i]),
                 (Some(_), SetpointReaction::Refuse) => {
-                    stream.keep();
-                    self.values[i] = stream.last().unwrap_or(0.0);
+                    stream.take(commanded[i]);
                     continue;
                 }
                 (Some(limit), _) => {

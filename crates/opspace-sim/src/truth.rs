@@ -154,20 +154,6 @@ impl TruthRows {
         }
     }
 
-    /// Writes the mean motor torques over the servo periods of the rows (n; Nm, N); leaves `mean` unchanged without
-    /// rows.
-    pub fn average_motor_torque(&self, mean: &mut [f64]) {
-        let rows = self.servo_commands.len();
-        if rows == 0 {
-            return;
-        }
-        mean.fill(0.0);
-        for row in self.servo.chunks_exact(mean.len()) {
-            mean.iter_mut().zip(row).for_each(|(sum, torque)| *sum += torque);
-        }
-        mean.iter_mut().for_each(|sum| *sum /= rows as f64);
-    }
-
     /// Visits the rows in the order of time: for each interface period, the rows of the drives, then the true state at
     /// its end.
     pub fn visit(&self, timing: &Timing, visit: &mut dyn FnMut(TruthRow<'_>)) {

@@ -8,8 +8,9 @@
 //! ```
 //!
 //! A velocity robot accepts velocities: its setpoint is v itself, and position differences do not exist. The setpoints of
-//! the differences are those that act in the drive, after a reaction. A drive that got no setpoint or refused it is at
-//! rest at its last one: v and a are zero.
+//! the differences are the commanded ones, refused ones included, so that a drive refuses an outlier and the three
+//! setpoints after it. Of a drive that clamps they are those that act. A drive that gets no setpoint is at rest at its
+//! last one: v and a are zero.
 
 use opspace_backend::CommandKind;
 use opspace_backend::quantity::Positive;
@@ -41,7 +42,7 @@ pub struct SetpointLimitParameters {
 pub enum SetpointReaction {
     /// It takes the nearest setpoint within the limits; velocity comes before acceleration, acceleration before jerk.
     Clamp,
-    /// It ignores the setpoint and keeps its last one.
+    /// It ignores the setpoint and keeps the last one that it accepted.
     Refuse,
     /// It stops the robot with a fault.
     Stop,
@@ -99,7 +100,7 @@ pub struct SetpointStream {
     limits: [f64; 4],
     /// Number of the difference that is the velocity: 1, or 0 for velocity setpoints.
     velocity: usize,
-    /// Setpoint that acts, and its first two differences; `None` before the first setpoint.
+    /// Last setpoint, and its first two differences; `None` before the first setpoint.
     last: Option<[f64; 3]>,
 }
 
@@ -154,13 +155,7 @@ impl SetpointStream {
         limit(0, last[0] + self.period_s * first)
     }
 
-    /// Setpoint that acts (rad, m; rad/s, m/s); `None` before the first one.
-    #[must_use]
-    pub fn last(&self) -> Option<f64> {
-        self.last.map(|[setpoint, ..]| setpoint)
-    }
-
-    /// Takes the setpoint that acts from now on.
+    /// Adds a setpoint (rad, m; rad/s, m/s).
     pub fn take(&mut self, setpoint: f64) {
         let [setpoint, first, second, _] = match self.last {
             Some(last) => self.differences(last, setpoint),

@@ -348,7 +348,9 @@ fn bare(experiment: &Experiment, gain: f64) -> Option<Experiment> {
     robot.file.joint.values_mut().for_each(|joint| {
         joint.friction.coulomb_nm = NonNegative::default();
         joint.friction.static_nm = NonNegative::default();
+        joint.gear_stiffness_nm_per_rad = None;
     });
+    robot.file.profile.values_mut().for_each(|profile| profile.setpoint_limits = None);
     robot.model = robot.model.with_gravity(Vector3::zeros());
     task.file.environment.clear();
     Experiment::new(robot, task, experiment.options().clone(), Vec::new()).ok()

@@ -9,6 +9,7 @@ mod environment;
 mod external;
 mod gear;
 mod ideal;
+mod motors_and_loads;
 mod setpoint_limits;
 mod simulation;
 mod velocity;
