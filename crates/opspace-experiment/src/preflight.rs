@@ -21,6 +21,7 @@ mod case;
 mod collisions;
 mod diagnostic;
 mod freedom;
+mod gear_resonance;
 mod goals;
 mod limits;
 mod motion;
@@ -34,6 +35,7 @@ use crate::run::experiment::{ControllerKind, Experiment};
 use case::PreflightCase;
 pub use diagnostic::Diagnostic;
 pub use freedom::SingularPostures;
+pub use gear_resonance::GearResonance;
 use rollout::Rollout;
 pub use servo_gain::{GainMargin, ServoLoop, gain_margin};
 
@@ -71,6 +73,13 @@ pub fn diagnostics(experiment: &Experiment) -> Vec<Diagnostic> {
 #[must_use]
 pub fn singular_postures(experiment: &Experiment) -> Vec<SingularPostures> {
     PreflightCase::new(experiment).map_or_else(Vec::new, |case| freedom::singular_postures_of(&case))
+}
+
+/// Computes the frequencies of the joints whose gear stiffness is declared, at the start.
+#[must_use]
+pub fn gear_resonances(experiment: &Experiment) -> Vec<GearResonance> {
+    let case = PreflightCase::new(experiment);
+    case.map_or_else(Vec::new, |case| gear_resonance::gear_resonances_of(&case))
 }
 
 /// Lists the tasks that lack information for [`diagnostics`]; their diagnostics are incomplete.

@@ -9,7 +9,8 @@ use crate::outputs::check_outputs;
 use opspace_experiment::files::origin::Kind;
 use opspace_experiment::files::robot::load_urdf;
 use opspace_experiment::preflight::{
-    GainMargin, ServoLoop, SingularPostures, gain_margin, not_checked, singular_postures,
+    GainMargin, GearResonance, ServoLoop, SingularPostures, gain_margin, gear_resonances, not_checked,
+    singular_postures,
 };
 use opspace_experiment::run::collision::KeptDistances;
 use opspace_experiment::{
@@ -30,9 +31,10 @@ pub fn check(args: &CheckArgs, extensions: &Extensions, console: Console) -> Out
         let checked = check_one(path, extensions, console);
         files.push(as_json(path, &checked));
         match checked {
-            Ok(Checked { what, margin, singular, distances, found, skipped }) => {
+            Ok(Checked { what, margin, gears, singular, distances, found, skipped }) => {
                 text += &format!("{}: {what}\n", path.display());
                 margin.iter().for_each(|margin| text += &format!("  {margin}\n"));
+                gears.iter().for_each(|gear| text += &format!("  {gear}\n"));
                 singular.iter().for_each(|singular| text += &format!("  {singular}\n"));
                 distances.iter().for_each(|distances| text += &pairs_text(distances));
                 found.iter().for_each(|found| note(console, found));
@@ -51,6 +53,8 @@ struct Checked {
     what: String,
     /// Gain margin of a task whose torques pass through a transformer.
     margin: Option<GainMargin>,
+    /// Frequencies of the joints whose gear stiffness is declared.
+    gears: Vec<GearResonance>,
     /// Nearly singular postures of each task.
     singular: Vec<SingularPostures>,
     /// Pairs of links and obstacles that the controller keeps apart.
@@ -65,6 +69,7 @@ impl Checked {
         Self {
             what,
             margin: None,
+            gears: Vec::new(),
             singular: Vec::new(),
             distances: None,
             found: Vec::new(),
@@ -159,7 +164,8 @@ fn check_one(path: &Path, extensions: &Extensions, console: Console) -> Result<C
             found.extend(small.map(|finding| Found::new(finding, &experiment)));
             let singular = singular_postures(&experiment);
             let distances = experiment.kept_distances().cloned();
-            Ok(Checked { what, margin, singular, distances, found, skipped })
+            let gears = gear_resonances(&experiment);
+            Ok(Checked { what, margin, gears, singular, distances, found, skipped })
         }
         Some(Kind::Robot) => robot(),
         // A folder denotes a robot.
@@ -233,7 +239,7 @@ fn as_json(path: &Path, checked: &Result<Checked, FileError>) -> Value {
         })
     };
     match checked {
-        Ok(Checked { what, margin, singular, distances, found, skipped }) => {
+        Ok(Checked { what, margin, gears, singular, distances, found, skipped }) => {
             let [findings, not_checked] =
                 [found, skipped].map(|list| list.iter().map(told).collect::<Vec<Value>>());
             let margin_of = |servo_loop: ServoLoop| {
@@ -247,6 +253,7 @@ fn as_json(path: &Path, checked: &Result<Checked, FileError>) -> Value {
                 "is": what,
                 "position_gain_margin": margin_of(ServoLoop::Position),
                 "velocity_gain_margin": margin_of(ServoLoop::Velocity),
+                "gears": gears.iter().map(gear_as_json).collect::<Vec<Value>>(),
                 "singular_postures": singular.iter().map(singular_as_json).collect::<Vec<Value>>(),
                 "kept_distances": distances.as_ref().map(pairs_json),
                 "findings": findings,
@@ -263,6 +270,15 @@ fn as_json(path: &Path, checked: &Result<Checked, FileError>) -> Value {
             "help": error.help(),
         }),
     }
+}
+
+fn gear_as_json(gear: &GearResonance) -> Value {
+    json!({
+        "joint": gear.joint,
+        "stiffness_nm_per_rad": gear.stiffness_nm_per_rad,
+        "antiresonance_hz": gear.antiresonance_hz,
+        "resonance_hz": gear.resonance_hz,
+    })
 }
 
 fn singular_as_json(postures: &SingularPostures) -> Value {

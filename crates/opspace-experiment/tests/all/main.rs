@@ -3,6 +3,7 @@
 mod collision_views;
 mod collisions;
 mod diagnostics;
+mod drives;
 mod log_header;
 mod metrics;
 mod overrides;
