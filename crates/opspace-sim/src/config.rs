@@ -250,17 +250,24 @@ impl ArmConfig {
         kinematics(model, &mut data, &self.start, &vec![0.0; model.n()]);
         crba(model, &mut data);
         let factor = data.mass_matrix.clone().cholesky().ok_or(SimulationError::GearLinks)?;
-        // Largest eigenvalue of M⁻¹ times the gears' stiffness or damping.
+        // Largest eigenvalue of M⁻¹ times the gears' stiffness or damping, and the joint with the largest diagonal element.
         let largest = |of: fn(&GearConfig) -> f64| {
             let root = |i: usize| gears[i].as_ref().map_or(0.0, of).sqrt();
             let scaled = DMatrix::from_fn(model.n(), model.n(), |i, j| if i == j { root(i) } else { 0.0 });
-            (&scaled * factor.solve(&scaled)).symmetric_eigenvalues().max()
+            let product = &scaled * factor.solve(&scaled);
+            let joint = self.name(product.diagonal().imax()).to_owned();
+            (product.symmetric_eigenvalues().max(), joint)
         };
-        let frequency = largest(|gear| gear.stiffness).sqrt();
-        let needed_hz =
-            (frequency / LARGEST_GEAR_STEP).max(largest(|gear| gear.damping) / LARGEST_DAMPING_STEP);
+        let (squared, joint) = largest(|gear| gear.stiffness);
+        let needed_hz = squared.sqrt() / LARGEST_GEAR_STEP;
         if needed_hz > physics_hz {
-            return Err(SimulationError::GearRate { physics_hz, needed_hz, frequency_hz: frequency / TAU });
+            let frequency_hz = squared.sqrt() / TAU;
+            return Err(SimulationError::GearRate { joint, physics_hz, needed_hz, frequency_hz });
+        }
+        let (rate, joint) = largest(|gear| gear.damping);
+        let needed_hz = rate / LARGEST_DAMPING_STEP;
+        if needed_hz > physics_hz {
+            return Err(SimulationError::GearDamping { joint, physics_hz, needed_hz });
         }
         Ok(())
     }

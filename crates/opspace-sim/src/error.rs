@@ -73,18 +73,33 @@ pub enum SimulationError {
          inertia"
     )]
     GearLinks,
-    /// Links that vibrate on elastic gears too fast for the physics rate.
+    /// Link that vibrates on its elastic gear too fast for the physics rate.
     #[error(
-        "the links vibrate on their elastic gears with up to {frequency_hz:.0} Hz: physics_hz is {physics_hz}, at \
-         least {needed_hz:.0} is needed"
+        "the link of joint '{joint}' vibrates on its elastic gear with {frequency_hz:.0} Hz: physics_hz is \
+         {physics_hz}, at least {needed_hz:.0} is needed"
     )]
     GearRate {
+        /// Name of the joint with the least inertia for its gear.
+        joint: String,
         /// Physics rate `physics_hz`, Hz.
         physics_hz: f64,
         /// Lowest physics rate that is enough, Hz.
         needed_hz: f64,
         /// Highest frequency of the links on their gears at the start, Hz.
         frequency_hz: f64,
+    },
+    /// Link whose elastic gear has too much damping for the physics rate.
+    #[error(
+        "the elastic gear of joint '{joint}' has much damping for the inertia of its link: physics_hz is \
+         {physics_hz}, at least {needed_hz:.0} is needed, or a smaller damping_nms_per_rad"
+    )]
+    GearDamping {
+        /// Name of the joint with the least inertia for its gear.
+        joint: String,
+        /// Physics rate `physics_hz`, Hz.
+        physics_hz: f64,
+        /// Lowest physics rate that is enough, Hz.
+        needed_hz: f64,
     },
     /// Invalid servo.
     #[error("the servo of joint '{joint}': {source}")]
@@ -285,6 +300,10 @@ impl SimulationError {
             Self::Period { .. } | Self::ServoRates { .. } => Key::Profile(vec!["servo_hz".into()]),
             Self::Joints { .. } => Key::Robot(vec!["joint".into()]),
             Self::NoArm | Self::Coupling { .. } => Key::Task(Vec::new()),
+            Self::GearDamping { joint, .. } => {
+                let path = ["simulated", "gear", joint, "damping_nms_per_rad"];
+                Key::Robot(path.map(str::to_owned).to_vec())
+            }
             Self::PhysicsRate { .. } | Self::GearRate { .. } => {
                 Key::Robot(vec!["simulated".into(), "physics_hz".into()])
             }

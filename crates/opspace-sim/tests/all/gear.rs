@@ -350,6 +350,13 @@ fn impossible_gears_are_refused() {
     let error = refused(elastic(CommandKind::Position, 1e9));
     assert!(matches!(error, SimulationError::GearRate { needed_hz, .. } if needed_hz > 2e4), "{error}");
     assert_eq!(error.key(), robot_key(&["simulated", "physics_hz"]));
+    let mut damped = elastic(CommandKind::Position, 2e4);
+    damped
+        .simulated
+        .gear
+        .insert("elbow".to_owned(), parsed("stiffness_nm_per_rad = 20000.0\ndamping_nms_per_rad = 10000.0"));
+    let error = refused(damped);
+    assert_eq!(error.key(), robot_key(&["simulated", "gear", "elbow", "damping_nms_per_rad"]), "{error}");
 }
 
 /// Compared: the motion with a stiffness in `[simulated.gear]`, with the nominal one of the joints, and with a scale: the
