@@ -34,12 +34,16 @@ pub struct EstimatorParameters {
     pub velocity: Option<VelocitySource>,
     /// Cut-off frequency of the low-pass filter on the finite difference, Hz.
     pub velocity_filter_hz: Positive,
+    /// Rms noise of measured positions at the joints, rad (m), for `extrapolation` where drives limit the acceleration of
+    /// setpoints. That of the encoders' resolution if absent.
+    #[serde(default)]
+    pub position_noise_rad: Option<Positive>,
 }
 
 impl Default for EstimatorParameters {
     /// Returns the cut-off of the paper's experiments, 150 Hz.
     fn default() -> Self {
-        Self { velocity: None, velocity_filter_hz: Positive::literal(150.0) }
+        Self { velocity: None, velocity_filter_hz: Positive::literal(150.0), position_noise_rad: None }
     }
 }
 

@@ -19,8 +19,8 @@
 //!
 //! holds for filters, integrals, interpolation, delay and feed-forward alike. The memory of the law follows from the
 //! setpoints that were sent and the positions that were measured. If the setpoints for the mean torque of one interval would
-//! grow without bound, as behind a setpoint filter, the mean torque of several intervals is matched, in which the setpoint
-//! moves on with the joint.
+//! grow, oscillate or be large, as behind a setpoint filter, the mean torque of several intervals is matched, in which the
+//! setpoint moves on with the joint.
 //!
 //! # Stability
 //!
@@ -37,10 +37,11 @@
 //! low-passed at up to [`UNSETTLED_HZ`] instead.
 
 use crate::active_setpoints::ActiveSetpoints;
-use crate::estimator::{EstimatorParameters, VelocityEstimator};
+use crate::estimator::EstimatorParameters;
 use crate::gain_adaptation::{GainAdaptation, GainAdaptationParameters};
+use crate::motion_estimator::{MotionEstimator, MotionGains};
 use crate::servo::{ServoGains, ServoParameters};
-use crate::servo_inversion::{EmulationError, Ticks, least_horizon};
+use crate::servo_inversion::{EmulationError, Ticks, quiet_horizon};
 use crate::servo_law::{MAX_ORDER, ServoLaw, ServoState};
 use crate::transformer::Transformer;
 use nalgebra::DVector;
@@ -62,7 +63,7 @@ const ESTIMATION_HZ: f64 = 8.0;
 const UNSETTLED: f64 = 0.01;
 
 /// Largest number of intervals whose mean torque is matched.
-const LONGEST_HORIZON: u32 = 8;
+const LONGEST_HORIZON: u32 = 16;
 
 /// Bound on δ, as a multiple of the torque limit.
 const LIMIT: f64 = 3.0;
@@ -89,8 +90,20 @@ pub struct ExtrapolationSetup {
     /// True if brakes hold a velocity robot, with motors off, until its first setpoint acts. Ignored for a position
     /// robot, which its servos hold.
     pub has_brakes: bool,
+    /// Limits of the noise of setpoints (n); `None`, or empty, for joints whose drives do not limit the acceleration of
+    /// setpoints.
+    pub setpoint_noise: Vec<Option<SetpointNoise>>,
     /// Estimation of gains from measured motor torques and correction by them, if motor torques are measured.
     pub current: Option<GainAdaptationParameters>,
+}
+
+/// Noise of measured positions that must not reach the acceleration of setpoints.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SetpointNoise {
+    /// Rms noise of measured positions, rad (m).
+    pub position_noise: f64,
+    /// Largest acceleration of setpoints, rad/s² (m/s²).
+    pub acceleration_limit: f64,
 }
 
 /// Transformer that extrapolates each joint: see the [module](self).
@@ -99,7 +112,6 @@ pub struct ExtrapolatingTransformer {
     takes: CommandKind,
     joints: Vec<Joint>,
     ticks: Ticks,
-    velocity: VelocityEstimator,
     /// Time between two interface cycles, s.
     period_s: f64,
     gravity_compensated_by: GravityCompensation,
@@ -108,9 +120,10 @@ pub struct ExtrapolatingTransformer {
     /// Setpoints sent at the last interface cycle, if `was_sent` (n; rad, m or rad/s, m/s).
     sent: DVector<f64>,
     was_sent: bool,
-    reference: Reference,
-    /// Positions of the last sample (n; rad, m).
-    q: DVector<f64>,
+    /// Velocities at the last sample (n; rad/s, m/s).
+    velocity: DVector<f64>,
+    /// True if the controller is to use these velocities.
+    filters_positions: bool,
     /// Interface cycles since the last sample.
     elapsed: u32,
     /// True after the first setpoint was sent; before, the robot holds itself.
@@ -121,36 +134,45 @@ pub struct ExtrapolatingTransformer {
     known: u32,
 }
 
-/// Joint velocities of the references (n; rad/s, m/s).
-#[derive(Clone, Debug)]
+/// Motion of a joint's reference, estimated as that of the joint is.
+#[derive(Clone, Copy, Debug)]
 struct Reference {
-    now: DVector<f64>,
-    before: DVector<f64>,
-    /// Velocity of the references with the lag of the estimate.
-    lagging: DVector<f64>,
-    /// Gain of the estimate's low-pass filter.
-    gain: f64,
+    /// Velocities at the present and at the last sample, rad/s (m/s).
+    now: f64,
+    before: f64,
+    /// Position since the start of the reference, rad (m).
+    position: f64,
+    estimate: MotionEstimator,
     /// True if there was a reference in the last cycle.
     is_continued: bool,
 }
 
 impl Reference {
-    fn advance(&mut self, velocity: &[f64]) {
-        if !std::mem::replace(&mut self.is_continued, true) {
-            self.now.copy_from_slice(velocity);
-            self.lagging.copy_from_slice(velocity);
-        }
-        std::mem::swap(&mut self.now, &mut self.before);
-        self.now.copy_from_slice(velocity);
-        for ((lagging, now), before) in self.lagging.iter_mut().zip(&self.now).zip(&self.before) {
-            *lagging += self.gain * (0.5 * (now + before) - *lagging);
-        }
+    fn new(gains: MotionGains, period_s: f64) -> Self {
+        let estimate = MotionEstimator::new(gains, period_s);
+        Self { now: 0.0, before: 0.0, position: 0.0, estimate, is_continued: false }
     }
 
-    /// Ends the reference: joints go on at the velocity that they have.
+    fn advance(&mut self, velocity: f64, period_s: f64) {
+        if !std::mem::replace(&mut self.is_continued, true) {
+            self.estimate.start(0.0, velocity);
+            self.now = velocity;
+        } else {
+            self.position += 0.5 * period_s * (self.now + velocity);
+            self.estimate.update(1, self.position);
+        }
+        self.before = std::mem::replace(&mut self.now, velocity);
+    }
+
+    /// Velocity that the estimate lacks, because it lags behind.
+    fn anticipated(&self) -> f64 {
+        if self.is_continued { self.now - self.estimate.velocity } else { 0.0 }
+    }
+
+    /// Ends the reference: the joint goes on at the velocity that it has.
     fn end(&mut self) {
         self.is_continued = false;
-        [&mut self.now, &mut self.before, &mut self.lagging].into_iter().for_each(|v| v.fill(0.0));
+        [self.now, self.before, self.position] = [0.0; 3];
     }
 }
 
@@ -158,6 +180,8 @@ impl Reference {
 #[derive(Clone, Debug)]
 struct Joint {
     law: ServoLaw,
+    motion: MotionEstimator,
+    reference: Reference,
     /// Memory of the drive at the last sample.
     memory: ServoState,
     /// Number of intervals whose mean torque is matched.
@@ -202,8 +226,21 @@ impl Joint {
     fn new(setup: &ExtrapolationSetup, i: usize, ticks: Ticks) -> Result<Self, EmulationError> {
         let servo = &setup.servos[i];
         let law = ServoLaw::new(servo, ticks.period_s)?;
+        let period_s = ticks.period_s * f64::from(ticks.servo_ticks_per_cycle);
+        let gains = match setup.setpoint_noise.get(i) {
+            Some(&Some(noise)) => {
+                MotionGains::of_limited(noise.position_noise, noise.acceleration_limit, period_s)
+            }
+            _ => MotionGains::Difference {
+                gain: low_pass::gain(setup.estimator.velocity_filter_hz.get(), period_s),
+            },
+        };
+        let ServoGains { stiffness, damping } = servo.gains(ticks.period_s);
+        let static_response = if servo.takes() == CommandKind::Velocity { damping } else { stiffness };
         let mut joint = Self {
-            horizon: least_horizon(&law, ticks, LONGEST_HORIZON)?,
+            motion: MotionEstimator::new(gains, period_s),
+            reference: Reference::new(gains, period_s),
+            horizon: quiet_horizon(&law, ticks, static_response, LONGEST_HORIZON)?,
             law,
             memory: [0.0; MAX_ORDER],
             response: 0.0,
@@ -227,7 +264,7 @@ impl Joint {
     }
 
     /// Corrects the joint with the `measured` mean torque of the last interval. `was_asked` is true if its setpoints were
-    /// those of this transformer.
+    /// those of this transformer; the torque of others is emulated.
     fn correct(&mut self, ticks: Ticks, measured: f64, interval: Interval, was_asked: bool) {
         let Some(current) = &mut self.current else { return };
         let mut unsettled = 0.0;
@@ -235,15 +272,14 @@ impl Joint {
             unsettled =
                 estimation.update(&mut self.law, measured, interval) / (UNSETTLED * self.torque_limit);
         }
-        if was_asked {
-            let share = f64::from(ticks.delay) / f64::from(ticks.servo_ticks_per_cycle);
-            let expected = (1.0 - share) * current.asked[0] + share * current.asked[1];
-            let [settled, fastest] = current.gains;
-            let gain = settled + (fastest - settled) * unsettled / (1.0 + unsettled);
-            let excess = current.excess + gain * (measured - expected - current.excess);
-            let limit = LIMIT * self.torque_limit;
-            current.excess = excess.clamp(-limit, limit);
-        }
+        let share = f64::from(ticks.delay) / f64::from(ticks.servo_ticks_per_cycle);
+        let asked = (1.0 - share) * current.asked[0] + share * current.asked[1];
+        let expected = if was_asked { asked } else { interval.torque };
+        let [settled, fastest] = current.gains;
+        let gain = settled + (fastest - settled) * unsettled / (1.0 + unsettled);
+        let excess = current.excess + gain * (measured - expected - current.excess);
+        let limit = LIMIT * self.torque_limit;
+        current.excess = excess.clamp(-limit, limit);
         if current.estimation.is_some() {
             self.respond(ticks);
         }
@@ -322,21 +358,14 @@ impl ExtrapolatingTransformer {
             takes,
             joints: (0..n).map(joint).collect::<Result<_, _>>()?,
             ticks,
-            velocity: VelocityEstimator::new(n, &setup.estimator, period_s),
             period_s,
             gravity_compensated_by: setup.gravity_compensated_by,
             has_brakes: setup.has_brakes && takes == CommandKind::Velocity,
             active: ActiveSetpoints::new(n, ticks),
-            reference: Reference {
-                now: zero.clone(),
-                before: zero.clone(),
-                lagging: zero.clone(),
-                gain: low_pass::gain(setup.estimator.velocity_filter_hz.get(), period_s),
-                is_continued: false,
-            },
             sent: zero.clone(),
             was_sent: false,
-            q: zero.clone(),
+            velocity: zero.clone(),
+            filters_positions: setup.setpoint_noise.iter().any(Option::is_some),
             elapsed: 1,
             begun: false,
             given: zero,
@@ -344,7 +373,8 @@ impl ExtrapolatingTransformer {
         })
     }
 
-    /// Follows the drives from the last sample to this one: their memory, and the means of the interval.
+    /// Estimates the motion of all joints, and follows the drives from the last sample to this one: their memory, and the
+    /// means of the interval.
     fn follow(&mut self, sample: &Sample) {
         let ticks = self.ticks;
         let measured = sample.motor_torque.as_ref().filter(|_| self.elapsed == 1);
@@ -352,7 +382,12 @@ impl ExtrapolatingTransformer {
         let share = 1.0 / f64::from(all_ticks);
         let was_asked = self.known >= 2;
         for (i, joint) in self.joints.iter_mut().enumerate() {
-            let (from, step) = (self.q[i], (sample.q[i] - self.q[i]) * share);
+            let from = joint.motion.position;
+            joint.motion.update(self.elapsed, sample.q[i]);
+            if !self.begun {
+                continue;
+            }
+            let step = (joint.motion.position - from) * share;
             let mut mean = Interval::default();
             for tick in 0..all_ticks {
                 let new = self.was_sent.then_some(self.sent.as_slice());
@@ -365,7 +400,7 @@ impl ExtrapolatingTransformer {
                 joint.correct(ticks, measured[i], mean, was_asked);
             }
         }
-        for _ in 0..self.elapsed {
+        for _ in 0..if self.begun { self.elapsed } else { 0 } {
             let new = std::mem::take(&mut self.was_sent).then_some(self.sent.as_slice());
             self.active.advance(ticks, new);
         }
@@ -377,7 +412,7 @@ impl ExtrapolatingTransformer {
             let is_loaded =
                 !self.has_brakes && self.gravity_compensated_by == GravityCompensation::Controller;
             let load = if is_loaded { data.gravity[i] } else { 0.0 };
-            let (memory, setpoint) = joint.law.rest(self.q[i], load);
+            let (memory, setpoint) = joint.law.rest(joint.motion.position, load);
             joint.memory = memory;
             self.active.hold(i, setpoint);
         }
@@ -390,13 +425,12 @@ impl Transformer for ExtrapolatingTransformer {
     }
 
     fn observe(&mut self, sample: &Sample) -> Option<&[f64]> {
-        self.velocity.update_after(u64::from(self.elapsed), &sample.q);
-        if self.begun {
-            self.follow(sample);
-        }
-        self.q.copy_from_slice(&sample.q);
+        self.follow(sample);
         self.elapsed = 1;
-        None
+        for (velocity, joint) in self.velocity.iter_mut().zip(&self.joints) {
+            *velocity = joint.motion.velocity;
+        }
+        self.filters_positions.then_some(self.velocity.as_slice())
     }
 
     fn uses_reference_velocity(&self) -> bool {
@@ -404,7 +438,8 @@ impl Transformer for ExtrapolatingTransformer {
     }
 
     fn set_reference_velocity(&mut self, velocity: &[f64]) {
-        self.reference.advance(velocity);
+        let period_s = self.period_s;
+        self.joints.iter_mut().zip(velocity).for_each(|(joint, &v)| joint.reference.advance(v, period_s));
     }
 
     fn transform(&mut self, data: &Data, tau: &[f64], q_desired: &mut [f64]) {
@@ -413,13 +448,11 @@ impl Transformer for ExtrapolatingTransformer {
         }
         let ticks = self.ticks;
         let ratio = ticks.servo_ticks_per_cycle;
-        let velocity = self.velocity.velocity();
         for (i, joint) in self.joints.iter_mut().enumerate() {
             let torque = tau[i] - joint.excess();
-            // The reference anticipates the velocity: its own lag, and its acceleration.
-            let q = self.q[i];
-            let v = velocity[i] + self.reference.now[i] - self.reference.lagging[i];
-            let acceleration = (self.reference.now[i] - self.reference.before[i]) / self.period_s;
+            let (q, reference) = (joint.motion.position, &joint.reference);
+            let v = joint.motion.velocity + reference.anticipated();
+            let acceleration = (reference.now - reference.before) / self.period_s;
             let position = |tick: u32| {
                 let t = f64::from(tick) * ticks.period_s;
                 q + t * (v + 0.5 * t * acceleration)
@@ -463,7 +496,7 @@ impl Transformer for ExtrapolatingTransformer {
 
     fn missed(&mut self, periods: u64) {
         self.known = 0;
-        self.reference.end();
+        self.joints.iter_mut().for_each(|joint| joint.reference.end());
         self.elapsed = self.elapsed.saturating_add(u32::try_from(periods).unwrap_or(u32::MAX));
     }
 
@@ -472,8 +505,10 @@ impl Transformer for ExtrapolatingTransformer {
         self.known = 0;
         self.was_sent = false;
         self.elapsed = 1;
-        self.velocity.reset();
-        self.reference.end();
+        for joint in &mut self.joints {
+            joint.motion.reset();
+            joint.reference.end();
+        }
         self.active.settle(self.ticks);
         for current in self.joints.iter_mut().filter_map(|joint| joint.current.as_mut()) {
             current.excess = 0.0;

@@ -2,12 +2,18 @@
 
 use crate::polynomial::MAX_ITERATIONS;
 use crate::servo_law::{MAX_ORDER, ServoError, ServoLaw, ServoState};
-use nalgebra::{DMatrix, Schur};
+use nalgebra::{Complex, DMatrix, Schur};
 use opspace_backend::{CommandKind, Setpoints};
 use thiserror::Error;
 
 /// Largest spectral radius of the inverse, per interface cycle, that counts as stable.
 const LARGEST_GROWTH: f64 = 1.0 - 1e-6;
+
+/// Least response of quiet setpoints, relative to the static one.
+const LEAST_RESPONSE: f64 = 0.3;
+
+/// Largest oscillation of quiet setpoints from cycle to cycle.
+const LARGEST_OSCILLATION: f64 = 0.5;
 
 /// Torques of an interval that match the desired torque.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -66,33 +72,53 @@ pub(crate) fn check_inverse(
     ticks: Ticks,
     matching: TorqueObjective,
 ) -> Result<(), EmulationError> {
-    let growth = inverse_growth(law, ticks, matching, 1)?;
+    let growth = inverse(law, ticks, matching, 1)?.growth;
     if growth > LARGEST_GROWTH { Err(EmulationError::Unstable { growth }) } else { Ok(()) }
 }
 
-/// Returns the least number of intervals, at most `longest`, over which a mean torque can be matched with bounded
-/// setpoints.
-pub(crate) fn least_horizon(law: &ServoLaw, ticks: Ticks, longest: u32) -> Result<u32, EmulationError> {
-    let mut least = f64::INFINITY;
+/// Returns the least number of intervals over which a mean torque is matched with quiet setpoints: their response is at
+/// least `LEAST_RESPONSE` times the static one, the `stiffness` (torque per unit of setpoint), and their oscillation from
+/// cycle to cycle decays. If there is none up to `longest`, returns the largest number with bounded setpoints.
+pub(crate) fn quiet_horizon(
+    law: &ServoLaw,
+    ticks: Ticks,
+    stiffness: f64,
+    longest: u32,
+) -> Result<u32, EmulationError> {
+    let mut bounded = Err(EmulationError::Unstable { growth: f64::INFINITY });
     for intervals in 1..=longest {
-        let growth = inverse_growth(law, ticks, TorqueObjective::IntervalMean, intervals)?;
-        if growth <= LARGEST_GROWTH {
+        let Inverse { growth, oscillation, response } =
+            inverse(law, ticks, TorqueObjective::IntervalMean, intervals)?;
+        if growth > LARGEST_GROWTH {
+            continue;
+        }
+        if oscillation <= LARGEST_OSCILLATION && response >= LEAST_RESPONSE * stiffness {
             return Ok(intervals);
         }
-        least = least.min(growth);
+        bounded = Ok(intervals);
     }
-    Err(EmulationError::Unstable { growth: least })
+    bounded
 }
 
-/// Growth of the setpoints per interface cycle if each matches the torques of the next `intervals`, for a joint that
+/// Properties of the inverse of a servo.
+struct Inverse {
+    /// Growth of the setpoints per interface cycle.
+    growth: f64,
+    /// Growth of the setpoints that change sign from cycle to cycle.
+    oscillation: f64,
+    /// Mean torque per unit of setpoint over the matched intervals; only for that objective.
+    response: f64,
+}
+
+/// Analyses the setpoints of which each matches the torques of the next `intervals`, for a joint that
 /// doesn't move. The state is the servo's memory and the previous setpoint; each setpoint is chosen so that the torque is
 /// zero.
-fn inverse_growth(
+fn inverse(
     law: &ServoLaw,
     ticks: Ticks,
     matching: TorqueObjective,
     intervals: u32,
-) -> Result<f64, EmulationError> {
+) -> Result<Inverse, EmulationError> {
     let run = |memory: ServoState, before: f64, new: f64, intervals: u32| {
         let mut memory = memory;
         let torques: Vec<f64> = (0..intervals * ticks.servo_ticks_per_cycle)
@@ -130,7 +156,16 @@ fn inverse_growth(
     }
     let decomposed = Schur::try_new(growth, f64::EPSILON, MAX_ITERATIONS);
     // A matrix that is not finite grows without bound.
-    Ok(decomposed.map_or(f64::INFINITY, |decomposed| {
-        decomposed.complex_eigenvalues().iter().map(|v| v.norm()).fold(0.0, f64::max)
-    }))
+    let eigenvalues = decomposed.map(|decomposed| decomposed.complex_eigenvalues());
+    let largest = |among: fn(&Complex<f64>) -> bool| {
+        eigenvalues.as_ref().map_or(f64::INFINITY, |values| {
+            values.iter().filter(|v| among(v)).map(|v| v.norm()).fold(0.0, f64::max)
+        })
+    };
+    let all_ticks = f64::from(intervals * ticks.servo_ticks_per_cycle);
+    Ok(Inverse {
+        growth: largest(|_| true),
+        oscillation: largest(|v| v.re < 0.0),
+        response: response / all_ticks,
+    })
 }

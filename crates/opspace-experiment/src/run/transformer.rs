@@ -3,15 +3,17 @@
 use crate::files::source::FileError;
 use crate::run::experiment::{ControllerKind, Experiment};
 use nalgebra::DMatrix;
-use opspace_backend::quantity::NonNegative;
+use opspace_backend::quantity::{NonNegative, Positive};
 use opspace_backend::{CommandKind, Measured, Setpoints};
 use opspace_model::{Data, update};
+use opspace_transformer::setpoint_governor::SetpointGovernor;
+use opspace_transformer::setpoint_limits::JointSetpointLimits;
 use opspace_transformer::{
     ClosedLoopModel, CurrentFeedback, EmulatingTransformer, EmulationSetup, ExtrapolatingTransformer,
     ExtrapolationSetup, FrictionCompensation, FrictionCompensationParameters, FrictionLaw,
-    GainAdaptationParameters, Identity, LiteralTransformer, Method, ObservedTransformer, PaperTransformer,
-    ServoGains, ServoParameters, TorqueObjective, TorqueObserver, TorqueObserverSetup, Transformer,
-    TransformerKind, VelocitySource, VelocityTransformer,
+    GainAdaptationParameters, Identity, JointParameters, LiteralTransformer, Method, ObservedTransformer,
+    PaperTransformer, ServoGains, ServoParameters, SetpointNoise, TorqueObjective, TorqueObserver,
+    TorqueObserverSetup, Transformer, TransformerKind, VelocitySource, VelocityTransformer,
 };
 
 impl Experiment {
@@ -56,6 +58,16 @@ impl Experiment {
         if self.options.backend == CommandKind::Torque {
             return Ok(if observes { Box::new(self.torque_observer()) } else { Box::new(Identity) });
         }
+        let unlimited = self.unlimited_transformer(observes)?;
+        let Some(limits) = &self.profile.setpoint_limits else { return Ok(unlimited) };
+        let names = self.robot.model.joints().iter().map(|joint| &joint.name);
+        let limits: Vec<JointSetpointLimits> =
+            names.map(|name| limits.joint.get(name).copied().unwrap_or_default()).collect();
+        Ok(Box::new(SetpointGovernor::new(unlimited, &limits, self.profile.period_s())))
+    }
+
+    /// Builds the chosen transformer, without limits of setpoints.
+    fn unlimited_transformer(&self, observes: bool) -> Result<Box<dyn Transformer>, FileError> {
         let (TransformerKind { method, current }, _) = self.chosen_transformer();
         let joints = || self.robot.identified(&self.profile);
         let literal = |measured| {
@@ -191,8 +203,23 @@ impl Experiment {
             estimator: self.profile.estimator.clone(),
             gravity_compensated_by: self.gravity_compensated_by(),
             has_brakes: self.capabilities().has_brakes,
+            setpoint_noise: self.setpoint_noise(),
             current: current.then(|| self.profile.adapt_gains.unwrap_or(GainAdaptationParameters::usual())),
         })
+    }
+
+    /// Noise of positions that must not reach the setpoints, where drives limit their acceleration (n).
+    fn setpoint_noise(&self) -> Vec<Option<SetpointNoise>> {
+        let Some(limits) = &self.profile.setpoint_limits else { return Vec::new() };
+        let noise = |(name, joint): (&String, JointParameters)| {
+            let acceleration_limit = limits.joint.get(name)?.acceleration_rad_per_s2?.get();
+            let declared = self.profile.estimator.position_noise_rad;
+            // A rounding error is uniform over one count.
+            let position_noise = declared.map_or(joint.rotor.resolution_rad() / 12f64.sqrt(), Positive::get);
+            Some(SetpointNoise { position_noise, acceleration_limit })
+        };
+        let names = self.robot.model.joints().iter().map(|joint| &joint.name);
+        names.zip(self.robot.joints()).map(noise).collect()
     }
 
     /// Inertia of each joint at the start of the task with the other joints free, 1/(M⁻¹)ᵢᵢ (n; kg m² or kg).

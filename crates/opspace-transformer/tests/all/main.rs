@@ -6,6 +6,7 @@ mod extrapolation;
 mod impedance;
 
 mod servos;
+mod setpoint_governor;
 mod setpoint_limits;
 mod torque_observer;
 mod transformer;

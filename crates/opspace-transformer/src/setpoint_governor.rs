@@ -1,0 +1,194 @@
+//! Setpoints within the limits of the drives: the command of a transformer, followed as closely as limits of velocity,
+//! acceleration and jerk allow.
+//!
+//! A drive that refuses or clamps a setpoint is no longer the drive that the transformer knows. The governor sends only
+//! setpoints that it accepts. With the setpoint x, its velocity v and acceleration a of the last cycle, the limits V, A, J
+//! and the period T, it chooses the acceleration a' of the next one, v' = v + T a', x' = x + T v':
+//!
+//! ```text
+//! v_want = sign(e) min(|e|/T, √(2 A |e|), V)        e = x_desired − x
+//! a_want = s(v_want − v)        s(m) = sign(m) min(|m|/T, J (√(T²/4 + 2 |m|/J) − T/2))
+//! a' = (v_desired − v)/T if within the limits; else a_want, limited:
+//! a' within ±A, within a ± J T, and between s(−V − v) and s(V − v)
+//! ```
+//!
+//! s(m) is the largest acceleration that can be taken back at the jerk J before the velocity has changed by m. Hence the
+//! limits of velocity and jerk never contradict each other. The transformer works from the setpoints that were really
+//! sent, so that a limited one causes no wind-up.
+
+use crate::setpoint_limits::JointSetpointLimits;
+use crate::transformer::Transformer;
+use opspace_backend::quantity::Positive;
+use opspace_backend::{CommandKind, Sample};
+use opspace_model::Data;
+
+/// Fraction of the limits that is used: rounding must not exceed them.
+const USED: f64 = 1.0 - 1e-4;
+
+/// Transformer whose setpoints are within the limits of the drives: see the [module](self).
+pub struct SetpointGovernor {
+    inner: Box<dyn Transformer>,
+    joints: Vec<GovernedSetpoint>,
+}
+
+impl SetpointGovernor {
+    /// Returns the transformer `inner` with setpoints within these limits (n), at interface cycles of `period_s` (s).
+    #[must_use]
+    pub fn new(inner: Box<dyn Transformer>, limits: &[JointSetpointLimits], period_s: f64) -> Self {
+        let takes = inner.takes();
+        let joints = limits.iter().map(|limits| GovernedSetpoint::new(limits, takes, period_s)).collect();
+        Self { inner, joints }
+    }
+}
+
+/// Setpoint of one joint.
+#[derive(Clone, Copy, Debug)]
+pub struct GovernedSetpoint {
+    takes: CommandKind,
+    period_s: f64,
+    velocity_limit: f64,
+    acceleration_limit: f64,
+    jerk_limit: f64,
+    /// Last setpoint, its velocity and its acceleration; `None` before the first.
+    last: Option<[f64; 3]>,
+}
+
+impl GovernedSetpoint {
+    /// Returns the governor of a joint before its first setpoint, of the quantity `takes`.
+    #[must_use]
+    pub fn new(limits: &JointSetpointLimits, takes: CommandKind, period_s: f64) -> Self {
+        let limit = |limit: Option<Positive>| limit.map_or(f64::INFINITY, |limit| USED * limit.get());
+        Self {
+            takes,
+            period_s,
+            velocity_limit: limit(limits.velocity_rad_per_s),
+            acceleration_limit: limit(limits.acceleration_rad_per_s2),
+            jerk_limit: limit(limits.jerk_rad_per_s3),
+            last: None,
+        }
+    }
+
+    /// Returns the setpoint within the limits that follows `desired` (rad, m; rad/s, m/s for a velocity robot).
+    #[must_use]
+    pub fn follow(&self, desired: f64) -> f64 {
+        let Some([setpoint, velocity, before]) = self.last else { return desired };
+        let want = match self.takes {
+            CommandKind::Velocity => desired,
+            CommandKind::Position | CommandKind::Torque => {
+                let error = desired - setpoint;
+                let braking = (2.0 * self.acceleration_limit * error.abs()).sqrt();
+                (error.abs() / self.period_s).min(braking).copysign(error)
+            }
+        };
+        let want = want.clamp(-self.velocity_limit, self.velocity_limit);
+        let reached = self.jerk_limit * self.period_s;
+        // A whole number of steps changes the velocity by up to J T²/8 more than s assumes.
+        let spare = if reached.is_finite() { 0.125 * reached * self.period_s } else { 0.0 };
+        let [lowest, highest] =
+            [-1.0, 1.0].map(|sign| self.towards(sign * self.velocity_limit - velocity, spare));
+        let allowed = |acceleration: f64| {
+            acceleration
+                .clamp(-self.acceleration_limit, self.acceleration_limit)
+                .clamp(before - reached, before + reached)
+                .clamp(lowest.min(highest), highest.max(lowest))
+        };
+        // What is within the limits is followed exactly.
+        let exact = (self.velocity_to(desired, setpoint) - velocity) / self.period_s;
+        if allowed(exact) == exact {
+            return desired;
+        }
+        let acceleration = allowed(self.towards(want - velocity, 0.0));
+        let velocity = velocity + self.period_s * acceleration;
+        match self.takes {
+            CommandKind::Velocity => velocity,
+            CommandKind::Position | CommandKind::Torque => setpoint + self.period_s * velocity,
+        }
+    }
+
+    /// Velocity with which the next setpoint is `desired`.
+    fn velocity_to(&self, desired: f64, setpoint: f64) -> f64 {
+        match self.takes {
+            CommandKind::Velocity => desired,
+            CommandKind::Position | CommandKind::Torque => (desired - setpoint) / self.period_s,
+        }
+    }
+
+    /// Largest acceleration that can be taken back before the velocity has changed by `change`.
+    /// `spare` of it is left.
+    fn towards(&self, change: f64, spare: f64) -> f64 {
+        let (period_s, size) = (self.period_s, change.abs());
+        if self.jerk_limit.is_infinite() {
+            return change / period_s;
+        }
+        let most = (size - spare).max(0.0);
+        let taken_back = self.jerk_limit
+            * ((0.25 * period_s * period_s + 2.0 * most / self.jerk_limit).sqrt() - 0.5 * period_s);
+        taken_back.min(change.abs() / period_s).copysign(change)
+    }
+
+    /// Records the setpoint that was sent.
+    pub fn take(&mut self, setpoint: f64) {
+        let last = self.last.unwrap_or([
+            setpoint,
+            if self.takes == CommandKind::Velocity { setpoint } else { 0.0 },
+            0.0,
+        ]);
+        let velocity = self.velocity_to(setpoint, last[0]);
+        self.last = Some([setpoint, velocity, (velocity - last[1]) / self.period_s]);
+    }
+
+    /// Records a cycle without a setpoint: the drive rests at the last one.
+    pub fn keep(&mut self) {
+        if let Some(last) = &mut self.last {
+            last[2] = 0.0;
+            if self.takes != CommandKind::Velocity {
+                last[1] = 0.0;
+            }
+        }
+    }
+
+    /// Forgets the setpoints: the next one is the first.
+    pub fn restart(&mut self) {
+        self.last = None;
+    }
+}
+
+impl Transformer for SetpointGovernor {
+    fn takes(&self) -> CommandKind {
+        self.inner.takes()
+    }
+
+    fn observe(&mut self, sample: &Sample) -> Option<&[f64]> {
+        self.inner.observe(sample)
+    }
+
+    fn uses_reference_velocity(&self) -> bool {
+        self.inner.uses_reference_velocity()
+    }
+
+    fn set_reference_velocity(&mut self, velocity: &[f64]) {
+        self.inner.set_reference_velocity(velocity);
+    }
+
+    fn transform(&mut self, data: &Data, torque: &[f64], command: &mut [f64]) {
+        self.inner.transform(data, torque, command);
+        for (joint, setpoint) in self.joints.iter().zip(command) {
+            *setpoint = joint.follow(*setpoint);
+        }
+    }
+
+    fn sent(&mut self, data: &Data, command: &[f64]) {
+        self.joints.iter_mut().zip(command).for_each(|(joint, &setpoint)| joint.take(setpoint));
+        self.inner.sent(data, command);
+    }
+
+    fn missed(&mut self, periods: u64) {
+        self.joints.iter_mut().for_each(GovernedSetpoint::keep);
+        self.inner.missed(periods);
+    }
+
+    fn reset(&mut self) {
+        self.joints.iter_mut().for_each(GovernedSetpoint::restart);
+        self.inner.reset();
+    }
+}
