@@ -366,6 +366,7 @@ impl Experiment {
             simulated,
             capabilities: self.capabilities().simulated(),
             placement: Placement::identity(),
+            capsules: self.robot.capsules().to_vec(),
             external_forces: false,
             environment: self.task.file.environment.clone().into_iter().collect(),
             start: self.start()?,
