@@ -138,7 +138,9 @@ impl Library {
         let files_pointer: Pointer = files.as_mut_ptr().cast();
         let model = match text {
             // SAFETY: the name ends with a zero, and the error has the size that is stated.
-            None => unsafe { (self.functions.load)(name.as_ptr(), null(), error.as_mut_ptr(), ERROR_BYTES as c_int) },
+            None => unsafe {
+                (self.functions.load)(name.as_ptr(), null(), error.as_mut_ptr(), ERROR_BYTES as c_int)
+            },
             Some(text) => {
                 let length = c_int::try_from(text.len()).map_err(|_| "the file is too long")?;
                 // SAFETY: the file system is larger than MuJoCo's, lives until it is deleted, and copies the text.
@@ -185,7 +187,12 @@ impl Library {
         assert_eq!(values.len(), self.state_size(pointers, bits), "one value per element");
         // SAFETY: model and data belong together, and the length was checked.
         unsafe {
-            (self.functions.set_state)(pointers.model.as_ptr(), pointers.data.as_ptr(), values.as_ptr(), bits);
+            (self.functions.set_state)(
+                pointers.model.as_ptr(),
+                pointers.data.as_ptr(),
+                values.as_ptr(),
+                bits,
+            );
         }
     }
 
@@ -217,7 +224,7 @@ fn words(error: &[c_char]) -> String {
     let bytes: Vec<u8> = error.iter().map(|&c| c as u8).take_while(|&byte| byte != 0).collect();
     let text = String::from_utf8_lossy(&bytes);
     let lines: Vec<&str> = text.lines().map(str::trim).filter(|line| !line.is_empty()).collect();
-    lines.join("; ")
+    lines.join("; ").replace(":;", ":")
 }
 
 /// Model of three sliding masses of 2 kg without gravity, in steps of 0.5 s.
@@ -287,9 +294,8 @@ impl Instance {
     pub fn joint(&self, name: &str) -> Option<usize> {
         let name = CString::new(name).ok()?;
         // SAFETY: the model is complete, and the name ends with a zero.
-        let index = unsafe {
-            (self.library.functions.index_of)(self.pointers.model.as_ptr(), JOINT, name.as_ptr())
-        };
+        let index =
+            unsafe { (self.library.functions.index_of)(self.pointers.model.as_ptr(), JOINT, name.as_ptr()) };
         usize::try_from(index).ok()
     }
 

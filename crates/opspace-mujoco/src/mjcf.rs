@@ -8,8 +8,8 @@ use opspace_model::{Inertia, JointKind, Model, Placement};
 use opspace_sim::{PlantArm, PlantFrame};
 use std::fmt::Write;
 
-/// Inertia that keeps the joints of a load cell at rest, kg or kg m²: its accelerations are too small to matter.
-const LOAD_CELL_INERTIA: f64 = 1e9;
+/// Inertia that keeps the joints of a load cell at rest, kg or kg m². Larger ones make MuJoCo's solver of contacts inaccurate.
+const LOAD_CELL_INERTIA: f64 = 1e6;
 
 /// Smallest mass and moment, kg and kg m²: MuJoCo refuses those below 1e-15.
 const SMALLEST_INERTIA: f64 = 1e-14;
@@ -57,6 +57,10 @@ pub fn write(arms: &[PlantArm], scene: Option<&str>, settings: &ModelSettings) -
     }
     text += "</worldbody>\n";
     text += scene.unwrap_or_default();
+    if settings.load_cell.is_some() {
+        // MuJoCo's solver of contacts stops early if the mean inertia is large, as that of the load cell is.
+        text += "\n<statistic meaninertia=\"1\"/>";
+    }
     // Last, because the last value of an attribute is the one that counts.
     let switch = |on: bool| if on { "enable" } else { "disable" };
     text += "\n<compiler inertiafromgeom=\"auto\" balanceinertia=\"false\" boundmass=\"0\" boundinertia=\"0\" \
@@ -131,18 +135,14 @@ impl Arm<'_> {
         let name = escaped(&joint_name(self.index, &model.joints()[body.joint].name));
         let compensated = if self.compensated { " gravcomp=\"1\"" } else { "" };
         let _ = writeln!(text, "<body name=\"{name}\" {}{compensated}>", pose(&body.origin));
-        let Inertia { mass, com, rotational } = body.inertia;
-        let (moments, rotation) = principal_axes(&rotational);
-        let _ = writeln!(
-            text,
-            "<inertial mass=\"{}\" diaginertia=\"{}\" {}/>",
-            mass.max(SMALLEST_INERTIA),
-            vector(&moments),
-            pose(&Placement { rotation, translation: com })
-        );
         let kind = if body.kind == JointKind::Prismatic { "slide" } else { "hinge" };
         write_joint(&name, kind, &Vector3::zeros(), &Vector3::z(), model.rotor_inertia()[body.joint], text);
-        if let Some(cell) = self.cell.filter(|cell| model.frame(cell.frame).body == Some(index)) {
+        let cell = self.cell.filter(|cell| model.frame(cell.frame).body == Some(index));
+        if let Some(cell) = cell {
+            // A body of its own, because MuJoCo's bodies have at most six joints.
+            let nothing = Inertia { mass: 0.0, com: Vector3::zeros(), rotational: Matrix3::zeros() };
+            write_inertia(&nothing, text);
+            let _ = writeln!(text, "<body name=\"load-cell\"{compensated}>");
             let Placement { rotation, translation } = model.frame(cell.frame).placement;
             for (number, name) in LOAD_CELL.into_iter().enumerate() {
                 let kind = if number < 3 { "slide" } else { "hinge" };
@@ -150,9 +150,22 @@ impl Arm<'_> {
                 write_joint(name, kind, &translation, &axis, LOAD_CELL_INERTIA, text);
             }
         }
+        write_inertia(&body.inertia, text);
         self.write_children(Some(index), text);
-        *text += "</body>\n";
+        *text += if cell.is_some() { "</body></body>\n" } else { "</body>\n" };
     }
+}
+
+/// Writes the inertia of a body.
+fn write_inertia(inertia: &Inertia, text: &mut String) {
+    let (moments, rotation) = principal_axes(&inertia.rotational);
+    let _ = writeln!(
+        text,
+        "<inertial mass=\"{}\" diaginertia=\"{}\" {}/>",
+        inertia.mass.max(SMALLEST_INERTIA),
+        vector(&moments),
+        pose(&Placement { rotation, translation: inertia.com })
+    );
 }
 
 /// Writes a joint. Every attribute is stated, because a scene can have defaults of its own.

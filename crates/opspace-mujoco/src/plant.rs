@@ -8,9 +8,7 @@ use crate::ffi::{Instance, Library};
 use crate::mjcf::{LOAD_CELL, ModelSettings, contents, joint_name, write};
 use nalgebra::Vector3;
 use opspace_model::Force;
-use opspace_sim::{
-    ExternalForce, Plant, PlantArm, PlantArms, PlantConfig, PlantError, PlantFrame, Scene,
-};
+use opspace_sim::{ExternalForce, Plant, PlantArm, PlantArms, PlantConfig, PlantError, PlantFrame, Scene};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -55,9 +53,14 @@ impl MujocoPlant {
     ///
     /// # Errors
     /// An arm or a scene that MuJoCo refuses.
-    pub fn new(library: &Arc<Library>, config: PlantConfig, scene: Option<&Scene>) -> Result<Self, PlantError> {
+    pub fn new(
+        library: &Arc<Library>,
+        config: PlantConfig,
+        scene: Option<&Scene>,
+    ) -> Result<Self, PlantError> {
         let load = |settings: &ModelSettings| compile(library, &config.arms, scene, settings);
-        let settings = |has_contacts, load_cell| ModelSettings { step_s: config.step_s, has_contacts, load_cell };
+        let settings =
+            |has_contacts, load_cell| ModelSettings { step_s: config.step_s, has_contacts, load_cell };
         let instance = load(&settings(scene.is_some(), None))?;
         let joints = check_joints(&instance, &config.arms)?;
         let mut load_cells = Vec::new();

@@ -89,9 +89,7 @@ pub use error::{Key, SimulationError};
 pub use external::{ExternalForce, ExternalForceHandle, Pull};
 pub use integrator::Midpoint;
 pub use parameters::SimulatedParameters;
-pub use plant::{
-    PhysicsEngine, Plant, PlantArm, PlantConfig, PlantCoupling, PlantError, PlantFrame, Scene,
-};
+pub use plant::{PhysicsEngine, Plant, PlantArm, PlantConfig, PlantCoupling, PlantError, PlantFrame, Scene};
 pub use plant_arms::PlantArms;
 pub use rigid::RigidPlant;
 pub use simulation::Simulation;

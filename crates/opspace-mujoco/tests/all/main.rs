@@ -3,3 +3,5 @@
 mod common;
 mod dynamics;
 mod plant;
+mod runs;
+mod scenes;

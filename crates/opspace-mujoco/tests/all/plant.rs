@@ -1,11 +1,11 @@
 //! Comparison of motions: MuJoCo's plant and the library's own, under the same torques.
 
 use crate::common::{mujoco, project};
+use nalgebra::Vector3;
 use opspace_experiment::{Files, RobotDefinition};
 use opspace_sim::{
-    PhysicsEngine, Plant, PlantArm, PlantConfig, PlantCoupling, PlantFrame, Pull, ExternalForce, RigidPlant,
+    ExternalForce, PhysicsEngine, Plant, PlantArm, PlantConfig, PlantCoupling, PlantFrame, Pull, RigidPlant,
 };
-use nalgebra::Vector3;
 
 /// Start of the arm, rad.
 const START: [f64; 7] = [0.1, -0.7, 0.2, -2.2, 0.3, 1.5, 0.7];

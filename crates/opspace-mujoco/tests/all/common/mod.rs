@@ -12,7 +12,8 @@ pub fn project(path: &str) -> PathBuf {
 
 /// All robots of the project.
 pub fn robots() -> Vec<RobotDefinition> {
-    let entries = fs::read_dir(project("robots")).expect("robots").map(|entry| entry.expect("an entry").path());
+    let entries =
+        fs::read_dir(project("robots")).expect("robots").map(|entry| entry.expect("an entry").path());
     let mut folders: Vec<PathBuf> = entries.filter(|path| path.is_dir()).collect();
     folders.sort();
     folders.iter().map(|folder| RobotDefinition::load(Files::Disk, folder, &[]).expect("a robot")).collect()
