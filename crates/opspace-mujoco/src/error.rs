@@ -14,7 +14,7 @@ pub enum MujocoError {
     )]
     Missing,
     /// File that is not a library of a supported version.
-    #[error("{}: MuJoCo cannot be opened: {reason}; run `pip install mujoco`", path.display())]
+    #[error("{}: MuJoCo cannot be opened: {reason}; run `pip install --upgrade mujoco`, or correct OPSPACE_MUJOCO if it is set", path.display())]
     Library {
         /// Path of the file.
         path: PathBuf,

@@ -5,6 +5,7 @@
 
 #![expect(unsafe_code, reason = "MuJoCo is a C library")]
 
+use std::error::Error;
 use std::ffi::{CStr, CString, OsStr, c_char, c_int, c_uint, c_void};
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -70,6 +71,11 @@ impl fmt::Debug for Library {
 /// Receives MuJoCo's warnings in place of its file MUJOCO_LOG.TXT. The plant checks the numbers itself.
 unsafe extern "C" fn ignore_warning(_: *const c_char) {}
 
+/// Returns the system's reason why a library cannot be opened.
+fn reason(error: &libloading::Error) -> String {
+    error.source().map_or_else(|| error.to_string(), ToString::to_string)
+}
+
 /// Returns a symbol of the library, whose type `T` the caller knows.
 fn symbol<T: Copy>(library: &libloading::Library, name: &str) -> Result<T, String> {
     // SAFETY: the symbols and their types are those of mujoco.h, which is checked for each supported version.
@@ -104,7 +110,7 @@ impl Library {
     /// Opens the library in this file. The error describes what is wrong with it.
     pub fn open(path: &Path) -> Result<Arc<Self>, String> {
         // SAFETY: opening MuJoCo only initialises its constants and its list of plugins.
-        let library = unsafe { libloading::Library::new(path) }.map_err(|error| error.to_string())?;
+        let library = unsafe { libloading::Library::new(path) }.map_err(|error| reason(&error))?;
         let functions = Functions::of(&library)?;
         // SAFETY: the function returns a constant text.
         let version = unsafe { CStr::from_ptr((functions.version)()) }.to_string_lossy().into_owned();
