@@ -5,6 +5,7 @@
 
 #![expect(unsafe_code, reason = "MuJoCo is a C library")]
 
+use std::cell::Cell;
 use std::error::Error;
 use std::ffi::{CStr, CString, OsStr, c_char, c_int, c_uint, c_void};
 use std::fmt;
@@ -68,8 +69,15 @@ impl fmt::Debug for Library {
     }
 }
 
-/// Receives MuJoCo's warnings in place of its file MUJOCO_LOG.TXT. The plant checks the numbers itself.
-unsafe extern "C" fn ignore_warning(_: *const c_char) {}
+thread_local! {
+    /// True if MuJoCo has warned in this thread: of a divergence, or of contacts for which it has no memory.
+    static WARNED: Cell<bool> = const { Cell::new(false) };
+}
+
+/// Receives MuJoCo's warnings, which it would otherwise write into a file MUJOCO_LOG.TXT.
+unsafe extern "C" fn note_warning(_: *const c_char) {
+    WARNED.set(true);
+}
 
 /// Returns the system's reason why a library cannot be opened.
 fn reason(error: &libloading::Error) -> String {
@@ -120,7 +128,7 @@ impl Library {
         }
         let handler: *mut Option<unsafe extern "C" fn(*const c_char)> = symbol(&library, "mju_user_warning")?;
         // SAFETY: the symbol is a variable with a pointer to a function, which is set once and always to the same value.
-        unsafe { handler.write(Some(ignore_warning)) };
+        unsafe { handler.write(Some(note_warning)) };
         let path = path.to_owned();
         let reading = Mutex::new(());
         let mut opened = Self { functions, version, path, applied: 0, reading, _library: library };
@@ -322,9 +330,11 @@ impl Instance {
         self.library.set(&self.pointers, self.library.applied, forces);
     }
 
-    /// Advances by the time step of the model.
-    pub fn step(&mut self) {
+    /// Advances by the time step of the model. Returns false if MuJoCo warns: the state is then of no use.
+    pub fn step(&mut self) -> bool {
+        WARNED.set(false);
         self.library.step(&self.pointers);
+        !WARNED.get()
     }
 
     /// Computes everything that depends on the state.

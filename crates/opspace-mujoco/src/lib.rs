@@ -24,7 +24,7 @@ mod plant;
 pub use error::MujocoError;
 pub use locate::{VARIABLE, find_library};
 
-use crate::ffi::Library;
+use crate::ffi::{Instance, Library};
 use crate::mjcf::ModelSettings;
 use crate::plant::MujocoPlant;
 use nalgebra::{DMatrix, DVector};
@@ -66,6 +66,41 @@ impl Mujoco {
         Ok(Self { library, scene: scene.map(read).transpose()? })
     }
 
+    /// Moves an arm from rest at its start under constant joint torques (n; Nm, N) by steps of `step_s` (s) of MuJoCo's own
+    /// Runge–Kutta method of fourth order, and returns its positions (n; rad, m), to compare integrators.
+    ///
+    /// # Errors
+    /// An arm that MuJoCo refuses.
+    pub fn runge_kutta(
+        &self,
+        arm: &PlantArm,
+        torques: &[f64],
+        step_s: f64,
+        steps: u32,
+    ) -> Result<Vec<f64>, PlantError> {
+        let mut instance = self.instance(arm, step_s, "RK4")?;
+        let mut q = arm.q.clone();
+        instance.set(&q, &vec![0.0; q.len()], torques);
+        (0..steps).for_each(|_| {
+            instance.step();
+        });
+        instance.positions(&mut q);
+        Ok(q)
+    }
+
+    /// Compiles a model of one arm.
+    fn instance(
+        &self,
+        arm: &PlantArm,
+        step_s: f64,
+        integrator: &'static str,
+    ) -> Result<Instance, PlantError> {
+        let error = |message| PlantError { message, file: None };
+        let settings = ModelSettings { step_s, integrator, has_contacts: false, load_cell: None };
+        let text = mjcf::write(std::slice::from_ref(arm), None, &settings).map_err(error)?;
+        self.library.load_text(Path::new("arm.xml"), &text).map_err(error)
+    }
+
     /// Computes mass matrix (n × n) and bias torques (n; Nm, N), of gravity and velocity, of an arm in the state `q`
     /// (n; rad, m) and `dq` (n; rad/s, m/s), to compare models.
     ///
@@ -77,10 +112,7 @@ impl Mujoco {
         q: &[f64],
         dq: &[f64],
     ) -> Result<(DMatrix<f64>, DVector<f64>), PlantError> {
-        let error = |message| PlantError { message, file: None };
-        let settings = ModelSettings { step_s: 1e-3, has_contacts: false, load_cell: None };
-        let text = mjcf::write(std::slice::from_ref(arm), None, &settings).map_err(error)?;
-        let mut instance = self.library.load_text(Path::new("arm.xml"), &text).map_err(error)?;
+        let mut instance = self.instance(arm, 1e-3, "Euler")?;
         let n = arm.model.n();
         instance.set(q, dq, &vec![0.0; n]);
         instance.forward();

@@ -20,6 +20,8 @@ const MAX_ITERATIONS: usize = 1000;
 pub struct ModelSettings {
     /// Time step, s.
     pub step_s: f64,
+    /// MuJoCo's integrator: `Euler`, from whose steps the plant takes accelerations, or `RK4`.
+    pub integrator: &'static str,
     /// True for contacts between bodies.
     pub has_contacts: bool,
     /// Frame at which a load cell separates the body from the joint that moves it.
@@ -67,10 +69,11 @@ pub fn write(arms: &[PlantArm], scene: Option<&str>, settings: &ModelSettings) -
              settotalmass=\"-1\" fusestatic=\"false\"/>\n";
     let _ = writeln!(
         text,
-        "<option timestep=\"{}\" gravity=\"{}\" integrator=\"Euler\"><flag autoreset=\"disable\" gravity=\"enable\" \
+        "<option timestep=\"{}\" gravity=\"{}\" integrator=\"{}\"><flag autoreset=\"disable\" gravity=\"enable\" \
          contact=\"{}\"{}/></option>\n</mujoco>",
         settings.step_s,
         vector(&gravity),
+        settings.integrator,
         switch(settings.has_contacts),
         if scene.is_some() { "" } else { " constraint=\"disable\"" },
     );

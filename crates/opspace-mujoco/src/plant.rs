@@ -59,8 +59,12 @@ impl MujocoPlant {
         scene: Option<&Scene>,
     ) -> Result<Self, PlantError> {
         let load = |settings: &ModelSettings| compile(library, &config.arms, scene, settings);
-        let settings =
-            |has_contacts, load_cell| ModelSettings { step_s: config.step_s, has_contacts, load_cell };
+        let settings = |has_contacts, load_cell| ModelSettings {
+            step_s: config.step_s,
+            integrator: "Euler",
+            has_contacts,
+            load_cell,
+        };
         let instance = load(&settings(scene.is_some(), None))?;
         let joints = check_joints(&instance, &config.arms)?;
         let mut load_cells = Vec::new();
@@ -163,14 +167,18 @@ impl Plant for MujocoPlant {
     }
 }
 
-/// Computes the acceleration in a state, from a step of `step_s`; not a number if the state has none.
+/// Computes the acceleration in a state, from a step of `step_s`; not a number if the state has none, or if MuJoCo warns, so
+/// that the run ends.
 fn acceleration(instance: &mut Instance, state: &State, step_s: f64, result: &mut [f64]) {
     if !state.q.iter().chain(&state.v).chain(&state.forces).all(|value| value.is_finite()) {
         result.fill(f64::NAN);
         return;
     }
     instance.set(&state.q, &state.v, &state.forces);
-    instance.step();
+    if !instance.step() {
+        result.fill(f64::NAN);
+        return;
+    }
     instance.velocities(result);
     for (after, before) in result.iter_mut().zip(&state.v) {
         *after = (*after - before) / step_s;

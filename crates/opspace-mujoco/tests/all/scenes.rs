@@ -128,6 +128,35 @@ fn settings_of_a_scene_do_not_change_the_arm() {
     }
 }
 
+/// Checks that an arm that compensates its weight stays at rest without torques, while the box falls onto it.
+#[test]
+fn weightless_arm_rests_in_a_scene_with_gravity() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let Some(mujoco) = mujoco(Some(&scene(folder.path(), BOX))) else { return };
+    let (mut config, ..) = tray();
+    config.arms[0].model = config.arms[0].model.clone().with_gravity(Vector3::zeros());
+    let mut plant = mujoco.build(config).expect("a plant");
+    let mut after = |steps: std::ops::Range<u32>| {
+        steps.for_each(|step| plant.step(f64::from(step) * STEP_S, STEP_S, &[0.0, 0.0]));
+        plant.q()[0]
+    };
+    // The box falls for 32 ms.
+    assert!(after(0..300).abs() < 1e-12);
+    assert!(after(300..1500) < -0.01);
+}
+
+/// Checks that a state in which MuJoCo warns, because of an acceleration above 1e10, is not a number.
+#[test]
+fn warning_of_mujoco_ends_a_run() {
+    let Some(mujoco) = mujoco(None) else { return };
+    let (config, ..) = tray();
+    let mut plant = mujoco.build(config).expect("a plant");
+    plant.step(0.0, STEP_S, &[1e9, 0.0]);
+    assert!(plant.q()[0].is_finite());
+    plant.step(STEP_S, STEP_S, &[1e12, 0.0]);
+    assert!(plant.q()[0].is_nan(), "{}", plant.q()[0]);
+}
+
 /// A mesh and a part of the scene in files beside it are found, whatever the working directory.
 #[test]
 fn files_of_a_scene_are_found_beside_it() {
