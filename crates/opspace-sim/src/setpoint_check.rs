@@ -30,7 +30,7 @@ impl SetpointCheck {
         let joint = |(i, name): (usize, &str)| {
             let limits = parameters.joint.get(name).copied().unwrap_or_default();
             let values = [limits.velocity_rad_per_s, limits.acceleration_rad_per_s2, limits.jerk_rad_per_s3];
-            let position: &str = units.position[i].as_ref();
+            let position = units.position[i];
             let faults = [0, 1, 2].map(|k| {
                 let limit = values[k].map_or(f64::INFINITY, |limit| limit.get());
                 fault::setpoint_limit(name, SetpointLimit::ALL[k], limit, position)

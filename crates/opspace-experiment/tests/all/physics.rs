@@ -14,7 +14,7 @@ use std::sync::Arc;
 struct OtherEngine(Scene);
 
 impl OtherEngine {
-    fn new() -> Arc<dyn PhysicsEngine> {
+    fn shared() -> Arc<dyn PhysicsEngine> {
         Arc::new(Self(Scene { path: "folder/table.xml".into(), text: "<table/>".to_owned() }))
     }
 }
@@ -52,7 +52,8 @@ fn experiment(task: &str) -> Experiment {
 /// from the log; and the rows of the log and those of a replay without the engine.
 #[test]
 fn log_names_its_engine() {
-    let experiment = experiment("tasks/joint-tracking.toml").on_engine(OtherEngine::new()).expect("a plant");
+    let experiment =
+        experiment("tasks/joint-tracking.toml").on_engine(OtherEngine::shared()).expect("a plant");
     assert!(experiment.input_paths().contains(&"folder/table.xml".into()));
     let run = experiment.run(Cursor::new(Vec::new()), &Progress::default()).expect("a run");
     let log = Recording::from_bytes(&run.sink.into_inner()).expect("a log");
@@ -76,7 +77,7 @@ fn log_names_its_engine() {
 /// Checks the place and the words of an engine's refusal.
 #[test]
 fn refusal_of_an_engine_names_its_file() {
-    let error = experiment("tasks/panda-reach.toml").on_engine(OtherEngine::new()).expect_err("refused");
+    let error = experiment("tasks/panda-reach.toml").on_engine(OtherEngine::shared()).expect_err("refused");
     assert_eq!(error.to_string(), "folder/table.xml: there are too many joints");
 }
 
@@ -86,13 +87,13 @@ fn suite_has_each_run_on_each_plant() {
     let suite = || Suite::load(Files::Embedded, Path::new("tasks/suites/paper.toml")).expect("a suite");
     let one = suite().on_plants(&[None]).expect("plants");
     assert_eq!(one.fingerprint(), suite().fingerprint());
-    let two = suite().on_plants(&[None, Some(OtherEngine::new())]).expect("plants");
+    let two = suite().on_plants(&[None, Some(OtherEngine::shared())]).expect("plants");
     assert_eq!(two.experiments.len(), 2 * one.experiments.len());
     for (pair, own) in two.experiments.chunks(2).zip(&one.experiments) {
         assert_eq!([pair[0].plant().as_str(), pair[1].plant().as_str()], ["own", "other 1.2 with table.xml"]);
         assert_eq!((pair[0].seed(), pair[1].seed()), (own.seed(), own.seed()));
     }
-    let other = suite().on_plants(&[Some(OtherEngine::new())]).expect("plants");
+    let other = suite().on_plants(&[Some(OtherEngine::shared())]).expect("plants");
     let prints = [one.fingerprint(), two.fingerprint(), other.fingerprint()];
     assert!(prints[0] != prints[1] && prints[1] != prints[2] && prints[0] != prints[2]);
 }
