@@ -14,6 +14,7 @@ mod identification;
 mod identified;
 mod logs;
 mod model_samples;
+mod plants;
 mod replay;
 mod report_browser;
 mod result_files;

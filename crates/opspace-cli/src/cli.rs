@@ -1,10 +1,12 @@
 //! Command-line arguments.
 
+use crate::plant::{PlantChoice, plant_choice};
 use crate::shard::{ShardChoice, shard_choice};
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use clap_complete::Shell;
 use opspace_backend::CommandKind;
+use opspace_experiment::run::physics::OWN_PLANT;
 use opspace_experiment::{ControllerKind, RunOptions};
 use opspace_transformer::TransformerKind;
 use std::path::PathBuf;
@@ -58,6 +60,7 @@ Examples:
   opspace run tasks/cartesian-tracking.toml --controller ik-lead --profile b-soft
   opspace run tasks/compliant-x.toml --set task.hand.cartesian.gains.damping_ratio=0.7
   opspace run tasks/compliant-x.toml --set robot.simulated.true_over_nominal.kp=1.02
+  opspace run tasks/panda-reach.toml --plant mujoco
 
 Writes run.mcap (all signals; opens in Foxglove and PlotJuggler), report.html and summary.json into \
 runs/TASK-ROBOT-BACKEND. An existing run is renamed to NAME.previous, the next one to NAME.previous-2, and so on.")]
@@ -81,6 +84,7 @@ Slurm or a Kubernetes job. A part that is complete is not run again.
 Examples:
   opspace bench tasks/suites/limits.toml --csv limits.csv
   opspace bench --baseline runs/bench.previous/bench.json
+  opspace bench tasks/suites/limits.toml --plants own,mujoco
   opspace bench tasks/suites/limits.toml --shard 1/3 --out runs/limits")]
     Bench(BenchArgs),
 
@@ -305,6 +309,11 @@ pub struct RunArgs {
     #[arg(long)]
     pub simulate: bool,
 
+    /// Plant of the simulation, its rigid bodies and contacts: `own`, `mujoco`, or `mujoco:SCENE.xml` for MuJoCo with a
+    /// scene of your own. MuJoCo needs `pip install mujoco`.
+    #[arg(long, value_name = "PLANT", value_parser = plant_choice, default_value = OWN_PLANT, conflicts_with = "move_to_start")]
+    pub plant: PlantChoice,
+
     /// First move a real robot to the task's start_rad, along a straight line in joint space at up to 0.2 rad/s.
     /// Obstacles are not avoided: keep the workspace clear.
     #[arg(long, conflicts_with = "simulate")]
@@ -343,6 +352,11 @@ pub struct BenchArgs {
     /// Number of simultaneous runs [default: one per processor].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     pub jobs: Option<u16>,
+
+    /// Plants on which each run is executed, separated by commas: `own`, `mujoco`, `mujoco:SCENE.xml`. MuJoCo needs `pip
+    /// install mujoco`.
+    #[arg(long, value_name = "PLANTS", value_parser = plant_choice, value_delimiter = ',', default_value = OWN_PLANT)]
+    pub plants: Vec<PlantChoice>,
 
     /// Run only one part of the suite: I/N, `auto` or `auto/N`.
     #[arg(long, value_name = "I/N", value_parser = shard_choice)]

@@ -18,6 +18,7 @@ mod console;
 mod interrupt;
 mod output;
 mod outputs;
+mod plant;
 mod result_folder;
 mod shard;
 mod suite_results;

@@ -193,6 +193,7 @@ impl IdentificationJob {
             simulated,
             placement: Placement::identity(),
             environment: Vec::new(),
+            capsules: Vec::new(),
             external_forces: false,
             start: self.start.clone(),
             rest_s: 0.0,

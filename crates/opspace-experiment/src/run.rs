@@ -8,6 +8,7 @@ pub mod experiment;
 pub mod folder;
 pub mod log_header;
 mod on_driver;
+pub mod physics;
 mod real_robot;
 pub mod replay;
 pub mod result_files;

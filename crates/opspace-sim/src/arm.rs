@@ -7,6 +7,7 @@
 use crate::config::{ArmConfig, SimulationConfig};
 use crate::error::SimulationError;
 use crate::external::ExternalForceHandle;
+use crate::plant::PhysicsEngine;
 use crate::simulation::Simulation;
 use nalgebra::DVector;
 use opspace_backend::{
@@ -47,6 +48,16 @@ impl SimulatedArm {
     pub fn new(config: ArmConfig) -> Result<Self, SimulationError> {
         let config = SimulationConfig { arms: vec![config], couplings: Vec::new() };
         Simulation::new(config)?.into_arms().pop().ok_or(SimulationError::NoArm)
+    }
+
+    /// Returns an arm like [`new`](Self::new), simulated by another physics engine.
+    ///
+    /// # Errors
+    /// As [`new`](Self::new), or if the engine cannot simulate the arm.
+    pub fn on_engine(config: ArmConfig, engine: &dyn PhysicsEngine) -> Result<Self, SimulationError> {
+        let config = SimulationConfig { arms: vec![config], couplings: Vec::new() };
+        let simulation = Simulation::with_plant(config, |parts| engine.build(parts))?;
+        simulation.into_arms().pop().ok_or(SimulationError::NoArm)
     }
 
     pub(crate) fn of(

@@ -14,6 +14,7 @@ use crate::timing::{Clock, Timing};
 use nalgebra::{DMatrix, DVector, Vector3};
 use opspace_backend::quantity::NonNegative;
 use opspace_backend::{Capabilities, CommandKind, GravityCompensation};
+use opspace_model::collision::LinkCapsule;
 use opspace_model::{Data, FrameId, Inertia, Model, Placement, crba, frame_placement, kinematics};
 use opspace_transformer::{
     FrictionParameters, JointParameters, ProfileParameters, ServoLaw, ServoParameters,
@@ -49,6 +50,8 @@ pub struct ArmConfig {
     pub placement: Placement,
     /// Environment objects that act on the arm, by name; positions and directions are in the world of the simulation.
     pub environment: Vec<(String, EnvironmentObjectParameters)>,
+    /// Collision geometry of the links, for physics engines that simulate contacts of bodies.
+    pub capsules: Vec<LinkCapsule>,
     /// True if a program may apply external forces while the simulation runs.
     pub external_forces: bool,
     /// Start positions, at rest (n; rad or m).

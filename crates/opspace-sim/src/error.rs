@@ -1,5 +1,6 @@
 //! Errors in the parameters of a simulation.
 
+use crate::plant::PlantError;
 use opspace_backend::CommandKind;
 use opspace_model::{UnknownFrame, UnknownJoint};
 use opspace_transformer::ServoError;
@@ -232,6 +233,9 @@ pub enum SimulationError {
         /// Name of the object.
         object: String,
     },
+    /// Physics engine that cannot build the plant.
+    #[error(transparent)]
+    Plant(PlantError),
     /// Wall whose normal is zero.
     #[error("environment.{object}: the normal has no length")]
     Normal {
@@ -299,11 +303,11 @@ impl SimulationError {
             Self::Servos { .. } => Key::Profile(vec!["servo".into()]),
             Self::Period { .. } | Self::ServoRates { .. } => Key::Profile(vec!["servo_hz".into()]),
             Self::Joints { .. } => Key::Robot(vec!["joint".into()]),
-            Self::NoArm | Self::Coupling { .. } => Key::Task(Vec::new()),
             Self::GearDamping { joint, .. } => {
                 let path = ["simulated", "gear", joint, "damping_nms_per_rad"];
                 Key::Robot(path.map(str::to_owned).to_vec())
             }
+            Self::NoArm | Self::Coupling { .. } | Self::Plant(_) => Key::Task(Vec::new()),
             Self::PhysicsRate { .. } | Self::GearRate { .. } => {
                 Key::Robot(vec!["simulated".into(), "physics_hz".into()])
             }

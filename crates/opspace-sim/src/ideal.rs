@@ -61,6 +61,7 @@ impl ArmConfig {
             capabilities,
             placement: Placement::identity(),
             environment: Vec::new(),
+            capsules: Vec::new(),
             external_forces: false,
             rest_s: 0.0,
             seed: 0,

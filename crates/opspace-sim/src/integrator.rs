@@ -40,6 +40,18 @@ impl Midpoint {
         &self.middle
     }
 
+    /// Positions in the middle of the step that was predicted last (n; rad, m).
+    #[must_use]
+    pub fn middle_q(&self) -> &[f64] {
+        self.q.as_slice()
+    }
+
+    /// Velocities in the middle of the step that was predicted last (n; rad/s, m/s).
+    #[must_use]
+    pub fn middle_dq(&self) -> &[f64] {
+        self.dq.as_slice()
+    }
+
     /// Kinematics in the middle of the step that was predicted last.
     #[must_use]
     pub fn middle(&self) -> &Data {
@@ -51,6 +63,17 @@ impl Midpoint {
     pub fn advance(&mut self, model: &Model, q: &mut [f64], dq: &mut [f64], tau: &[f64], dt: f64) {
         aba(model, &mut self.middle, tau);
         self.ddq.copy_from(&self.middle.ddq);
+        self.step(q, dq, dt);
+    }
+
+    /// Advances `q` and `dq` by the step that was predicted, with the acceleration in its middle, `ddq` (n; rad/s²,
+    /// m/s²), from another program.
+    pub fn accelerate(&mut self, q: &mut [f64], dq: &mut [f64], ddq: &[f64], dt: f64) {
+        self.ddq.copy_from_slice(ddq);
+        self.step(q, dq, dt);
+    }
+
+    fn step(&self, q: &mut [f64], dq: &mut [f64], dt: f64) {
         for i in 0..q.len() {
             q[i] += dt * (dq[i] + 0.5 * dt * self.ddq[i]);
             dq[i] += dt * self.ddq[i];

@@ -72,6 +72,7 @@ mod interface;
 pub mod motor;
 pub mod parameters;
 pub mod plant;
+pub mod plant_arms;
 pub mod random;
 pub mod rigid;
 mod setpoint_check;
@@ -88,7 +89,8 @@ pub use error::{Key, SimulationError};
 pub use external::{ExternalForce, ExternalForceHandle, Pull};
 pub use integrator::Midpoint;
 pub use parameters::SimulatedParameters;
-pub use plant::{Plant, PlantArm, PlantConfig, PlantCoupling, PlantFrame};
+pub use plant::{PhysicsEngine, Plant, PlantArm, PlantConfig, PlantCoupling, PlantError, PlantFrame, Scene};
+pub use plant_arms::PlantArms;
 pub use rigid::RigidPlant;
 pub use simulation::Simulation;
 

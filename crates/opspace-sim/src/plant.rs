@@ -7,7 +7,11 @@
 use crate::environment::EnvironmentObject;
 use crate::external::ExternalForce;
 use nalgebra::Vector3;
+use opspace_model::collision::Capsule;
 use opspace_model::{Force, FrameId, Model};
+use std::fmt;
+use std::path::PathBuf;
+use thiserror::Error;
 
 /// Rigid bodies of any number of arms, and the environment objects that act on them.
 pub trait Plant {
@@ -36,6 +40,43 @@ pub trait Plant {
     fn external_force(&self, arm: usize) -> Vector3<f64>;
 }
 
+/// Physics engine in place of the library's plant. Threads that run simulations side by side share it.
+pub trait PhysicsEngine: fmt::Debug + Send + Sync {
+    /// Name in files and on the command line, for example `mujoco`.
+    fn name(&self) -> &str;
+
+    /// Version of the engine.
+    fn version(&self) -> &str;
+
+    /// Scene of the user that is simulated with the arms, if any.
+    fn scene(&self) -> Option<&Scene>;
+
+    /// Builds the plant of a simulation.
+    ///
+    /// # Errors
+    /// Parts or a scene that the engine cannot simulate.
+    fn build(&self, parts: PlantConfig) -> Result<Box<dyn Plant>, PlantError>;
+}
+
+/// File with objects that a physics engine simulates with the arms.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Scene {
+    /// Path of the file, as the user wrote it.
+    pub path: PathBuf,
+    /// Contents of the file.
+    pub text: String,
+}
+
+/// Error of a physics engine that cannot build a plant.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+#[error("{message}")]
+pub struct PlantError {
+    /// Description of the cause.
+    pub message: String,
+    /// File that causes it; `None` for the robot.
+    pub file: Option<PathBuf>,
+}
+
 /// Frame of an arm of a plant.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PlantFrame {
@@ -52,6 +93,8 @@ pub struct PlantConfig {
     pub arms: Vec<PlantArm>,
     /// Springs between arms.
     pub couplings: Vec<PlantCoupling>,
+    /// Duration of each step, s.
+    pub step_s: f64,
 }
 
 /// Arm of a plant.
@@ -63,6 +106,18 @@ pub struct PlantArm {
     pub q: Vec<f64>,
     /// Environment objects, each with the frame on which it acts.
     pub contacts: Vec<(FrameId, EnvironmentObject)>,
+    /// Collision geometry, for engines that simulate contacts of bodies: capsules, each in the axes of a frame.
+    pub capsules: Vec<(FrameId, Capsule)>,
+    /// Frames whose contact wrench is read.
+    pub sensors: Vec<FrameId>,
+}
+
+impl PlantArm {
+    /// Returns an arm at rest at `q` (n; rad or m), without environment, collision geometry and sensors.
+    #[must_use]
+    pub fn new(model: Model, q: Vec<f64>) -> Self {
+        Self { model, q, contacts: Vec::new(), capsules: Vec::new(), sensors: Vec::new() }
+    }
 }
 
 /// Spring and damper between the origins of two frames, relaxed at the start. The force on the first frame is

@@ -1,149 +1,15 @@
 //! Plant of the library: rigid bodies simulated with the articulated-body algorithm and midpoint steps.
 
-use crate::environment::EnvironmentObject;
 use crate::external::ExternalForce;
-use crate::integrator::Midpoint;
-use crate::plant::{Plant, PlantArm, PlantConfig, PlantCoupling, PlantFrame};
-use nalgebra::{DVector, Matrix6xX, Vector3};
-use opspace_model::{Force, FrameId, Model, frame_jacobian, frame_placement, frame_velocity};
-use std::ops::Range;
+use crate::plant::{Plant, PlantConfig, PlantFrame};
+use crate::plant_arms::PlantArms;
+use nalgebra::Vector3;
+use opspace_model::Force;
 
 /// Plant of any number of arms. Joint torques and contact forces are constant over a step, the latter those in its middle;
 /// the rigid bodies are integrated to second order.
 pub struct RigidPlant {
-    arms: Vec<RigidArm>,
-    couplings: Vec<Coupling>,
-    q: DVector<f64>,
-    dq: DVector<f64>,
-}
-
-/// Arm, and the forces on it.
-struct RigidArm {
-    model: Model,
-    integrator: Midpoint,
-    joints: Range<usize>,
-    torque: DVector<f64>,
-    objects: Vec<EnvironmentObject>,
-    /// Forces of the objects, then those of the couplings.
-    contacts: Vec<PointForce>,
-    external: External,
-}
-
-/// Contact force on the origin of a frame during the last step.
-struct PointForce {
-    frame: FrameId,
-    jacobian: Matrix6xX<f64>,
-    force: Vector3<f64>,
-}
-
-/// External force, and its wrench during the last step.
-struct External {
-    set: Option<ExternalForce>,
-    jacobian: Matrix6xX<f64>,
-    wrench: Force,
-}
-
-/// Spring between two arms.
-struct Coupling {
-    parameters: PlantCoupling,
-    /// Indices of its forces in the contact lists of the two arms.
-    contacts: [usize; 2],
-    /// Vector from the first frame to the second at the start, m.
-    relaxed: Vector3<f64>,
-}
-
-impl PointForce {
-    fn new(frame: FrameId, n: usize) -> Self {
-        Self { frame, jacobian: Matrix6xX::zeros(n), force: Vector3::zeros() }
-    }
-}
-
-/// Adds the joint torques Jᵀ F of a force, with J the three rows of the Jacobian from `first_row`.
-fn add_torques(jacobian: &Matrix6xX<f64>, first_row: usize, force: &Vector3<f64>, torque: &mut DVector<f64>) {
-    for i in 0..torque.len() {
-        let column: Vector3<f64> = jacobian.fixed_view::<3, 1>(first_row, i).into_owned();
-        torque[i] += column.dot(force);
-    }
-}
-
-impl RigidArm {
-    fn new(arm: PlantArm, first_joint: usize) -> Self {
-        let n = arm.model.n();
-        let mut integrator = Midpoint::new(&arm.model);
-        integrator.predict(&arm.model, &arm.q, &vec![0.0; n], 0.0);
-        let (frames, objects): (Vec<FrameId>, Vec<EnvironmentObject>) = arm.contacts.into_iter().unzip();
-        Self {
-            integrator,
-            joints: first_joint..first_joint + n,
-            torque: DVector::zeros(n),
-            objects,
-            contacts: frames.into_iter().map(|frame| PointForce::new(frame, n)).collect(),
-            external: External { set: None, jacobian: Matrix6xX::zeros(n), wrench: Force::zero() },
-            model: arm.model,
-        }
-    }
-
-    /// Position (m) and velocity (m/s) of a frame's origin in the world, in the middle of the present step.
-    fn point(&self, frame: FrameId) -> (Vector3<f64>, Vector3<f64>) {
-        let middle = self.integrator.middle();
-        let x = frame_placement(&self.model, middle, frame).translation;
-        let v = frame_velocity(&self.model, middle, frame).linear;
-        (x, v)
-    }
-
-    /// Updates the forces of the environment and the external force, in the middle of the present step.
-    fn touch(&mut self, time_s: f64) {
-        for index in 0..self.objects.len() {
-            let (x, v) = self.point(self.contacts[index].frame);
-            self.contacts[index].force = self.objects[index].force(time_s, &x, &v);
-        }
-        if let Some(force) = self.external.set {
-            let (x, v) = self.point(force.frame);
-            self.external.wrench = force.pull.wrench(&x, &v);
-        }
-    }
-
-    fn add_contact_torques(&mut self) {
-        let middle = self.integrator.middle();
-        for contact in &mut self.contacts {
-            frame_jacobian(&self.model, middle, contact.frame, &mut contact.jacobian);
-            add_torques(&contact.jacobian, 0, &contact.force, &mut self.torque);
-        }
-        if let Some(force) = self.external.set {
-            let External { jacobian, wrench, .. } = &mut self.external;
-            frame_jacobian(&self.model, middle, force.frame, jacobian);
-            add_torques(jacobian, 0, &wrench.linear, &mut self.torque);
-            add_torques(jacobian, 3, &wrench.angular, &mut self.torque);
-        }
-    }
-
-    /// Wrench of the contacts on the body of a frame during the last step, where the arm was in its middle.
-    fn contact_wrench(&self, frame: FrameId) -> Force {
-        let (model, middle) = (&self.model, self.integrator.middle());
-        let sensor = frame_placement(model, middle, frame);
-        let body = model.frame(frame).body;
-        let mut wrench = Force::zero();
-        let mut add = |frame: FrameId, force: &Vector3<f64>, moment: Option<&Vector3<f64>>| {
-            if model.frame(frame).body == body {
-                let at = frame_placement(model, middle, frame).translation;
-                wrench.linear += force;
-                wrench.angular += (at - sensor.translation).cross(force);
-                if let Some(moment) = moment {
-                    wrench.angular += moment;
-                }
-            }
-        };
-        for contact in &self.contacts {
-            add(contact.frame, &contact.force, None);
-        }
-        if let Some(force) = self.external.set {
-            add(force.frame, &self.external.wrench.linear, Some(&self.external.wrench.angular));
-        }
-        Force {
-            linear: sensor.rotation.tr_mul(&wrench.linear),
-            angular: sensor.rotation.tr_mul(&wrench.angular),
-        }
-    }
+    arms: PlantArms,
 }
 
 impl RigidPlant {
@@ -154,88 +20,37 @@ impl RigidPlant {
     /// exist.
     #[must_use]
     pub fn new(config: PlantConfig) -> Self {
-        let mut arms = Vec::new();
-        let mut q = Vec::new();
-        for arm in config.arms {
-            assert_eq!(arm.q.len(), arm.model.n(), "one position per joint");
-            let first_joint = q.len();
-            q.extend_from_slice(&arm.q);
-            arms.push(RigidArm::new(arm, first_joint));
-        }
-        let couplings = config.couplings.into_iter().map(|c| Coupling::new(c, &mut arms)).collect();
-        Self { arms, couplings, dq: DVector::zeros(q.len()), q: DVector::from_vec(q) }
-    }
-}
-
-impl Coupling {
-    fn new(parameters: PlantCoupling, arms: &mut [RigidArm]) -> Self {
-        let mut contacts = [0; 2];
-        for (index, at) in contacts.iter_mut().zip(&parameters.frames) {
-            let arm = &mut arms[at.arm];
-            *index = arm.contacts.len();
-            arm.contacts.push(PointForce::new(at.frame, arm.model.n()));
-        }
-        let [first, second] = parameters.frames.map(|at| arms[at.arm].point(at.frame).0);
-        Self { parameters, contacts, relaxed: second - first }
-    }
-
-    /// Updates the spring's forces on the two arms.
-    fn pull(&self, arms: &mut [RigidArm]) {
-        let [(x, v), (y, w)] = self.parameters.frames.map(|at| arms[at.arm].point(at.frame));
-        let stretch = (y - x) - self.relaxed;
-        let force = stretch * self.parameters.stiffness_n_per_m + (w - v) * self.parameters.damping_ns_per_m;
-        for (at, (index, force)) in
-            self.parameters.frames.iter().zip(self.contacts.iter().zip([force, -force]))
-        {
-            arms[at.arm].contacts[*index].force = force;
-        }
+        Self { arms: PlantArms::new(config) }
     }
 }
 
 impl Plant for RigidPlant {
     fn q(&self) -> &[f64] {
-        self.q.as_slice()
+        self.arms.q()
     }
 
     fn dq(&self) -> &[f64] {
-        self.dq.as_slice()
+        self.arms.dq()
     }
 
     fn step(&mut self, time_s: f64, dt_s: f64, joint_torques: &[f64]) {
-        for arm in &mut self.arms {
-            arm.torque.copy_from_slice(&joint_torques[arm.joints.clone()]);
-            let (q, dq) = (&self.q.as_slice()[arm.joints.clone()], &self.dq.as_slice()[arm.joints.clone()]);
-            arm.integrator.predict(&arm.model, q, dq, dt_s);
-            arm.touch(time_s + 0.5 * dt_s);
-        }
-        for coupling in &self.couplings {
-            coupling.pull(&mut self.arms);
-        }
-        for arm in &mut self.arms {
-            arm.add_contact_torques();
-            let q = &mut self.q.as_mut_slice()[arm.joints.clone()];
-            let dq = &mut self.dq.as_mut_slice()[arm.joints.clone()];
-            arm.integrator.advance(&arm.model, q, dq, arm.torque.as_slice(), dt_s);
-        }
+        self.arms.begin_step(time_s, dt_s, joint_torques);
+        self.arms.end_step_rigid(dt_s);
     }
 
     fn contact_wrench(&mut self, frame: PlantFrame) -> Force {
-        self.arms[frame.arm].contact_wrench(frame.frame)
+        self.arms.contact_wrench(frame)
     }
 
     fn contact_force(&self, arm: usize, contact: usize) -> Vector3<f64> {
-        self.arms[arm].contacts[contact].force
+        self.arms.contact_force(arm, contact)
     }
 
     fn push(&mut self, arm: usize, force: Option<ExternalForce>) {
-        let external = &mut self.arms[arm].external;
-        external.set = force;
-        if force.is_none() {
-            external.wrench = Force::zero();
-        }
+        self.arms.push(arm, force);
     }
 
     fn external_force(&self, arm: usize) -> Vector3<f64> {
-        self.arms[arm].external.wrench.linear
+        self.arms.external_force(arm)
     }
 }

@@ -10,11 +10,11 @@ use crate::config::{CouplingConfig, SimulationConfig};
 use crate::error::SimulationError;
 use crate::fault;
 use crate::interface::{ArmInterface, Place};
-use crate::plant::{Plant, PlantArm, PlantConfig, PlantCoupling, PlantFrame};
+use crate::plant::{Plant, PlantArm, PlantConfig, PlantCoupling, PlantError, PlantFrame};
 use crate::rigid::RigidPlant;
 use crate::timing::Clock;
 use opspace_backend::{DeviceFault, Sample};
-use opspace_model::Model;
+use opspace_model::{FrameId, Model};
 
 /// Plant with the drives and sensors of its arms.
 pub struct Simulation {
@@ -36,16 +36,16 @@ impl Simulation {
     /// # Errors
     /// If parameters contradict each other; the error names the key.
     pub fn new(config: SimulationConfig) -> Result<Self, SimulationError> {
-        Self::with_plant(config, |plant| Box::new(RigidPlant::new(plant)))
+        Self::with_plant(config, |plant| Ok(Box::new(RigidPlant::new(plant))))
     }
 
     /// Returns a simulation on another physics engine, which `build` creates from the parts of the plant.
     ///
     /// # Errors
-    /// If parameters contradict each other; the error names the key.
+    /// If parameters contradict each other, where the error names the key, or if `build` fails.
     pub fn with_plant(
         config: SimulationConfig,
-        build: impl FnOnce(PlantConfig) -> Box<dyn Plant>,
+        build: impl FnOnce(PlantConfig) -> Result<Box<dyn Plant>, PlantError>,
     ) -> Result<Self, SimulationError> {
         if config.arms.is_empty() {
             return Err(SimulationError::NoArm);
@@ -69,6 +69,11 @@ impl Simulation {
         let rest = |arm: &ArmInterface| arm.timing.rest_ticks * arm.timing.ticks_per_servo as f64;
         let plant_arm = |(arm, model): (&crate::config::ArmConfig, Model)| PlantArm {
             contacts: arm.contacts(&model),
+            capsules: frames_of(&model, arm.capsules.iter().map(|c| (c.link.as_str(), c.capsule()))),
+            sensors: frames_of(&model, arm.capabilities.force_sensors.iter().map(|s| (s.frame.as_str(), ())))
+                .into_iter()
+                .map(|(frame, ())| frame)
+                .collect(),
             q: arm.start.clone(),
             model,
         };
@@ -78,7 +83,9 @@ impl Simulation {
             plant: build(PlantConfig {
                 arms: config.arms.iter().zip(models).map(plant_arm).collect(),
                 couplings,
-            }),
+                step_s: clock.step_s(),
+            })
+            .map_err(SimulationError::Plant)?,
             capabilities: config.arms.into_iter().map(|arm| arm.capabilities).collect(),
             clock,
             tick: 0,
@@ -135,16 +142,20 @@ impl Simulation {
     /// Runs the physics steps of a tick.
     fn run_physics(&mut self) {
         let period_s = 1.0 / self.clock.rate_hz;
-        let steps = self.clock.steps_per_tick;
-        let dt_s = period_s / f64::from(steps);
+        let dt_s = self.clock.step_s();
         let begin_s = (self.tick as f64 - self.rest_ticks) * period_s;
-        for step in 0..steps {
+        for step in 0..self.clock.steps_per_tick {
             for arm in &mut self.arms {
                 arm.step_drives(&*self.plant, dt_s, &mut self.torques);
             }
             self.plant.step(begin_s + f64::from(step) * dt_s, dt_s, &self.torques);
         }
     }
+}
+
+/// Returns the items whose frames the model has.
+fn frames_of<'a, T>(model: &Model, items: impl Iterator<Item = (&'a str, T)>) -> Vec<(FrameId, T)> {
+    items.filter_map(|(frame, item)| Some((model.frame_id(frame).ok()?, item))).collect()
 }
 
 /// Returns the coupling with its frames resolved.

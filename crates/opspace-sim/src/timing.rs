@@ -59,6 +59,11 @@ pub(crate) struct Clock {
 }
 
 impl Clock {
+    /// Duration of a physics step, s.
+    pub fn step_s(&self) -> f64 {
+        1.0 / self.rate_hz / f64::from(self.steps_per_tick)
+    }
+
     /// Returns the clock of arms with these pairs of servo and physics rates (Hz). Physics runs at the highest physics
     /// rate.
     pub fn new(rates_hz: impl Iterator<Item = (f64, f64)>) -> Result<Self, SimulationError> {

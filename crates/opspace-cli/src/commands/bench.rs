@@ -5,6 +5,7 @@ use crate::commands::run::style;
 use crate::console::{Console, Exit, Failure, Outcome};
 use crate::interrupt;
 use crate::outputs::check_outputs;
+use crate::plant::open_plants;
 use crate::result_folder::{ROWS, empty};
 use crate::shard::ShardChoice;
 use crate::suite_results::SuiteResults;
@@ -13,6 +14,7 @@ use opspace_experiment::Progress;
 use opspace_experiment::evaluate::baseline::RunKey;
 use opspace_experiment::files::origin::PAPER_SUITE;
 use opspace_experiment::run::folder::REPORT;
+use opspace_experiment::run::physics::OWN_PLANT;
 use opspace_experiment::run::result_files::{ResultFolder, replace_file};
 use opspace_experiment::run::shard::Shard;
 use opspace_experiment::run::suite_rows::{SUITE_ROWS, SuiteHeader, SuiteRow, SuiteRows, SuiteRowsFile};
@@ -34,6 +36,7 @@ pub fn bench(args: &BenchArgs, extensions: &Extensions, console: Console) -> Out
         }
         None => (Suite::load(Files::Embedded, Path::new(PAPER_SUITE))?, "bench".to_owned()),
     };
+    let suite = suite.on_plants(&open_plants(&args.plants)?)?;
     let shard = args.shard.map(ShardChoice::resolve).transpose()?;
     let header = SuiteHeader::new(&suite, &name, shard);
     let baseline = args.results.check()?;
@@ -324,14 +327,19 @@ impl Estimate {
     }
 }
 
-/// File names of the logs that are kept, by the number of the run: the first run of each task, which is drawn too.
+/// File names of the logs that are kept, by the number of the run: the first run of each task on each plant, which is
+/// drawn too.
 fn log_names(experiments: &[Experiment]) -> BTreeMap<usize, String> {
     let (mut tasks, mut names, mut logs) = (BTreeSet::new(), BTreeSet::new(), BTreeMap::new());
     for (number, experiment) in (1..).zip(experiments) {
-        if !tasks.insert(experiment.task().source.name()) {
+        let plant = experiment.plant();
+        if !tasks.insert((experiment.task().source.name(), plant.clone())) {
             continue;
         }
-        let name = format!("{}-{}", experiment.task().name(), experiment.options().backend.name());
+        let mut name = format!("{}-{}", experiment.task().name(), experiment.options().backend.name());
+        if plant != OWN_PLANT {
+            name += &format!("-{}", plant.replace(' ', "-"));
+        }
         // Two tasks of a suite may have one name.
         let free = (1..).map(|k| if k == 1 { format!("{name}.mcap") } else { format!("{name}-{k}.mcap") });
         logs.extend(free.into_iter().find(|name| names.insert(name.clone())).map(|name| (number, name)));

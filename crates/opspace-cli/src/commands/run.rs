@@ -2,9 +2,10 @@
 
 use crate::cli::RunArgs;
 use crate::commands::own_backend;
-use crate::console::{Console, Exit, Outcome, results as table};
+use crate::console::{Console, Exit, Failure, Outcome, results as table};
 use crate::interrupt;
 use crate::output::pretty;
+use crate::plant::PlantChoice;
 use crate::result_folder::{MOVE_TO_START, prepare};
 use indicatif::{ProgressBar, ProgressStyle};
 use opspace_experiment::Progress;
@@ -20,11 +21,23 @@ pub fn run(args: &RunArgs, extensions: &Extensions, console: Console) -> Outcome
     let robot = args.robot.as_deref();
     let options = args.options(own_backend(&args.task, robot, &args.set, extensions));
     let experiment = Experiment::load_with(extensions, Files::Disk, &args.task, robot, options, &args.set)?;
+    let on_driver = experiment.has_driver() && !args.simulate;
+    let experiment = match args.plant.open()? {
+        None => experiment,
+        Some(_) if on_driver => {
+            let text =
+                "this robot is real, as its [driver] says: add --simulate to choose a plant".to_owned();
+            return Err(Failure::Other(text, Exit::Bad));
+        }
+        Some(engine) => experiment.on_engine(engine)?,
+    };
     for warning in &experiment.robot().warnings {
         console.detail(&format!("{}: {warning}", experiment.robot().urdf.name()));
     }
     let (task, robot) = (experiment.task().name(), experiment.robot().name());
-    let default = PathBuf::from(format!("runs/{task}-{robot}-{}", experiment.options().backend.name()));
+    let plant = if args.plant == PlantChoice::Own { "" } else { "-mujoco" };
+    let default =
+        PathBuf::from(format!("runs/{task}-{robot}-{}{plant}", experiment.options().backend.name()));
     if let (Some(kind), Some(reason)) = (experiment.transformer_kind(), experiment.transformer_reason()) {
         console.detail(&format!("transformer '{}': {reason}", kind.name()));
     }
@@ -49,7 +62,7 @@ pub fn run(args: &RunArgs, extensions: &Extensions, console: Console) -> Outcome
     }
     let summary = with_progress(&experiment, &progress, console, || {
         experiment.in_locked_folder(&results, |log| {
-            if experiment.has_driver() && !args.simulate {
+            if on_driver {
                 experiment.run_on_driver(extensions, log, &progress)
             } else {
                 experiment.run(log, &progress)

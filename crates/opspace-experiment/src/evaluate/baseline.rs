@@ -1,6 +1,6 @@
 //! Comparison of a suite's results with earlier ones, run by run.
 //!
-//! Runs are paired that have the same task, robot, backend, controller, transformer, profile, settings and seed. For each
+//! Runs are paired that have the same task, robot, backend, plant, controller, transformer, profile, settings and seed. For each
 //! metric of the pairs that differ only in the seed, the mean difference d (new minus old) and its 95 % confidence
 //! interval d ± t s/√n are computed, with the standard deviation s of the n differences and Student's t for n − 1 degrees
 //! of freedom. A metric is better or worse if the interval does not contain zero and |d| exceeds [`TOLERANCE`] times
@@ -9,6 +9,7 @@
 
 use crate::evaluate::table::{Cell, Table};
 use crate::run::experiment::Experiment;
+use crate::run::physics::OWN_PLANT;
 use crate::run::summary::Summary;
 use serde::Serialize;
 use serde_json::Value;
@@ -73,6 +74,8 @@ pub struct RunKey {
     pub robot: String,
     /// Kind of robot.
     pub backend: String,
+    /// Plant of the simulation.
+    pub plant: String,
     /// Controller.
     pub controller: String,
     /// Transformer; `None` if none is used.
@@ -93,6 +96,7 @@ impl RunKey {
             task: experiment.task().name(),
             robot: experiment.robot().name(),
             backend: experiment.options().backend.name().to_owned(),
+            plant: experiment.plant(),
             controller: experiment.options().controller.name().to_owned(),
             transformer: experiment.transformer_kind().map(|kind| kind.name().to_owned()),
             profile: experiment.profile().0.to_owned(),
@@ -109,6 +113,7 @@ impl RunKey {
             task: text("task")?,
             robot: text("robot")?,
             backend: text("backend")?,
+            plant: text("plant").unwrap_or_else(|| OWN_PLANT.to_owned()),
             controller: text("controller")?,
             transformer: text("transformer"),
             profile: text("profile")?,
@@ -127,6 +132,9 @@ impl fmt::Display for RunKey {
         write!(f, "{} on {}, {} robot, {}", self.task, self.robot, self.backend, self.controller)?;
         if let Some(transformer) = &self.transformer {
             write!(f, " + {transformer}")?;
+        }
+        if self.plant != OWN_PLANT {
+            write!(f, ", {}", self.plant)?;
         }
         write!(f, ", {}", self.profile)?;
         for set in &self.overrides {

@@ -4,6 +4,7 @@ use crate::evaluate::metric_tables::JointMetrics;
 use crate::evaluate::spread::Spread;
 use crate::evaluate::table::{Cell, Table, shown_unit};
 use crate::run::experiment::{ControllerKind, Experiment};
+use crate::run::physics::OWN_PLANT;
 use crate::run::summary::Summary;
 use opspace_backend::CommandKind;
 use opspace_control::TaskParameters;
@@ -58,6 +59,7 @@ pub fn group_rows(summaries: &[Summary]) -> Vec<Value> {
             "task": first.task,
             "robot": first.robot,
             "backend": first.backend,
+            "plant": first.plant,
             "controller": first.controller,
             "transformer": first.transformer,
             "profile": first.profile,
@@ -98,6 +100,7 @@ fn same(a: &Summary, b: &Summary) -> bool {
     a.task == b.task
         && a.robot == b.robot
         && a.backend == b.backend
+        && a.plant == b.plant
         && a.controller == b.controller
         && a.transformer == b.transformer
         && a.profile == b.profile
@@ -144,13 +147,16 @@ pub fn table(summaries: &[Summary], measures: &[Measure]) -> Table {
     table
 }
 
-/// Names the control of a run: controller, transformer and label.
+/// Names the control of a run, controller, transformer and label, and the plant if it is not the library's own.
 pub(crate) fn control(summary: &Summary) -> String {
     let mut text = summary.controller.clone();
     for more in [&summary.transformer, &summary.label].into_iter().flatten() {
         text += &format!(" + {more}");
     }
-    text
+    match &summary.plant {
+        Some(plant) if plant != OWN_PLANT => format!("{text}, {plant}"),
+        _ => text,
+    }
 }
 
 fn profile(summary: &Summary) -> String {
@@ -501,6 +507,7 @@ fn drop_empty_columns(table: &mut Table) {
 #[cfg(test)]
 pub(crate) mod tests {
     use super::{MEASURES, group, group_rows, table};
+    use crate::run::physics::OWN_PLANT;
     use crate::run::summary::Summary;
     use serde_json::json;
 
@@ -516,6 +523,7 @@ pub(crate) mod tests {
             ratio: 5,
             seed,
             simulated: true,
+            plant: Some(OWN_PLANT.to_owned()),
             duration_s: 1.0,
             overrides: Vec::new(),
             label: None,

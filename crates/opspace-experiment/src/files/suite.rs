@@ -7,13 +7,16 @@ use crate::files::origin::{Files, Kind, beside};
 use crate::files::seeds;
 use crate::files::source::{FileError, Source, parse};
 use crate::run::experiment::{ControllerKind, Experiment, RunOptions};
+use crate::run::physics::OWN_PLANT;
 use opspace_backend::CommandKind;
+use opspace_sim::PhysicsEngine;
 use opspace_transformer::TransformerKind;
 #[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::Deserialize;
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// Maximum number of runs of a suite: more are probably a grid that is crossed by mistake.
 pub(crate) const MAX_RUNS: usize = 100_000;
@@ -166,6 +169,24 @@ impl Suite {
         Ok(suite)
     }
 
+    /// Returns the suite with each experiment on each of the plants, one after the other; `None` is the library's own
+    /// plant.
+    ///
+    /// # Errors
+    /// A robot or a scene that an engine cannot simulate.
+    pub fn on_plants(self, plants: &[Option<Arc<dyn PhysicsEngine>>]) -> Result<Self, FileError> {
+        let mut experiments = Vec::with_capacity(self.experiments.len() * plants.len());
+        for experiment in &self.experiments {
+            for plant in plants {
+                experiments.push(match plant {
+                    None => experiment.clone(),
+                    Some(engine) => experiment.clone().on_engine(Arc::clone(engine))?,
+                });
+            }
+        }
+        Ok(Self { experiments, ..self })
+    }
+
     /// SHA-256 of the texts of the suite and of all files that it names, as hexadecimal digits: two suites with equal
     /// fingerprints consist of the same runs. Names of files do not matter.
     #[must_use]
@@ -186,6 +207,13 @@ impl Suite {
             {
                 add(source.text());
             }
+            if let Some(scene) = experiment.scene() {
+                add(&scene.text);
+            }
+        }
+        let plants: Vec<String> = self.experiments.iter().map(Experiment::plant).collect();
+        if plants.iter().any(|plant| plant != OWN_PLANT) {
+            add(&plants.join("\n"));
         }
         hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
     }

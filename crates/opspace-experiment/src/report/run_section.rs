@@ -6,6 +6,7 @@ use crate::report::run_figures::RunFigures;
 use crate::run::error::RunError;
 use crate::run::experiment::Experiment;
 use crate::run::log_header;
+use crate::run::physics::OWN_PLANT;
 use crate::run::summary::Summary;
 use opspace_log::{LogFile, RECOVERED, Recording};
 use opspace_sim::{EnvironmentObjectParameters, WorldAxis};
@@ -137,8 +138,10 @@ fn operator_axes(experiment: &Experiment) -> String {
 
 fn title(summary: &Summary) -> String {
     let by = summary.transformer.as_ref().map_or_else(String::new, |t| format!(" through '{t}'"));
+    let plant = summary.plant.as_ref().filter(|plant| *plant != OWN_PLANT);
+    let plant = plant.map_or_else(String::new, |plant| format!(" on {plant}"));
     format!(
-        "{}: {} robot, {}{by}, {} 1:{}, seed {}",
+        "{}: {} robot{plant}, {}{by}, {} 1:{}, seed {}",
         summary.task, summary.backend, summary.controller, summary.profile, summary.ratio, summary.seed
     )
 }

@@ -9,6 +9,7 @@ use crate::files::source::FileError;
 use crate::files::suggest::choices;
 use crate::files::task::TaskDefinition;
 use crate::run::collision::{KeptDistances, kept_distances};
+use crate::run::physics::Physics;
 use opspace_backend::quantity::Positive;
 use opspace_backend::{Capabilities, CommandKind, GravityCompensation, MissedCycle};
 use opspace_control::hierarchy::task_parameters::largest_unused_damping_per_s;
@@ -18,13 +19,14 @@ use opspace_control::{
 };
 use opspace_loop::{ControlLoop, LoopConfig, LoopError};
 use opspace_model::{Limits, Placement};
-use opspace_sim::{ArmConfig, Key, SimulatedArm, SimulationError};
+use opspace_sim::{ArmConfig, Key, PhysicsEngine, PlantError, Scene, SimulatedArm, SimulationError};
 use opspace_transformer::{FrictionCompensation, ProfileParameters, ServoGains, TransformerKind};
 #[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// Largest distance of a start position from 0, rad or m: far beyond it, the dynamics of a joint without position limits
 /// are rounding errors.
@@ -115,6 +117,7 @@ pub struct Experiment {
     pub(super) profile_name: String,
     pub(super) profile: ProfileParameters,
     distances: Option<KeptDistances>,
+    pub(super) physics: Physics,
 }
 
 impl Experiment {
@@ -188,7 +191,8 @@ impl Experiment {
         let (name, profile) = robot.profile(options.profile.as_deref())?;
         let (profile_name, profile) = (name.to_owned(), profile.clone());
         let distances = kept_distances(&robot, &task)?;
-        let experiment = Self { robot, task, options, settings, profile_name, profile, distances };
+        let physics = Physics::Own;
+        let experiment = Self { robot, task, options, settings, profile_name, profile, distances, physics };
         experiment.check_choice()?;
         expectations::check(&experiment.task, &experiment.robot)?;
         experiment.start()?;
@@ -218,11 +222,13 @@ impl Experiment {
         self.distances.as_ref()
     }
 
-    /// Paths of the files from which the experiment was read: robot, URDF, task and recorded paths.
+    /// Paths of the files from which the experiment was read: robot, URDF, task, recorded paths and scene.
     #[must_use]
     pub fn input_paths(&self) -> Vec<PathBuf> {
         let sources = [&self.robot.source, &self.robot.urdf, &self.task.source];
-        sources.into_iter().chain(self.task.recordings.values()).map(|source| source.name().into()).collect()
+        let sources = sources.into_iter().chain(self.task.recordings.values());
+        let scene = self.scene().map(|scene| scene.path.clone());
+        sources.map(|source| source.name().into()).chain(scene).collect()
     }
 
     /// Options that were chosen besides the files.
@@ -344,7 +350,34 @@ impl Experiment {
     /// # Errors
     /// A robot file without `[simulated]`, or parameters that contradict each other.
     pub fn simulated_arm(&self) -> Result<SimulatedArm, FileError> {
-        SimulatedArm::new(self.arm_config()?).map_err(|e| self.simulation_error(&e))
+        let config = self.arm_config()?;
+        let arm = match &self.physics {
+            Physics::Own => SimulatedArm::new(config),
+            Physics::Engine(engine) => SimulatedArm::on_engine(config, &**engine),
+            Physics::Logged(_) => return Err(self.missing_engine()),
+        };
+        arm.map_err(|e| self.simulation_error(&e))
+    }
+
+    /// Returns the experiment simulated by another physics engine.
+    ///
+    /// # Errors
+    /// A robot or a scene that the engine cannot simulate, or a robot that cannot be simulated at all.
+    pub fn on_engine(mut self, engine: Arc<dyn PhysicsEngine>) -> Result<Self, FileError> {
+        self.physics = Physics::Engine(engine);
+        self.simulated_arm()?;
+        Ok(self)
+    }
+
+    /// Scene of the physics engine, if it has one.
+    pub(crate) fn scene(&self) -> Option<&Scene> {
+        self.physics.scene()
+    }
+
+    /// Name of the plant of the simulation: `own`, or name and version of another engine and the file name of its scene.
+    #[must_use]
+    pub fn plant(&self) -> String {
+        self.physics.label()
     }
 
     /// Returns the configuration of [`simulated_arm`](Self::simulated_arm), which can be modified or combined with
@@ -366,6 +399,7 @@ impl Experiment {
             simulated,
             capabilities: self.capabilities().simulated(),
             placement: Placement::identity(),
+            capsules: self.robot.capsules().to_vec(),
             external_forces: false,
             environment: self.task.file.environment.clone().into_iter().collect(),
             start: self.start()?,
@@ -520,7 +554,23 @@ impl Experiment {
         FileError::at_key(&self.task.source, ["event", &number.to_string(), "set"], message, help)
     }
 
+    fn plant_error(&self, error: &PlantError) -> FileError {
+        let file = error.file.as_ref().map(|file| file.display().to_string());
+        FileError::of_file(file.as_deref().unwrap_or(self.robot.source.name()), &*error.message, None)
+    }
+
+    /// Error for a log of a physics engine, which is simulated again.
+    fn missing_engine(&self) -> FileError {
+        let message =
+            format!("the log was simulated by {}, which this experiment does not have", self.plant());
+        let help = Some("pass the engine to Experiment::on_engine".to_owned());
+        FileError::of_file(self.task.source.name(), message, help)
+    }
+
     fn simulation_error(&self, error: &SimulationError) -> FileError {
+        if let SimulationError::Plant(error) = error {
+            return self.plant_error(error);
+        }
         let help = match error {
             SimulationError::Frame { source, .. } => Some(choices(&source.name, &source.known)),
             _ => None,

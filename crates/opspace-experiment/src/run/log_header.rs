@@ -7,6 +7,7 @@ use crate::files::source::Source;
 use crate::files::task::TaskDefinition;
 use crate::run::error::RunError;
 use crate::run::experiment::{ControllerKind, Experiment, RunOptions};
+use crate::run::physics::Physics;
 use opspace_backend::quantity::Positive;
 use opspace_backend::{CommandKind, World};
 use opspace_log::{Attachment, Header, LOG, Recording};
@@ -25,6 +26,7 @@ const REAL: &str = "real";
 const ROBOT_FILE: &str = "robot.toml";
 const TASK_FILE: &str = "task.toml";
 const URDF_FILE: &str = "robot.urdf";
+const SCENE_FILE: &str = "scene.xml";
 /// Generated capsules, because a log does not contain the meshes.
 const CAPSULES_FILE: &str = "capsules.json";
 
@@ -56,6 +58,9 @@ impl Experiment {
             ("interface_hz".to_owned(), (1.0 / self.profile().1.period_s()).to_string()),
             ("overrides".to_owned(), self.settings().join("\n")),
         ]);
+        if world == World::Simulated {
+            entries.extend(self.physics.entries());
+        }
         let transformer = self.chosen_transformer().0.name().to_owned();
         entries.insert("transformer".to_owned(), transformer);
         entries.insert("transformer_reason".to_owned(), self.transformer_reason().unwrap_or_default());
@@ -68,6 +73,9 @@ impl Experiment {
         ];
         let recordings = self.task().recordings.iter();
         files.extend(recordings.map(|(file, source)| (recording_file(file), "text/csv", source)));
+        let scene =
+            self.scene().map(|scene| Source::new(scene.path.display().to_string(), scene.text.clone()));
+        files.extend(scene.iter().map(|scene| (SCENE_FILE.to_owned(), "application/xml", scene)));
         for (name, _, source) in &files {
             entries.insert(format!("{name}.sha256"), hex(&hmac_sha256::Hash::hash(source.text().as_bytes())));
         }
@@ -168,12 +176,17 @@ impl Experiment {
         options.duration_s = options.duration_s.filter(|_| !is_changed("duration_s"));
         let settings: Vec<String> =
             entry("overrides")?.lines().map(str::to_owned).chain(changes.iter().cloned()).collect();
-        let chosen = Self::new(robot.clone(), task.clone(), options.clone(), settings.clone())?;
+        let mut chosen = Self::new(robot.clone(), task.clone(), options.clone(), settings.clone())?;
+        let physics = Physics::of_entries(entries);
+        chosen.physics = physics.clone();
         if !changes.is_empty() || chosen.chosen_transformer().0 == transformer {
             return Ok(chosen);
         }
         // This version would choose another transformer: use the one that was in use when the log was written.
-        Ok(Self::new(robot, task, RunOptions { transformer: Some(transformer), ..options }, settings)?)
+        let options = RunOptions { transformer: Some(transformer), ..options };
+        let mut chosen = Self::new(robot, task, options, settings)?;
+        chosen.physics = physics;
+        Ok(chosen)
     }
 }
 

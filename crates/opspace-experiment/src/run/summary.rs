@@ -35,6 +35,10 @@ pub struct Summary {
     pub seed: u64,
     /// True if the robot was simulated.
     pub simulated: bool,
+    /// Plant of the simulation: `own`, or name and version of another physics engine, with its scene; `None` if the robot
+    /// was real, and in files of earlier versions.
+    #[serde(default)]
+    pub plant: Option<String>,
     /// Intended duration of control, s.
     pub duration_s: f64,
     /// Settings that were applied to the files.
@@ -128,6 +132,7 @@ impl Experiment {
             ratio: self.profile().1.servo_ticks_per_cycle.get(),
             seed: self.seed(),
             simulated: !is_real(recording),
+            plant: (!is_real(recording)).then(|| self.plant()),
             duration_s: self.duration_s(),
             overrides: self.settings().to_vec(),
             label: self.options().label.clone(),

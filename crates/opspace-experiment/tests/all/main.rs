@@ -8,6 +8,7 @@ mod log_header;
 mod metrics;
 mod overrides;
 mod panicking_task;
+mod physics;
 mod real_robot;
 mod recorded;
 mod report;

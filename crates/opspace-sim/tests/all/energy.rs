@@ -25,8 +25,9 @@ fn frictionless(dt: f64, q: &[f64]) -> (RigidPlant, Vec<Drivetrain>, Model) {
         )
     };
     let drivetrains = setup.joints.iter().map(drivetrain).collect();
-    let arm = PlantArm { model: model.clone(), q: q.to_vec(), contacts: Vec::new() };
-    (RigidPlant::new(PlantConfig { arms: vec![arm], couplings: Vec::new() }), drivetrains, model)
+    let arm = PlantArm::new(model.clone(), q.to_vec());
+    let config = PlantConfig { arms: vec![arm], couplings: Vec::new(), step_s: dt };
+    (RigidPlant::new(config), drivetrains, model)
 }
 
 /// Returns kinetic and potential energy, J.

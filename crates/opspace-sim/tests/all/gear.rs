@@ -281,8 +281,8 @@ fn swinging_elastic_arm_conserves_energy() {
             .with_gear(ElasticGear::new(&gear, 1.0, START[i], 0.0))
         })
         .collect();
-    let arm = PlantArm { model: model.clone(), q: START.to_vec(), contacts: Vec::new() };
-    let mut plant = RigidPlant::new(PlantConfig { arms: vec![arm], couplings: Vec::new() });
+    let arm = PlantArm::new(model.clone(), START.to_vec());
+    let mut plant = RigidPlant::new(PlantConfig { arms: vec![arm], couplings: Vec::new(), step_s: DT });
     let mut data = Data::new(&model);
     let mut energy = |plant: &RigidPlant, drivetrains: &[Drivetrain]| {
         kinematics(&model, &mut data, plant.q(), plant.dq());

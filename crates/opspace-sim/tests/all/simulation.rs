@@ -323,7 +323,7 @@ fn plant_can_be_replaced() {
     let steps = Arc::new(AtomicU64::new(0));
     let counter = Arc::clone(&steps);
     let config = SimulationConfig { arms: vec![config], couplings: Vec::new() };
-    let build = |parts| Box::new(OtherEngine(RigidPlant::new(parts), counter)) as Box<dyn Plant>;
+    let build = |parts| Ok(Box::new(OtherEngine(RigidPlant::new(parts), counter)) as Box<dyn Plant>);
     let mut arms = Simulation::with_plant(config, build).expect("an arm").into_arms();
     assert!(run(&mut arms, &[0], 0.0195) == expected);
     assert_eq!(steps.load(Ordering::Relaxed), 19 * 20, "20 kHz up to 19 ms");

@@ -63,6 +63,7 @@ pub fn setup(command: CommandKind, profile: &str) -> ArmConfig {
         simulated,
         placement: Placement::identity(),
         environment,
+        capsules: Vec::new(),
         external_forces: false,
         start,
         rest_s: 0.0,

@@ -1,0 +1,88 @@
+//! Plant of a simulation: the library's own, or another physics engine.
+
+use opspace_sim::{PhysicsEngine, Scene};
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::sync::Arc;
+
+/// Name of the library's own plant in results, logs and on the command line.
+pub const OWN_PLANT: &str = "own";
+
+/// Entries of a log's metadata.
+const PLANT: &str = "plant";
+const VERSION: &str = "plant_version";
+const SCENE: &str = "plant_scene";
+
+/// Plant of an experiment's simulation.
+#[derive(Clone, Debug, Default)]
+pub(crate) enum Physics {
+    /// The library's own plant.
+    #[default]
+    Own,
+    /// Another physics engine.
+    Engine(Arc<dyn PhysicsEngine>),
+    /// Physics engine of a log, which is not available.
+    Logged(EngineName),
+}
+
+impl Physics {
+    /// Name in results: `own`, or `mujoco 3.2.7` with the file name of the scene.
+    pub fn label(&self) -> String {
+        self.engine_name().map_or_else(|| OWN_PLANT.to_owned(), |name| name.label())
+    }
+
+    /// Scene of the engine, if it has one.
+    pub fn scene(&self) -> Option<&Scene> {
+        match self {
+            Self::Engine(engine) => engine.scene(),
+            Self::Own | Self::Logged(_) => None,
+        }
+    }
+
+    /// Entries of a log's metadata.
+    pub fn entries(&self) -> Vec<(String, String)> {
+        let Some(name) = self.engine_name() else { return vec![(PLANT.to_owned(), OWN_PLANT.to_owned())] };
+        let scene = name.scene.map(|scene| (SCENE.to_owned(), scene));
+        [(PLANT.to_owned(), name.name), (VERSION.to_owned(), name.version)].into_iter().chain(scene).collect()
+    }
+
+    /// Plant of a log with these entries.
+    pub fn of_entries(entries: &BTreeMap<String, String>) -> Self {
+        let Some(name) = entries.get(PLANT).filter(|name| *name != OWN_PLANT) else { return Self::Own };
+        let version = entries.get(VERSION).cloned().unwrap_or_default();
+        Self::Logged(EngineName { name: name.clone(), version, scene: entries.get(SCENE).cloned() })
+    }
+
+    fn engine_name(&self) -> Option<EngineName> {
+        match self {
+            Self::Own => None,
+            Self::Engine(engine) => Some(EngineName::of(&**engine)),
+            Self::Logged(name) => Some(name.clone()),
+        }
+    }
+}
+
+/// Name, version and scene of a physics engine.
+#[derive(Clone, Debug)]
+pub(crate) struct EngineName {
+    name: String,
+    version: String,
+    /// Path of the scene, if any.
+    scene: Option<String>,
+}
+
+impl EngineName {
+    fn of(engine: &dyn PhysicsEngine) -> Self {
+        Self {
+            name: engine.name().to_owned(),
+            version: engine.version().to_owned(),
+            scene: engine.scene().map(|scene| scene.path.display().to_string()),
+        }
+    }
+
+    fn label(&self) -> String {
+        let file = self.scene.as_deref().and_then(|scene| Path::new(scene).file_name());
+        let scene = file.map_or_else(String::new, |file| format!(" with {}", file.to_string_lossy()));
+        format!("{} {}{scene}", self.name, self.version)
+    }
+}

@@ -1,0 +1,125 @@
+//! Comparison of motions: MuJoCo's plant and the library's own, under the same torques.
+
+use crate::common::{mujoco, project};
+use nalgebra::Vector3;
+use opspace_experiment::{Files, RobotDefinition};
+use opspace_sim::{
+    ExternalForce, PhysicsEngine, Plant, PlantArm, PlantConfig, PlantCoupling, PlantFrame, Pull, RigidPlant,
+};
+
+/// Start of the arm, rad.
+const START: [f64; 7] = [0.1, -0.7, 0.2, -2.2, 0.3, 1.5, 0.7];
+
+fn panda() -> RobotDefinition {
+    RobotDefinition::load(Files::Disk, &project("robots/panda"), &[]).expect("a robot")
+}
+
+fn config(step_s: f64) -> PlantConfig {
+    let model = panda().model;
+    PlantConfig { arms: vec![PlantArm::new(model, START.to_vec())], couplings: Vec::new(), step_s }
+}
+
+/// Moves a plant for `duration_s` under smooth torques that are functions of time, and returns its positions.
+fn positions_after(plant: &mut dyn Plant, step_s: f64, duration_s: f64) -> Vec<f64> {
+    let n = plant.q().len();
+    let steps = (duration_s / step_s).round() as u32;
+    for step in 0..steps {
+        let time_s = f64::from(step) * step_s;
+        // Torques of the step's middle: constant torques over a step would be an error of second order of their own.
+        let middle_s = time_s + 0.5 * step_s;
+        let torque = |i: usize| 8.0 * (5.0 * middle_s + i as f64).sin() / (1.0 + 0.5 * i as f64);
+        plant.step(time_s, step_s, &(0..n).map(torque).collect::<Vec<_>>());
+    }
+    plant.q().to_vec()
+}
+
+fn difference(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
+}
+
+/// Compared: positions after 0.5 s at the physics rate of the experiments.
+#[test]
+fn falling_arm_moves_as_on_the_own_plant() {
+    const STEP_S: f64 = 5e-5;
+    /// The rounding errors of 10 000 steps, rad.
+    const TOLERANCE_RAD: f64 = 1e-10;
+    let Some(mujoco) = mujoco(None) else { return };
+    let mut plant = mujoco.build(config(STEP_S)).expect("a plant");
+    let q = positions_after(&mut *plant, STEP_S, 0.5);
+    let own = positions_after(&mut RigidPlant::new(config(STEP_S)), STEP_S, 0.5);
+    println!("after a motion of {:.2} rad: {:.1e} rad", difference(&q, &START), difference(&q, &own));
+    assert!(difference(&q, &START) > 0.5);
+    assert!(difference(&q, &own) < TOLERANCE_RAD, "{q:?} instead of {own:?}");
+}
+
+/// Checks that halving the step divides the error by four. Compared: positions after 0.2 s, and those with a step of an
+/// eighth of the shortest.
+#[test]
+fn steps_are_of_second_order() {
+    const STEP_S: f64 = 1e-3;
+    let Some(mujoco) = mujoco(None) else { return };
+    let after = |step_s: f64| {
+        let mut plant = mujoco.build(config(step_s)).expect("a plant");
+        positions_after(&mut *plant, step_s, 0.2)
+    };
+    let exact = after(STEP_S / 32.0);
+    let errors = [1.0, 2.0, 4.0].map(|parts| difference(&after(STEP_S / parts), &exact));
+    println!("errors with steps of 1, 0.5 and 0.25 ms: {errors:?} rad");
+    for pair in errors.windows(2) {
+        let order = (pair[0] / pair[1]).log2();
+        assert!((1.8..2.2).contains(&order), "order {order:.2}: {errors:?}");
+    }
+}
+
+/// Compared: positions of an arm that falls for 0.5 s under constant torques, on the library's own plant at the physics rate of
+/// the experiments, and by MuJoCo's own Runge–Kutta steps of twice the length.
+#[test]
+fn midpoint_steps_agree_with_runge_kutta_steps_of_mujoco() {
+    const STEP_S: f64 = 5e-5;
+    const TOLERANCE_RAD: f64 = 1e-7;
+    let Some(mujoco) = mujoco(None) else { return };
+    let torques = [5.0, -8.0, 4.0, 6.0, -1.0, 0.5, 0.3];
+    let config = config(STEP_S);
+    let other = mujoco.runge_kutta(&config.arms[0], &torques, 2.0 * STEP_S, 5000).expect("an arm");
+    let mut plant = RigidPlant::new(config);
+    for step in 0..10_000 {
+        plant.step(f64::from(step) * STEP_S, STEP_S, &torques);
+    }
+    let (apart, travel) = (difference(plant.q(), &other), difference(plant.q(), &START));
+    println!("midpoint steps: {apart:.1e} rad from MuJoCo's Runge-Kutta steps after {travel:.2} rad");
+    assert!(travel > 0.5 && apart < TOLERANCE_RAD, "{apart:e} rad");
+}
+
+/// Compared: the motion of two coupled arms of which one is pulled, on both plants, and the forces that the plants
+/// report.
+#[test]
+fn couplings_and_external_forces_act_as_on_the_own_plant() {
+    const STEP_S: f64 = 1e-4;
+    let Some(mujoco) = mujoco(None) else { return };
+    let model = panda().model;
+    let flange = model.frame_id("flange").expect("a flange");
+    let frames = [0, 1].map(|arm| PlantFrame { arm, frame: flange });
+    let coupling = PlantCoupling { frames, stiffness_n_per_m: 500.0, damping_ns_per_m: 10.0 };
+    let config = || {
+        let mut second = START;
+        second[0] += 0.4;
+        let arms = [START, second].map(|q| PlantArm::new(model.clone(), q.to_vec())).to_vec();
+        PlantConfig { arms, couplings: vec![coupling], step_s: STEP_S }
+    };
+    let pull = Pull::Wrench(opspace_model::Force {
+        linear: Vector3::new(10.0, -20.0, 30.0),
+        angular: Vector3::new(1.0, 0.5, -1.0),
+    });
+    let moved = |mut plant: Box<dyn Plant>| {
+        plant.push(1, Some(ExternalForce { frame: flange, pull }));
+        let q = positions_after(&mut *plant, STEP_S, 0.3);
+        let wrench = plant.contact_wrench(frames[1]);
+        (q, plant.contact_force(0, 0), plant.external_force(1), wrench)
+    };
+    let own = moved(Box::new(RigidPlant::new(config())));
+    let other = moved(mujoco.build(config()).expect("a plant"));
+    assert!(difference(&own.0, &other.0) < 1e-10);
+    assert!((own.1 - other.1).norm() < 1e-6 && own.1.norm() > 1.0, "{} {}", own.1, other.1);
+    assert_eq!(own.2, other.2);
+    assert!((own.3.linear - other.3.linear).norm() < 1e-6 && own.3.linear.norm() > 1.0);
+}
