@@ -11,7 +11,7 @@
 //! ```
 
 /// Fraction of the acceleration limit that the noise of a setpoint may have.
-const NOISE: f64 = 0.1;
+const NOISE: f64 = 0.03;
 
 /// Largest gain β: that of a filter which takes positions as exact would be 2.
 const LARGEST: f64 = 0.8;

@@ -6,7 +6,7 @@
 //! and the period T, it chooses the acceleration a' of the next one, v' = v + T a', x' = x + T v':
 //!
 //! ```text
-//! v_want = sign(e) min(|e|/T, √(2 A |e|), V)        e = x_desired − x
+//! v_want = (x_desired − x)/T within ±V
 //! a_want = s(v_want − v)        s(m) = sign(m) min(|m|/T, J (√(T²/4 + 2 |m|/J) − T/2))
 //! a' = (v_desired − v)/T if within the limits; else a_want, limited:
 //! a' within ±A, within a ± J T, and between s(−V − v) and s(V − v)
@@ -72,18 +72,11 @@ impl GovernedSetpoint {
     #[must_use]
     pub fn follow(&self, desired: f64) -> f64 {
         let Some([setpoint, velocity, before]) = self.last else { return desired };
-        let want = match self.takes {
-            CommandKind::Velocity => desired,
-            CommandKind::Position | CommandKind::Torque => {
-                let error = desired - setpoint;
-                let braking = (2.0 * self.acceleration_limit * error.abs()).sqrt();
-                (error.abs() / self.period_s).min(braking).copysign(error)
-            }
-        };
-        let want = want.clamp(-self.velocity_limit, self.velocity_limit);
+        let want = self.velocity_to(desired, setpoint).clamp(-self.velocity_limit, self.velocity_limit);
         let reached = self.jerk_limit * self.period_s;
         // A whole number of steps changes the velocity by up to J T²/8 more than s assumes.
-        let spare = if reached.is_finite() { 0.125 * reached * self.period_s } else { 0.0 };
+        let spare = 0.125 * reached.min(self.acceleration_limit).min(self.velocity_limit) * self.period_s;
+        let spare = if spare.is_finite() { spare } else { 0.0 };
         let [lowest, highest] =
             [-1.0, 1.0].map(|sign| self.towards(sign * self.velocity_limit - velocity, spare));
         let allowed = |acceleration: f64| {
