@@ -5,18 +5,16 @@ use opspace_backend::CommandKind;
 use opspace_experiment::evaluate;
 use opspace_experiment::evaluate::metrics::Metrics;
 use opspace_experiment::preflight::gear_resonances;
-use opspace_experiment::{Experiment, FileError, Files, Progress, RunOptions};
+use opspace_experiment::{ControllerKind, Experiment, FileError, Files, Progress, RunOptions};
 use opspace_log::Recording;
-use opspace_transformer::TransformerKind;
 use std::f64::consts::TAU;
 use std::io::Cursor;
 use std::path::Path;
 
-fn experiment(settings: &[&str]) -> Result<Experiment, FileError> {
-    let transformer = TransformerKind::named("emulation+current");
+fn experiment(controller: ControllerKind, settings: &[&str]) -> Result<Experiment, FileError> {
     let options = RunOptions {
         backend: CommandKind::Position,
-        transformer,
+        controller,
         duration_s: Some(1.0),
         ..RunOptions::default()
     };
@@ -29,9 +27,10 @@ fn experiment(settings: &[&str]) -> Result<Experiment, FileError> {
 /// of its rod and B = 100² 0.5e-5 kg m² of its rotor; without a declared stiffness there are none.
 #[test]
 fn declared_gear_has_frequencies_of_two_masses() {
-    assert_eq!(gear_resonances(&experiment(&[]).unwrap()), []);
-    let gears =
-        gear_resonances(&experiment(&["robot.joint.elbow.gear_stiffness_nm_per_rad=3000.0"]).unwrap());
+    assert_eq!(gear_resonances(&experiment(ControllerKind::Osc, &[]).unwrap()), []);
+    let gears = gear_resonances(
+        &experiment(ControllerKind::Osc, &["robot.joint.elbow.gear_stiffness_nm_per_rad=3000.0"]).unwrap(),
+    );
     assert_eq!(gears.len(), 1);
     assert_eq!((gears[0].joint.as_str(), gears[0].stiffness_nm_per_rad), ("elbow", 3000.0));
     let antiresonance = (3000.0_f64 * 3.0).sqrt() / TAU;
@@ -44,14 +43,15 @@ fn declared_gear_has_frequencies_of_two_masses() {
     );
 }
 
+/// Metrics of a run of inverse kinematics, whose setpoints no transformer adapts to the limits.
 fn metrics(settings: &[&str]) -> Metrics {
-    let experiment = experiment(settings).unwrap();
+    let experiment = experiment(ControllerKind::Ik, settings).unwrap();
     let log = experiment.run(Cursor::new(Vec::new()), &Progress::default()).unwrap().sink;
     evaluate::metrics::metrics(&experiment, &Recording::from_bytes(&log.into_inner()).unwrap())
 }
 
 /// Compared: metrics of a run without limits, and with limits that no setpoint exceeds: the same, and none are counted.
-/// With a limit on the jerk that noise exceeds, the clamped setpoints are counted.
+/// With a limit on the jerk that the reference exceeds, the clamped setpoints are counted.
 #[test]
 fn limited_setpoints_are_counted() {
     let limits = |elbow: &str| {
@@ -63,14 +63,14 @@ fn limited_setpoints_are_counted() {
         metrics(&[&limits("velocity_rad_per_s=1e3,acceleration_rad_per_s2=1e9,jerk_rad_per_s3=1e12")]);
     assert_eq!(wide.setpoints_limited.take(), Some(0));
     assert_eq!(wide, free);
-    let narrow = metrics(&[&limits("jerk_rad_per_s3=1e4")]);
+    let narrow = metrics(&[&limits("jerk_rad_per_s3=1.0")]);
     assert!(narrow.setpoints_limited.is_some_and(|count| count > 10), "{narrow:?}");
 }
 
 /// Checks file, line, and key of mistakes.
 #[test]
 fn mistakes_are_placed_in_the_robot_file() {
-    let refused = |setting: &str| experiment(&[setting]).unwrap_err();
+    let refused = |setting: &str| experiment(ControllerKind::Osc, &[setting]).unwrap_err();
     let error = refused("robot.profile.default.setpoint_limits={reaction=\"stop\",joint={elbw={}}}");
     assert!(error.help().is_some_and(|help| help.contains("did you mean 'elbow'")), "{error}");
     let error = refused("robot.profile.default.servo.elbow.cascaded.velocity_feed_forward=-0.5");

@@ -310,7 +310,8 @@ fn swinging_elastic_arm_conserves_energy() {
 /// Compared: the position of a held torque robot, and its start minus the twist of gears and brakes under its weight.
 #[test]
 fn brakes_hold_the_rotors() {
-    let config = elastic(CommandKind::Torque, 20_000.0);
+    let mut config = elastic(CommandKind::Torque, 20_000.0);
+    config.simulated.true_over_nominal = parsed("friction = 0.0");
     let brake = config.simulated.brake.stiffness_nm_per_rad.get();
     let mut arm = arm(config.clone());
     for _ in 0..600 {
@@ -319,8 +320,7 @@ fn brakes_hold_the_rotors() {
     // The gears were twisted already at the start.
     let deflected = DVector::from_column_slice(&START) - weight(&config, &arm.true_q()) / brake;
     let error = (arm.true_q() - deflected).amax();
-    // Friction holds part of the weight.
-    assert!(error < 1e-3, "{error}");
+    assert!(error < 1e-6, "{error}");
     let sample = read(&mut arm);
     assert!(arm.true_dq().amax() < 1e-3, "{}", arm.true_dq());
     assert!(sample.q.iter().zip(arm.true_q().iter()).any(|(rotor, link)| (rotor - link).abs() > 1e-4));
