@@ -8,7 +8,7 @@ use serde::de::IgnoredAny;
 use std::path::{Path, PathBuf};
 
 /// Suites by file name in `tasks/suites/`.
-pub const SUITES: [&str; 9] = [
+pub const SUITES: [&str; 10] = [
     "paper",
     "features",
     "limits",
@@ -18,6 +18,7 @@ pub const SUITES: [&str; 9] = [
     "transformer",
     "stiffness",
     "robustness",
+    "servos",
 ];
 
 const FOLDER: &str = "tasks/suites";
