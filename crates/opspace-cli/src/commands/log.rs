@@ -57,7 +57,18 @@ impl Numbers {
 }
 
 /// Entries of the run's metadata that name it, in the order of the text.
-const ORIGIN: [&str; 7] = ["task", "robot", "backend", "controller", "profile", "seed", "world"];
+const ORIGIN: [&str; 10] = [
+    "task",
+    "robot",
+    "backend",
+    "controller",
+    "profile",
+    "seed",
+    "world",
+    "plant",
+    "plant_version",
+    "plant_scene",
+];
 
 fn entry<'r>(recording: &'r Recording, record: &str, key: &str) -> Option<&'r str> {
     recording.metadata(record)?.get(key).map(String::as_str)
@@ -171,6 +182,8 @@ fn info_json(path: &Path, log: &LogFile, numbers: &Numbers) -> Value {
         "controller": origin("controller"),
         "profile": origin("profile"),
         "seed": origin("seed"),
+        "plant": origin("plant"),
+        "plant_version": origin("plant_version"),
         "outcome": outcome(recording),
         "duration_s": numbers.duration_s,
         "cycles": numbers.cycles,

@@ -9,13 +9,17 @@ use std::io::Cursor;
 use std::path::Path;
 use std::sync::Arc;
 
-/// Engine with a scene that it ignores; it refuses robots of seven joints.
+/// Engine with a scene that it ignores.
 #[derive(Debug)]
-struct OtherEngine(Scene);
+struct OtherEngine {
+    scene: Scene,
+    refuses: bool,
+}
 
 impl OtherEngine {
     fn shared() -> Arc<dyn PhysicsEngine> {
-        Arc::new(Self(Scene { path: "folder/table.xml".into(), text: "<table/>".to_owned() }))
+        let scene = Scene { path: "folder/table.xml".into(), text: "<table/>".to_owned() };
+        Arc::new(Self { scene, refuses: false })
     }
 }
 
@@ -29,13 +33,13 @@ impl PhysicsEngine for OtherEngine {
     }
 
     fn scene(&self) -> Option<&Scene> {
-        Some(&self.0)
+        Some(&self.scene)
     }
 
     fn build(&self, parts: PlantConfig) -> Result<Box<dyn Plant>, PlantError> {
-        if parts.arms[0].model.n() == 7 {
-            let message = "there are too many joints".to_owned();
-            return Err(PlantError { message, file: Some(self.0.path.clone()) });
+        if self.refuses {
+            let message = "the table is too small".to_owned();
+            return Err(PlantError { message, file: Some(self.scene.path.clone()) });
         }
         assert!((parts.step_s - 5e-5).abs() < 1e-12);
         Ok(Box::new(RigidPlant::new(parts)))
@@ -77,8 +81,10 @@ fn log_names_its_engine() {
 /// Checks the place and the words of an engine's refusal.
 #[test]
 fn refusal_of_an_engine_names_its_file() {
-    let error = experiment("tasks/panda-reach.toml").on_engine(OtherEngine::shared()).expect_err("refused");
-    assert_eq!(error.to_string(), "folder/table.xml: there are too many joints");
+    let scene = Scene { path: "folder/table.xml".into(), text: String::new() };
+    let engine = Arc::new(OtherEngine { scene, refuses: true });
+    let error = experiment("tasks/joint-tracking.toml").on_engine(engine).expect_err("refused");
+    assert_eq!(error.to_string(), "folder/table.xml: the table is too small");
 }
 
 /// Compared: experiments and fingerprints of a suite on one plant, and on two.
