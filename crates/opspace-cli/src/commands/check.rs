@@ -167,7 +167,7 @@ fn check_one(path: &Path, extensions: &Extensions, console: Console) -> Result<C
             let skipped = find([&experiment], not_checked);
             let small = margin.as_ref().and_then(|margin| margin.finding(&experiment));
             let strength = Strength::of(&experiment);
-            let of_transformer = strength.iter().flat_map(|strength| strength.findings(&experiment));
+            let of_transformer = strength.iter().flat_map(|strength| strength.diagnostics(&experiment));
             found.extend(small.into_iter().chain(of_transformer).map(|new| Found::new(new, &experiment)));
             let singular = singular_postures(&experiment);
             let distances = experiment.kept_distances().cloned();

@@ -26,7 +26,7 @@ impl Strength {
         })
     }
 
-    pub fn findings(&self, experiment: &Experiment) -> Vec<Diagnostic> {
+    pub fn diagnostics(&self, experiment: &Experiment) -> Vec<Diagnostic> {
         let used = self.margins.first().and_then(|margins| margins.gears.as_ref());
         let gears = used.and_then(|gears| gears.finding(experiment));
         let active = JointImpedance::finding(&self.impedances, experiment);
