@@ -701,6 +701,43 @@ fn check_uses_robot_kind_of_the_file() {
     }
 }
 
+/// A real robot whose gears may be elastic is not run with the emulation, unless this is asked for; a simulated one is.
+#[test]
+fn run_refuses_real_robot_with_small_margins() {
+    let folder = scratch();
+    let (robot, tasks) = (folder.path().join("robots/asimo-arm"), folder.path().join("tasks"));
+    fs::create_dir_all(&robot).unwrap();
+    fs::create_dir_all(&tasks).unwrap();
+    for file in ["robots/asimo-arm/asimo-arm.urdf", "tasks/gravity-compensation.toml"] {
+        fs::copy(project(file), folder.path().join(file)).unwrap();
+    }
+    let text =
+        read(project("robots/asimo-arm/robot.toml")).replace("gears = \"rigid\"", "gears = \"elastic\"");
+    fs::write(robot.join("robot.toml"), text + "\n[driver]\nname = \"absent\"\n").unwrap();
+    let run = ["run", "tasks/gravity-compensation.toml", "--transformer", "emulation+current"];
+    opspace(folder.path(), &run).exits(2).says(&[
+        "on elastic gears oscillates at antiresonances of 20 Hz",
+        "use 'extrapolation+current'",
+        "--accept-margins runs it nevertheless",
+    ]);
+    let accepted = [run.as_slice(), &["--accept-margins"]].concat();
+    opspace(folder.path(), &accepted).exits(2).says(&["no driver"]);
+    let default = &run[..2];
+    opspace(folder.path(), default).exits(2).says(&["no driver"]);
+    let simulated = [run.as_slice(), &["--simulate", "--duration-s", "1.6"]].concat();
+    opspace(folder.path(), &simulated).exits(0);
+
+    // The margins are printed, and are no findings for the default transformer.
+    let checked = opspace(folder.path(), &["check", "tasks/gravity-compensation.toml"]).exits(0);
+    let (table, title) =
+        (&checked.stdout, "with transformer 'extrapolation+current':\n    gain of position loops");
+    assert!(table.contains(title), "{table}");
+    assert!(table.contains("error, Nm  of limit\n    shoulder_pitch "), "{table}");
+    let is_wide = |line: &&str| line.starts_with("    ") && line.chars().count() > 100;
+    assert_eq!(table.lines().find(is_wide), None);
+    assert_eq!(checked.stderr, "");
+}
+
 #[test]
 fn check_recognises_file_kinds() {
     let folder = scratch();

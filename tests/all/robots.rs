@@ -53,11 +53,12 @@ fn every_robot_passes_check() {
         let task = first_task(&name);
         let arguments = ["check", &files[0], &files[1], task.to_str().unwrap()];
         let ran = opspace(Path::new(&project(".")), &arguments).exits(0);
-        // One line per file, two lines about the task (its gain margin and its nearly singular postures), and three about
-        // pairs if distances are kept.
+        // One line per file, two lines about the task (its gain margin and its nearly singular postures), a title of each of
+        // the three tables of its transformer, and three lines about pairs if distances are kept.
         let keeps_distances = read(project(&format!("{}/robot.toml", files[0]))).contains("\n[collision]");
-        let lines = if keeps_distances { 8 } else { 5 };
-        assert_eq!((ran.stdout.lines().count(), ran.stderr.as_str()), (lines, ""), "{name}");
+        let lines = if keeps_distances { 11 } else { 8 };
+        let titles = ran.stdout.lines().filter(|line| !line.starts_with("    ")).count();
+        assert_eq!((titles, ran.stderr.as_str()), (lines, ""), "{name}");
     }
 }
 

@@ -314,6 +314,11 @@ pub struct RunArgs {
     #[arg(long, value_name = "PLANT", value_parser = plant_choice, default_value = OWN_PLANT, conflicts_with = "move_to_start")]
     pub plant: PlantChoice,
 
+    /// Run a real robot although `opspace check` finds its margins too small: unstable with gains 1 % above nominal, or on
+    /// elastic gears that it may have.
+    #[arg(long, conflicts_with = "simulate")]
+    pub accept_margins: bool,
+
     /// First move a real robot to the task's start_rad, along a straight line in joint space at up to 0.2 rad/s.
     /// Obstacles are not avoided: keep the workspace clear.
     #[arg(long, conflicts_with = "simulate")]

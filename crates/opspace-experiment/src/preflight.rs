@@ -11,33 +11,52 @@
 //! | `limits` | limits that contradict each other, the start posture or the arm's weight |
 //! | `freedom` | a start at a singularity; degrees of freedom without a task |
 //! | `servo_gain` | position or velocity loops with a small gain margin |
+//! | `margins` | ranges of true over nominal values in which the arm is stable |
+//! | `refusal` | margins too small for a real robot |
+//! | `impedances` | real part of the impedance of drives with their transformer |
+//! | `gears` | oscillation on elastic gears |
+//! | `torque_floor` | velocity feed-forward with held setpoints |
 //! | `collisions` | a start or references in collision with an obstacle or the arm itself |
 //! | `times` | events and references that end after the run |
 //!
 //! All checks use the nominal robot, which starts in the start posture of the task and follows the references without
 //! error.
 
+mod boundary;
 mod case;
 mod collisions;
 mod diagnostic;
 mod freedom;
 mod gear_resonance;
+mod gears;
 mod goals;
+mod impedances;
 mod limits;
+mod margins;
 mod motion;
+mod nudge;
+mod refusal;
 mod rollout;
 mod servo_gain;
 mod speeds;
 mod stability;
 mod times;
+mod torque_floor;
+mod variation;
 
 use crate::run::experiment::{ControllerKind, Experiment};
 use case::PreflightCase;
 pub use diagnostic::Diagnostic;
 pub use freedom::SingularPostures;
 pub use gear_resonance::GearResonance;
+pub use gears::{GearMargin, GearScale, gear_margin};
+pub use impedances::{JointImpedance, impedances};
+pub use margins::{Margins, Quantity, RangeEnd, StableRange, margins, margins_with};
+pub use refusal::{LEAST_EXCESS, refusal};
 use rollout::Rollout;
 pub use servo_gain::{GainMargin, ServoLoop, gain_margin};
+pub use torque_floor::{JointFloor, TORQUE_HZ, floors};
+pub use variation::Variation;
 
 /// Computes all diagnostics that need no simulation; most tasks have none. [`GainMargin::finding`] gives the
 /// diagnostic about the gain margin.
@@ -53,6 +72,7 @@ pub fn diagnostics(experiment: &Experiment) -> Vec<Diagnostic> {
         found.extend(freedom::uncontrolled(&case));
         found.extend(stability::stiff_gains(&case));
     }
+    found.extend(torque_floor::feed_forward_impulses(experiment));
     found.extend(limits::of_postures(&case, &followed));
     let out_of_reach = goals::out_of_reach(&case, &followed);
     // References that are out of reach would require arbitrary speeds and torques.

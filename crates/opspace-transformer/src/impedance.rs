@@ -31,13 +31,21 @@ pub fn impedance<'a>(
     timing: DriveTiming,
     frequencies_hz: &[f64],
 ) -> Vec<(f64, Complex<f64>)> {
+    frequencies_hz.iter().map(|hz| impedance_near(&mut arm(), law, timing, *hz)).collect()
+}
+
+/// Returns the frequency next to `hz` (Hz) that fits into the time of measurement, and the [`impedance`] there
+/// (Nms/rad, Ns/m).
+pub fn impedance_near(
+    arm: &mut MovingJoint<'_>,
+    law: ServoLaw,
+    timing: DriveTiming,
+    hz: f64,
+) -> (f64, Complex<f64>) {
     let cycles = (MEASURING_S / timing.period_s()).round().max(8.0);
-    let measure = |hz: &f64| {
-        let periods = (hz * cycles * timing.period_s()).round().clamp(1.0, 0.5 * cycles - 1.0);
-        let hz = periods / (cycles * timing.period_s());
-        (hz, impedance_at(&mut arm(), law, timing, cycles as u64, hz))
-    };
-    frequencies_hz.iter().map(measure).collect()
+    let periods = (hz * cycles * timing.period_s()).round().clamp(1.0, 0.5 * cycles - 1.0);
+    let hz = periods / (cycles * timing.period_s());
+    (hz, impedance_at(arm, law, timing, cycles as u64, hz))
 }
 
 fn impedance_at(

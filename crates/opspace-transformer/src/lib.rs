@@ -84,7 +84,7 @@ pub use setpoint_limits::{
     JointSetpointLimits, SetpointLimit, SetpointLimitParameters, SetpointReaction, SetpointStream,
 };
 pub use torque_observer::{TorqueObserver, TorqueObserverSetup};
-pub use transformer::{Method, PaperTransformer, Transformer, TransformerKind};
+pub use transformer::{DeclaredProperties, Gears, Method, PaperTransformer, Transformer, TransformerKind};
 pub use velocity_transformer::VelocityTransformer;
 
 /// Code examples of the README, compiled and run as doctests.

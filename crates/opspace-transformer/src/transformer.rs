@@ -147,25 +147,77 @@ impl TransformerKind {
         self.current
     }
 
-    /// Returns the best transformer for a robot with these declared properties, and the reason. Emulation needs a known
-    /// delay; if the delay is unknown, the paper's transformer is returned, which works with any delay.
+    /// Returns the best transformer for a robot with these declared properties, and the reason:
+    ///
+    /// | delay | gears | motor current | transformer |
+    /// |---|---|---|---|
+    /// | unknown | | | `paper`, which works with any delay |
+    /// | known | rigid | | `emulation` or `interpolating`, with `+current` if it is measured |
+    /// | known | elastic or unknown | measured | `extrapolation+current` |
+    /// | known | elastic or unknown | not measured | `paper` for a position robot, `extrapolation` for a velocity robot |
+    ///
+    /// Emulation makes elastic gears oscillate. Extrapolation removes the damping of a position servo, so that without
+    /// measured current a position loop with a gain above the nominal one drives the joint; the paper's transformer
+    /// leaves a part of the damping. A wrong gain of a velocity loop only scales the torque.
     #[must_use]
-    pub fn best(setpoints: Setpoints, delay_servo_ticks: Option<u32>, current: bool) -> (Self, String) {
+    pub fn best(robot: &DeclaredProperties) -> (Self, String) {
+        let DeclaredProperties { takes, setpoints, delay_servo_ticks, measures_current, gears } = *robot;
         let Some(delay) = delay_servo_ticks else {
             let why =
                 "the delay of setpoints is unknown, and this transformer works with any delay".to_owned();
             return (Self::new(Method::Paper, false), why);
         };
+        let current = if measures_current { "measured" } else { "not measured" };
+        if gears == Gears::Elastic {
+            let why = format!(
+                "the gears are not declared rigid, the delay of setpoints is known ({delay} servo ticks), motor current \
+                 is {current}"
+            );
+            if takes == CommandKind::Velocity || measures_current {
+                return (Self::new(Method::Extrapolation, measures_current), why);
+            }
+            let why = why
+                + ": this transformer keeps a part of the servo's damping, so that a wrong gain does less harm";
+            return (Self::new(Method::Paper, false), why);
+        }
         let (method, setpoints) = match setpoints {
             Setpoints::Held => (Method::Emulation, "held"),
             Setpoints::Interpolated => (Method::Interpolating, "interpolated"),
         };
-        let measured = if current { "measured" } else { "not measured" };
         let why = format!(
-            "setpoints are {setpoints}, their delay is known ({delay} servo ticks), motor current is {measured}"
+            "the gears are declared rigid, setpoints are {setpoints}, their delay is known ({delay} servo ticks), motor \
+             current is {current}"
         );
-        (Self::new(method, current), why)
+        (Self::new(method, measures_current), why)
     }
+}
+
+/// Gears between the motors and the links of a robot.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(rename_all = "kebab-case")]
+pub enum Gears {
+    /// Known to be rigid: each motor with its link resonates above six times the bandwidth of its velocity loop,
+    /// kv/(2π inertia) in Hz.
+    Rigid,
+    /// Elastic, or unknown.
+    #[default]
+    Elastic,
+}
+
+/// Declared properties of a robot that determine its [best](TransformerKind::best) transformer.
+#[derive(Clone, Copy, Debug)]
+pub struct DeclaredProperties {
+    /// Quantity of its setpoints: position or velocity.
+    pub takes: CommandKind,
+    /// Behaviour of the drives between two setpoints.
+    pub setpoints: Setpoints,
+    /// Delay until a setpoint acts, in servo ticks; `None` if unknown.
+    pub delay_servo_ticks: Option<u32>,
+    /// True if motor current is measured.
+    pub measures_current: bool,
+    /// Gears between motors and links.
+    pub gears: Gears,
 }
 
 impl<'de> Deserialize<'de> for TransformerKind {

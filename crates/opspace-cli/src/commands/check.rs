@@ -2,6 +2,7 @@
 //! predicted problems of a task.
 
 use crate::cli::CheckArgs;
+use crate::commands::margins::Strength;
 use crate::commands::own_backend;
 use crate::console::{Console, Exit, Outcome, report};
 use crate::output::pretty;
@@ -31,10 +32,11 @@ pub fn check(args: &CheckArgs, extensions: &Extensions, console: Console) -> Out
         let checked = check_one(path, extensions, console);
         files.push(as_json(path, &checked));
         match checked {
-            Ok(Checked { what, margin, gears, singular, distances, found, skipped }) => {
+            Ok(Checked { what, margin, gears, strength, singular, distances, found, skipped }) => {
                 text += &format!("{}: {what}\n", path.display());
                 margin.iter().for_each(|margin| text += &format!("  {margin}\n"));
                 gears.iter().for_each(|gear| text += &format!("  {gear}\n"));
+                strength.iter().for_each(|strength| text += &strength.text());
                 singular.iter().for_each(|singular| text += &format!("  {singular}\n"));
                 distances.iter().for_each(|distances| text += &pairs_text(distances));
                 found.iter().for_each(|found| note(console, found));
@@ -55,6 +57,8 @@ struct Checked {
     margin: Option<GainMargin>,
     /// Frequencies of the joints whose gear stiffness is declared.
     gears: Vec<GearResonance>,
+    /// Margins and errors of the transformer, if torques pass through one.
+    strength: Option<Strength>,
     /// Nearly singular postures of each task.
     singular: Vec<SingularPostures>,
     /// Pairs of links and obstacles that the controller keeps apart.
@@ -70,6 +74,7 @@ impl Checked {
             what,
             margin: None,
             gears: Vec::new(),
+            strength: None,
             singular: Vec::new(),
             distances: None,
             found: Vec::new(),
@@ -161,11 +166,13 @@ fn check_one(path: &Path, extensions: &Extensions, console: Console) -> Result<C
             let mut found = find([&experiment], diagnostics);
             let skipped = find([&experiment], not_checked);
             let small = margin.as_ref().and_then(|margin| margin.finding(&experiment));
-            found.extend(small.map(|finding| Found::new(finding, &experiment)));
+            let strength = Strength::of(&experiment);
+            let of_transformer = strength.iter().flat_map(|strength| strength.diagnostics(&experiment));
+            found.extend(small.into_iter().chain(of_transformer).map(|new| Found::new(new, &experiment)));
             let singular = singular_postures(&experiment);
             let distances = experiment.kept_distances().cloned();
             let gears = gear_resonances(&experiment);
-            Ok(Checked { what, margin, gears, singular, distances, found, skipped })
+            Ok(Checked { what, margin, gears, strength, singular, distances, found, skipped })
         }
         Some(Kind::Robot) => robot(),
         // A folder denotes a robot.
@@ -239,7 +246,7 @@ fn as_json(path: &Path, checked: &Result<Checked, FileError>) -> Value {
         })
     };
     match checked {
-        Ok(Checked { what, margin, gears, singular, distances, found, skipped }) => {
+        Ok(Checked { what, margin, gears, strength, singular, distances, found, skipped }) => {
             let [findings, not_checked] =
                 [found, skipped].map(|list| list.iter().map(told).collect::<Vec<Value>>());
             let margin_of = |servo_loop: ServoLoop| {
@@ -254,6 +261,7 @@ fn as_json(path: &Path, checked: &Result<Checked, FileError>) -> Value {
                 "position_gain_margin": margin_of(ServoLoop::Position),
                 "velocity_gain_margin": margin_of(ServoLoop::Velocity),
                 "gears": gears.iter().map(gear_as_json).collect::<Vec<Value>>(),
+                "transformer": strength.as_ref().map(Strength::json),
                 "singular_postures": singular.iter().map(singular_as_json).collect::<Vec<Value>>(),
                 "kept_distances": distances.as_ref().map(pairs_json),
                 "findings": findings,

@@ -5,6 +5,7 @@ pub mod check;
 pub mod completion;
 pub mod identify;
 pub mod log;
+pub mod margins;
 pub mod merge;
 pub mod model;
 pub mod new;

@@ -10,6 +10,7 @@ use crate::result_folder::{MOVE_TO_START, prepare};
 use indicatif::{ProgressBar, ProgressStyle};
 use opspace_experiment::Progress;
 use opspace_experiment::evaluate::results::MEASURES;
+use opspace_experiment::preflight::refusal;
 use opspace_experiment::run::folder::{LOG, REPORT, SUMMARY};
 use opspace_experiment::{Experiment, Extensions, Files, Summary};
 use std::path::PathBuf;
@@ -40,6 +41,9 @@ pub fn run(args: &RunArgs, extensions: &Extensions, console: Console) -> Outcome
         PathBuf::from(format!("runs/{task}-{robot}-{}{plant}", experiment.options().backend.name()));
     if let (Some(kind), Some(reason)) = (experiment.transformer_kind(), experiment.transformer_reason()) {
         console.detail(&format!("transformer '{}': {reason}", kind.name()));
+    }
+    if on_driver && !args.accept_margins {
+        refuse_margins(&experiment)?;
     }
     let files = [LOG, REPORT, SUMMARY].map(str::to_owned);
     let results = prepare(&args.output, &default, &files, &experiment.input_paths(), console)?;
@@ -77,6 +81,13 @@ pub fn run(args: &RunArgs, extensions: &Extensions, console: Console) -> Outcome
         console.note(&format!("wrote {}, {REPORT} and {SUMMARY}", folder.join(LOG).display()));
     }
     Ok(exit_code(&summary))
+}
+
+/// Refuses a run on a real robot whose margins are too small.
+fn refuse_margins(experiment: &Experiment) -> Result<(), Failure> {
+    let Some(mut refused) = refusal(experiment) else { return Ok(()) };
+    refused.help += "; --accept-margins runs it nevertheless";
+    Err(refused.placed(experiment).into())
 }
 
 /// Prints the reason why a run ended early.

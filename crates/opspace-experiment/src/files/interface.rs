@@ -1,6 +1,7 @@
 //! `[interface]` of robot.toml: the commands that a robot accepts and the quantities that it measures.
 
 use opspace_backend::{CommandKind, GravityCompensation, Measured, MissedCycle, Setpoints};
+use opspace_transformer::Gears;
 #[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::Deserialize;
@@ -26,4 +27,9 @@ pub struct InterfaceParameters {
     /// True if a velocity robot has brakes that hold it when no controller commands it.
     #[serde(default)]
     pub brakes: bool,
+    /// Gears between motors and links: `rigid` if each motor with its link is known to resonate above six times the
+    /// bandwidth of its velocity loop, `elastic` otherwise and if unknown. With `rigid` the default transformer emulates
+    /// the arm, which makes elastic gears oscillate. A joint with `gear_stiffness_nm_per_rad` makes the robot elastic.
+    #[serde(default)]
+    pub gears: Gears,
 }

@@ -14,7 +14,9 @@ use opspace_loop::SafetyParameters;
 use opspace_model::collision::{CapsuleWarning, LinkCapsule};
 use opspace_model::{FrameId, Model, ParsedUrdf, UrdfOptions, UrdfWarning};
 use opspace_sim::SimulatedParameters;
-use opspace_transformer::{ClosedLoopModel, JointParameters, ProfileParameters, ServoLaw, ServoParameters};
+use opspace_transformer::{
+    ClosedLoopModel, Gears, JointParameters, ProfileParameters, ServoLaw, ServoParameters,
+};
 #[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::Deserialize;
@@ -270,6 +272,13 @@ impl RobotDefinition {
     #[must_use]
     pub fn capsule_warnings(&self) -> &[CapsuleWarning] {
         self.capsules.as_ref().map_or(&[], |capsules| &capsules.warnings)
+    }
+
+    /// Gears between motors and links: rigid if the file says so and gives no joint a stiffness.
+    #[must_use]
+    pub fn gears(&self) -> Gears {
+        let is_stated = self.file.joint.values().any(|joint| joint.gear_stiffness_nm_per_rad.is_some());
+        if is_stated { Gears::Elastic } else { self.file.interface.gears }
     }
 
     /// Torque limits of the drives, in the model's joint order (n; Nm or N).

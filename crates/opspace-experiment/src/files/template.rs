@@ -19,6 +19,7 @@ default_profile = "default"
 [interface]
 # command =                   # accepted command: "position", "velocity" or "torque"
 setpoints = "held"            # commands of position or velocity servos: "held" until the next one, or "interpolated"
+gears = "elastic"             # between motors and links: "rigid" only if known to be, "elastic" also if unknown
 # gravity_compensated_by =    # "controller", or "robot" if the robot compensates gravity itself
 ## brakes = true              # if brakes hold a velocity robot without a controller
 # measured =                  # ["position"], or ["position", "motor-current"]

@@ -9,11 +9,11 @@ use opspace_model::{Data, update};
 use opspace_transformer::setpoint_governor::SetpointGovernor;
 use opspace_transformer::setpoint_limits::JointSetpointLimits;
 use opspace_transformer::{
-    ClosedLoopModel, CurrentFeedback, EmulatingTransformer, EmulationSetup, ExtrapolatingTransformer,
-    ExtrapolationSetup, FrictionCompensation, FrictionCompensationParameters, FrictionLaw,
-    GainAdaptationParameters, Identity, JointParameters, LiteralTransformer, Method, ObservedTransformer,
-    PaperTransformer, ServoGains, ServoParameters, SetpointNoise, TorqueObjective, TorqueObserver,
-    TorqueObserverSetup, Transformer, TransformerKind, VelocitySource, VelocityTransformer,
+    ClosedLoopModel, CurrentFeedback, DeclaredProperties, EmulatingTransformer, EmulationSetup,
+    ExtrapolatingTransformer, ExtrapolationSetup, FrictionCompensation, FrictionCompensationParameters,
+    FrictionLaw, GainAdaptationParameters, Identity, JointParameters, LiteralTransformer, Method,
+    ObservedTransformer, PaperTransformer, ServoGains, ServoParameters, SetpointNoise, TorqueObjective,
+    TorqueObserver, TorqueObserverSetup, Transformer, TransformerKind, VelocitySource, VelocityTransformer,
 };
 
 impl Experiment {
@@ -41,8 +41,13 @@ impl Experiment {
         if let Some(kind) = self.profile.transformer {
             return (kind, format!("set in profile '{}'", self.profile_name));
         }
-        let setpoints = self.robot.file.interface.setpoints;
-        TransformerKind::best(setpoints, self.profile.delay_servo_ticks, self.measures_current())
+        TransformerKind::best(&DeclaredProperties {
+            takes: self.options.backend,
+            setpoints: self.robot.file.interface.setpoints,
+            delay_servo_ticks: self.profile.delay_servo_ticks,
+            measures_current: self.measures_current(),
+            gears: self.robot.gears(),
+        })
     }
 
     pub(crate) fn measures_current(&self) -> bool {

@@ -5,6 +5,7 @@ mod collisions;
 mod diagnostics;
 mod drives;
 mod log_header;
+mod margins;
 mod metrics;
 mod overrides;
 mod panicking_task;

@@ -1,10 +1,11 @@
 //! Tests of the paper's transformer, its velocity estimator and friction compensation, against their equations.
 
-use opspace_backend::{Capabilities, CommandKind, Measured, Sample};
+use opspace_backend::{Capabilities, CommandKind, Measured, Sample, Setpoints};
 use opspace_model::{Data, Inertia, Joint, JointKind, Limits, Model, Placement};
 use opspace_transformer::{
-    CurrentFeedback, EstimatorParameters, FrictionCompensation, FrictionCompensationParameters,
-    FrictionParameters, PaperTransformer, ServoGains, Transformer, VelocityEstimator, VelocityTransformer,
+    CurrentFeedback, DeclaredProperties, EstimatorParameters, FrictionCompensation,
+    FrictionCompensationParameters, FrictionParameters, Gears, PaperTransformer, ServoGains, Transformer,
+    TransformerKind, VelocityEstimator, VelocityTransformer,
 };
 use std::f64::consts::TAU;
 
@@ -265,4 +266,29 @@ fn friction_compensation_supplies_the_energy_of_its_bristles() {
         let tolerance = 1e-3 * gain * coulomb * amplitude;
         assert!((supplied - expected).abs() < tolerance, "A = {amplitude}: {supplied} J, {expected} J");
     }
+}
+
+/// The table in the documentation of `best`, and the reasons for the choice.
+#[test]
+fn best_transformer_emulates_rigid_gears_only() {
+    use CommandKind::{Position, Velocity};
+    use Gears::{Elastic, Rigid};
+    use Setpoints::{Held, Interpolated};
+    for (takes, setpoints, delay_servo_ticks, measures_current, gears, expected, reason) in [
+        (Position, Held, None, true, Rigid, "paper", "delay of setpoints is unknown"),
+        (Velocity, Held, None, true, Elastic, "paper", "delay of setpoints is unknown"),
+        (Position, Held, Some(1), true, Rigid, "emulation+current", "gears are declared rigid"),
+        (Velocity, Held, Some(1), false, Rigid, "emulation", "gears are declared rigid"),
+        (Position, Interpolated, Some(0), true, Rigid, "interpolating+current", "gears are declared rigid"),
+        (Position, Held, Some(1), true, Elastic, "extrapolation+current", "gears are not declared rigid"),
+        (Velocity, Held, Some(1), true, Elastic, "extrapolation+current", "gears are not declared rigid"),
+        (Position, Interpolated, Some(1), false, Elastic, "paper", "keeps a part of the servo's damping"),
+        (Velocity, Held, Some(1), false, Elastic, "extrapolation", "motor current is not measured"),
+    ] {
+        let robot = DeclaredProperties { takes, setpoints, delay_servo_ticks, measures_current, gears };
+        let (best, why) = TransformerKind::best(&robot);
+        assert_eq!(best.name(), expected, "{robot:?}");
+        assert!(why.contains(reason), "{robot:?}: {why}");
+    }
+    assert_eq!(Gears::default(), Elastic, "unknown gears may be elastic");
 }

@@ -1,0 +1,128 @@
+//! Margins and unavoidable errors of a transformer, in `opspace check`.
+
+use opspace_experiment::preflight::{
+    GearMargin, GearScale, JointFloor, JointImpedance, Margins, StableRange, TORQUE_HZ, floors, impedances,
+    margins,
+};
+use opspace_experiment::{Diagnostic, Experiment};
+use serde_json::{Value, json};
+use std::fmt::Write as _;
+
+/// Margins and unavoidable errors of a transformer.
+pub struct Strength {
+    /// With the transformer in use, and with its counterpart without or with current.
+    margins: Vec<Margins>,
+    impedances: Vec<JointImpedance>,
+    floors: Vec<JointFloor>,
+}
+
+impl Strength {
+    /// Computes them for an experiment; `None` if commands pass without a transformer.
+    pub fn of(experiment: &Experiment) -> Option<Self> {
+        Some(Self {
+            margins: margins(experiment),
+            impedances: impedances(experiment)?,
+            floors: floors(experiment)?,
+        })
+    }
+
+    pub fn diagnostics(&self, experiment: &Experiment) -> Vec<Diagnostic> {
+        let used = self.margins.first().and_then(|margins| margins.gears.as_ref());
+        let gears = used.and_then(|gears| gears.finding(experiment));
+        let active = JointImpedance::finding(&self.impedances, experiment);
+        gears.into_iter().chain(active).collect()
+    }
+
+    pub fn text(&self) -> String {
+        let mut text = String::new();
+        for margins in &self.margins {
+            let _ = writeln!(text, "  {}", margins.to_string().replace('\n', "\n  "));
+        }
+        let names = self.floors.iter().map(|floor| floor.joint.chars().count());
+        let width = names.max().unwrap_or(0).clamp(5, 30);
+        let _ = writeln!(
+            text,
+            "  real part of the impedance Z, and rms torque error by the encoders' resolution:"
+        );
+        let _ = writeln!(
+            text,
+            "    {:<width$}  {:>16}  {:>7}  {:>6}  {:>13}  {:>9}  {:>8}",
+            "joint", "least Z, Nms/rad", "at, Hz", "of kv", "active, Hz", "error, Nm", "of limit"
+        );
+        for (impedance, floor) in self.impedances.iter().zip(&self.floors) {
+            let active = impedance
+                .active_hz
+                .map_or_else(|| "-".to_owned(), |[from, to]| format!("{from:.0} to {to:.0}"));
+            let _ = writeln!(
+                text,
+                "    {:<width$}  {:>16.3}  {:>7.1}  {:>4.0} %  {active:>13}  {:>9.4}  {:>6.2} %",
+                impedance.joint,
+                impedance.least_nms_per_rad,
+                impedance.at_hz,
+                100.0 * impedance.least_nms_per_rad / impedance.kv_nms_per_rad,
+                floor.floor_nm,
+                100.0 * floor.floor_nm / floor.torque_limit_nm,
+            );
+        }
+        let limited = self.floors.iter().filter_map(|f| f.within_setpoint_limits_nm.map(|nm| (&f.joint, nm)));
+        for (number, (joint, amplitudes)) in limited.enumerate() {
+            if number == 0 {
+                let at = TORQUE_HZ.map(|hz| format!("{:>9}", format!("{hz} Hz"))).concat();
+                let _ = writeln!(text, "  torque amplitudes within the limits of setpoints, joint held, Nm:");
+                let _ = writeln!(text, "    {:<width$}{at}", "joint");
+            }
+            let amplitudes = amplitudes.map(|nm| format!("{nm:>9.1}")).concat();
+            let _ = writeln!(text, "    {joint:<width$}{amplitudes}");
+        }
+        text
+    }
+
+    pub fn json(&self) -> Value {
+        let joint = |(impedance, floor): (&JointImpedance, &JointFloor)| {
+            json!({
+                "joint": floor.joint,
+                "least_real_impedance_nms_per_rad": impedance.least_nms_per_rad,
+                "least_real_impedance_hz": impedance.at_hz,
+                "kv_nms_per_rad": impedance.kv_nms_per_rad,
+                "viscous_nms_per_rad": impedance.viscous_nms_per_rad,
+                "active_hz": impedance.active_hz,
+                "encoder_floor_nm": floor.floor_nm,
+                "torque_limit_nm": floor.torque_limit_nm,
+                "within_setpoint_limits_nm": floor.within_setpoint_limits_nm,
+            })
+        };
+        json!({
+            "margins": self.margins.iter().map(margins_json).collect::<Vec<Value>>(),
+            "torque_hz": TORQUE_HZ,
+            "joints": self.impedances.iter().zip(&self.floors).map(joint).collect::<Vec<Value>>(),
+        })
+    }
+}
+
+fn margins_json(margins: &Margins) -> Value {
+    let range = |range: &StableRange| {
+        let [least, most] = &range.ends;
+        json!({
+            "quantity": range.quantity.name(),
+            "least": least.value,
+            "least_joint": least.joint,
+            "most": most.value,
+            "most_joint": most.joint,
+        })
+    };
+    json!({
+        "transformer": margins.transformer.name(),
+        "unstable": margins.unstable,
+        "ranges": margins.ranges.iter().map(range).collect::<Vec<Value>>(),
+        "gears": margins.gears.as_ref().map(gears_json),
+    })
+}
+
+fn gears_json(gears: &GearMargin) -> Value {
+    let scale = match gears.scale {
+        GearScale::AntiresonanceHz => "antiresonance_hz",
+        GearScale::DeclaredStiffness => "times_declared_stiffness",
+    };
+    let oscillates = gears.oscillates.iter().map(|(value, joint)| json!({ "value": value, "joint": joint }));
+    json!({ "scale": scale, "examined": gears.examined, "oscillates": oscillates.collect::<Vec<Value>>() })
+}
