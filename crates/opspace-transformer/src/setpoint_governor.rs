@@ -6,7 +6,8 @@
 //! and the period T, it chooses the acceleration a' of the next one, v' = v + T a', x' = x + T v':
 //!
 //! ```text
-//! v_want = (x_desired − x)/T within ±V
+//! u = (x_desired − x_desired₋)/T        e = x_desired − x − T u
+//! v_want = u + sign(e) min(|e|/T, √(2 A |e|)), within ±V
 //! a_want = s(v_want − v)        s(m) = sign(m) min(|m|/T, J (√(T²/4 + 2 |m|/J) − T/2))
 //! a' = (v_desired − v)/T if within the limits; else a_want, limited:
 //! a' within ±A, within a ± J T, and between s(−V − v) and s(V − v)
@@ -49,6 +50,8 @@ pub struct GovernedSetpoint {
     velocity_limit: f64,
     acceleration_limit: f64,
     jerk_limit: f64,
+    /// Setpoint that was desired in the last cycle.
+    desired: f64,
     /// Last setpoint, its velocity and its acceleration; `None` before the first.
     last: Option<[f64; 3]>,
 }
@@ -58,25 +61,26 @@ impl GovernedSetpoint {
     #[must_use]
     pub fn new(limits: &JointSetpointLimits, takes: CommandKind, period_s: f64) -> Self {
         let limit = |limit: Option<Positive>| limit.map_or(f64::INFINITY, |limit| USED * limit.get());
-        Self {
-            takes,
-            period_s,
-            velocity_limit: limit(limits.velocity_rad_per_s),
-            acceleration_limit: limit(limits.acceleration_rad_per_s2),
-            jerk_limit: limit(limits.jerk_rad_per_s3),
-            last: None,
-        }
+        let velocity_limit = limit(limits.velocity_rad_per_s);
+        // No use is made of accelerations above V/T and of jerks above A/T.
+        let acceleration_limit = limit(limits.acceleration_rad_per_s2).min(velocity_limit / period_s);
+        let jerk_limit = limit(limits.jerk_rad_per_s3).min(acceleration_limit / period_s);
+        Self { takes, period_s, velocity_limit, acceleration_limit, jerk_limit, desired: 0.0, last: None }
     }
 
     /// Returns the setpoint within the limits that follows `desired` (rad, m; rad/s, m/s for a velocity robot).
-    #[must_use]
-    pub fn follow(&self, desired: f64) -> f64 {
+    pub fn follow(&mut self, desired: f64) -> f64 {
+        let followed = self.limited(desired);
+        self.desired = desired;
+        followed
+    }
+
+    fn limited(&self, desired: f64) -> f64 {
         let Some([setpoint, velocity, before]) = self.last else { return desired };
-        let want = self.velocity_to(desired, setpoint).clamp(-self.velocity_limit, self.velocity_limit);
+        let want = self.wanted_velocity(desired, setpoint).clamp(-self.velocity_limit, self.velocity_limit);
         let reached = self.jerk_limit * self.period_s;
         // A whole number of steps changes the velocity by up to J T²/8 more than s assumes.
-        let spare = 0.125 * reached.min(self.acceleration_limit).min(self.velocity_limit) * self.period_s;
-        let spare = if spare.is_finite() { spare } else { 0.0 };
+        let spare = if reached.is_finite() { 0.125 * reached * self.period_s } else { 0.0 };
         let [lowest, highest] =
             [-1.0, 1.0].map(|sign| self.towards(sign * self.velocity_limit - velocity, spare));
         let allowed = |acceleration: f64| {
@@ -104,6 +108,17 @@ impl GovernedSetpoint {
             CommandKind::Velocity => desired,
             CommandKind::Position | CommandKind::Torque => (desired - setpoint) / self.period_s,
         }
+    }
+
+    /// Velocity at which the desired setpoint, which moves on at its own velocity, is reached without overshoot.
+    fn wanted_velocity(&self, desired: f64, setpoint: f64) -> f64 {
+        if self.takes == CommandKind::Velocity || self.acceleration_limit.is_infinite() {
+            return self.velocity_to(desired, setpoint);
+        }
+        let moving = (desired - self.desired) / self.period_s;
+        let error = desired - setpoint - self.period_s * moving;
+        let braking = (2.0 * self.acceleration_limit * error.abs()).sqrt();
+        moving + (error.abs() / self.period_s).min(braking).copysign(error)
     }
 
     /// Largest acceleration that can be taken back before the velocity has changed by `change`.
@@ -165,7 +180,7 @@ impl Transformer for SetpointGovernor {
 
     fn transform(&mut self, data: &Data, torque: &[f64], command: &mut [f64]) {
         self.inner.transform(data, torque, command);
-        for (joint, setpoint) in self.joints.iter().zip(command) {
+        for (joint, setpoint) in self.joints.iter_mut().zip(command) {
             *setpoint = joint.follow(*setpoint);
         }
     }
