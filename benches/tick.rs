@@ -2,6 +2,8 @@
 
 use divan::{Bencher, black_box};
 use nalgebra::Matrix6xX;
+use opspace::backend::quantity::Positive;
+use opspace::backend::{Capabilities, CommandKind, GravityCompensation, Measured, Sample, Setpoints};
 use opspace::control::{ControlInput, Measurement, Targets};
 use opspace::control_loop::Run;
 use opspace::experiment::{Experiment, Files, RunOptions};
@@ -9,7 +11,10 @@ use opspace::log::{Channel, Header, Pace, record};
 use opspace::model::{
     Data, Model, OperationalSpace, aba, bias, crba, frame_jacobian, gravity, kinematics, rnea, update,
 };
-use opspace::transformer::{PaperTransformer, Transformer};
+use opspace::transformer::{
+    CascadedServo, EstimatorParameters, ExtrapolatingTransformer, ExtrapolationSetup,
+    GainAdaptationParameters, PaperTransformer, ServoParameters, Transformer,
+};
 use opspace_testing::oracle::urdf;
 use std::cell::RefCell;
 use std::path::Path;
@@ -117,6 +122,54 @@ fn controller_and_transformer(bencher: Bencher, task: &str) {
         let input = input(model, &data, black_box(&measurement), &feedforward, &targets);
         controller.update(&input, &mut tau);
         transformer.transform(&data, &tau, &mut q_desired);
+    });
+}
+
+/// One cycle of a transformer for seven joints, whose servos run five times per cycle: sample, conversion and setpoint. With
+/// current, gains are estimated and recalculated in each cycle.
+#[divan::bench(args = ["paper", "extrapolation", "extrapolation+current"])]
+fn transformer_of_seven_joints(bencher: Bencher, name: &str) {
+    let (_, data, ..) = robot("panda_arm7");
+    let n = data.q.len();
+    let [kp, kv, filter_hz] =
+        [50.0, 30.0, 600.0].map(|value| Positive::try_from(value).expect("is positive"));
+    let servo = ServoParameters::Cascaded(CascadedServo::new(kp, kv, filter_hz));
+    let period_s = 2e-4;
+    let mut transformer: Box<dyn Transformer> = match name {
+        "paper" => Box::new(PaperTransformer::new(vec![servo.gains(period_s); n])),
+        _ => Box::new(
+            ExtrapolatingTransformer::new(&ExtrapolationSetup {
+                servos: vec![servo; n],
+                torque_limits: vec![80.0; n],
+                servo_period_s: period_s,
+                servo_ticks_per_cycle: 5,
+                delay: 1,
+                setpoints: Setpoints::Held,
+                estimator: EstimatorParameters::default(),
+                gravity_compensated_by: GravityCompensation::Controller,
+                has_brakes: false,
+                antiresonance_hz: None,
+                setpoint_noise: Vec::new(),
+                current: name.ends_with("+current").then(GainAdaptationParameters::usual),
+            })
+            .expect("can be inverted"),
+        ),
+    };
+    let names: Vec<String> = (0..n).map(|i| format!("joint{i}")).collect();
+    let capabilities =
+        Capabilities::new(names, CommandKind::Position, 1e-3).measuring(&[Measured::MotorCurrent]);
+    let mut sample = Sample::new(&capabilities);
+    let (torque, mut setpoint) = (vec![3.0; n], vec![0.0; n]);
+    let mut time_s = 0.0;
+    bencher.bench_local(|| {
+        time_s += 1e-3;
+        for (i, q) in sample.q.iter_mut().enumerate() {
+            *q = 0.3 * f64::sin(time_s + i as f64);
+        }
+        transformer.observe(black_box(&sample));
+        transformer.set_reference_velocity(&torque);
+        transformer.transform(&data, &torque, &mut setpoint);
+        transformer.sent(&data, &setpoint);
     });
 }
 

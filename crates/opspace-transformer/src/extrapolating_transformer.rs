@@ -55,6 +55,9 @@ pub const SETTLED_HZ: f64 = 4.0;
 /// Cut-off frequency of the correction by current with unknown gains, Hz.
 pub const UNSETTLED_HZ: f64 = 16.0;
 
+/// Largest cut-off frequency of the correction by current, as a fraction of the lowest antiresonance.
+const OF_ANTIRESONANCE: f64 = 0.25;
+
 /// Cut-off frequency of the torques from which gains are estimated, Hz: below the resonance of gears.
 const ESTIMATION_HZ: f64 = 8.0;
 
@@ -90,6 +93,9 @@ pub struct ExtrapolationSetup {
     /// True if brakes hold a velocity robot, with motors off, until its first setpoint acts. Ignored for a position
     /// robot, which its servos hold.
     pub has_brakes: bool,
+    /// Lowest frequency at which a link swings on its gear, Hz, if the stiffness of gears is known: the correction by current
+    /// remains below a quarter of it.
+    pub antiresonance_hz: Option<f64>,
     /// Limits of the noise of setpoints (n); `None`, or empty, for joints whose drives do not limit the acceleration of
     /// setpoints.
     pub setpoint_noise: Vec<Option<SetpointNoise>>,
@@ -295,6 +301,7 @@ impl Correction {
     ) -> Self {
         let period_s = setup.servo_period_s * f64::from(setup.servo_ticks_per_cycle);
         let nominal = servo.gains(setup.servo_period_s);
+        let fastest_hz = setup.antiresonance_hz.map_or(f64::INFINITY, |hz| OF_ANTIRESONANCE * hz);
         let estimation = servo.has_two_gains().then(|| Estimation {
             adaptation: GainAdaptation::of_filtered(
                 parameters,
@@ -309,7 +316,7 @@ impl Correction {
         Self {
             excess: 0.0,
             asked: [0.0; 2],
-            gains: [SETTLED_HZ, UNSETTLED_HZ].map(|hz| low_pass::gain(hz, period_s)),
+            gains: [SETTLED_HZ, UNSETTLED_HZ].map(|hz| low_pass::gain(hz.min(fastest_hz), period_s)),
             estimation,
         }
     }

@@ -15,6 +15,7 @@ use opspace_transformer::{
     ObservedTransformer, PaperTransformer, ServoGains, ServoParameters, SetpointNoise, TorqueObjective,
     TorqueObserver, TorqueObserverSetup, Transformer, TransformerKind, VelocitySource, VelocityTransformer,
 };
+use std::f64::consts::TAU;
 
 impl Experiment {
     /// Transformer in use, which converts torques to position or velocity setpoints; `None` if commands pass
@@ -208,6 +209,7 @@ impl Experiment {
             estimator: self.profile.estimator.clone(),
             gravity_compensated_by: self.gravity_compensated_by(),
             has_brakes: self.capabilities().has_brakes,
+            antiresonance_hz: self.lowest_antiresonance_hz()?,
             setpoint_noise: self.setpoint_noise(),
             current: current.then(|| self.profile.adapt_gains.unwrap_or(GainAdaptationParameters::usual())),
         })
@@ -227,18 +229,40 @@ impl Experiment {
         names.zip(self.robot.joints()).map(noise).collect()
     }
 
+    /// Lowest frequency √(K/J)/2π of a link of inertia J on a gear of declared stiffness K, with its rotor and the other
+    /// joints held at the start of the task, Hz; `None` if no stiffness is declared.
+    fn lowest_antiresonance_hz(&self) -> Result<Option<f64>, FileError> {
+        let model = &self.robot.model;
+        let joints = self.robot.joints();
+        if joints.iter().all(|joint| joint.gear_stiffness_nm_per_rad.is_none()) {
+            return Ok(None);
+        }
+        let mass_matrix = self.data_at_start()?.mass_matrix;
+        let antiresonances =
+            joints.iter().zip(model.rotor_inertia()).enumerate().filter_map(|(i, (joint, rotor))| {
+                let stiffness = joint.gear_stiffness_nm_per_rad?.get();
+                Some((stiffness / (mass_matrix[(i, i)] - rotor)).sqrt() / TAU)
+            });
+        Ok(antiresonances.min_by(f64::total_cmp))
+    }
+
     /// Inertia of each joint at the start of the task with the other joints free, 1/(M⁻¹)ᵢᵢ (n; kg m² or kg).
     fn inertias(&self) -> Result<Vec<f64>, FileError> {
+        let n = self.robot.model.n();
+        let mut inverse = DMatrix::identity(n, n);
+        self.data_at_start()?.mass_matrix_factor.solve_matrix(&mut inverse);
+        Ok(inverse.diagonal().iter().map(|mobility| 1.0 / mobility).collect())
+    }
+
+    /// Kinematics and dynamics at the start of the task, at rest.
+    fn data_at_start(&self) -> Result<Data, FileError> {
         let (model, q) = (&self.robot.model, self.start()?);
         let mut data = Data::new(model);
-        let n = model.n();
-        let mut inverse = DMatrix::identity(n, n);
-        if !update(model, &mut data, &q, &vec![0.0; n]) {
+        if !update(model, &mut data, &q, &vec![0.0; model.n()]) {
             let message = "the mass matrix is not positive definite at the start of the task";
             return Err(FileError::of_file(self.robot.urdf.name(), message, None));
         }
-        data.mass_matrix_factor.solve_matrix(&mut inverse);
-        Ok(inverse.diagonal().iter().map(|mobility| 1.0 / mobility).collect())
+        Ok(data)
     }
 
     /// Servos of the robot, in joint order.

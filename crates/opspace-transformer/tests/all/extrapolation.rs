@@ -31,6 +31,7 @@ fn setup(case: Case) -> ExtrapolationSetup {
         },
         gravity_compensated_by: GravityCompensation::Controller,
         has_brakes: case.has_brakes,
+        antiresonance_hz: None,
         setpoint_noise: Vec::new(),
         current: case.current.then(GainAdaptationParameters::usual),
     }

@@ -133,6 +133,7 @@ fn extrapolation_is_passive() {
             estimator: estimator(estimator_hz),
             gravity_compensated_by: GravityCompensation::Controller,
             has_brakes: false,
+            antiresonance_hz: None,
             setpoint_noise: Vec::new(),
             current: None,
         };
