@@ -165,6 +165,11 @@ fn no_cycle_of_robustness_suite_allocates() {
     assert!(no_cycle_allocates_in("robustness") >= 50);
 }
 
+#[test]
+fn no_cycle_of_servos_suite_allocates() {
+    assert!(no_cycle_allocates_in("servos") >= 50);
+}
+
 /// Coordinate of the user: the sum of two joint positions, rad.
 struct Sum;
 
