@@ -10,6 +10,7 @@ mod metrics;
 mod overrides;
 mod panicking_task;
 mod physics;
+mod random_servos;
 mod real_robot;
 mod recorded;
 mod report;
