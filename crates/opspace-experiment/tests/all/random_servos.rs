@@ -1,7 +1,7 @@
 //! Random servos on random elastic gears, of which nothing but the nominal gains is told: `extrapolation+current` completes
 //! its tasks with a small torque error.
 //!
-//! `OPSPACE_SEED=7 cargo test --workspace --test experiment random_servos -- --include-ignored --nocapture` draws others.
+//! `OPSPACE_SEED=7 cargo test --workspace --test experiment random_servos -- --include-ignored` draws others.
 #![expect(clippy::unwrap_used, reason = "a test that can't go on has failed")]
 
 use opspace_backend::CommandKind;
@@ -92,7 +92,6 @@ fn run(rounds: usize, seed: u64) {
             let log = Recording::from_bytes(finished.sink.get_ref()).unwrap();
             let error =
                 experiment.summary(&log, &finished.record, None).metrics.torque_error_interval.unwrap();
-            println!("{task}: {:.2} %", 100.0 * error);
             assert!(error < LARGEST_ERROR, "{error}: {failed}");
         }
     }
@@ -107,6 +106,5 @@ fn extrapolation_masters_random_servos() {
 #[ignore = "more than ten seconds"]
 fn extrapolation_masters_more_random_servos() {
     let seed = std::env::var("OPSPACE_SEED").map_or(2, |seed| seed.parse().unwrap());
-    println!("seed {seed}");
     run(20, seed);
 }
