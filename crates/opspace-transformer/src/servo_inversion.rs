@@ -10,7 +10,7 @@ use thiserror::Error;
 const LARGEST_GROWTH: f64 = 1.0 - 1e-6;
 
 /// Least response of quiet setpoints, relative to the static one.
-const LEAST_RESPONSE: f64 = 0.3;
+const LEAST_RESPONSE: f64 = 0.2;
 
 /// Largest oscillation of quiet setpoints from cycle to cycle.
 const LARGEST_OSCILLATION: f64 = 0.5;
