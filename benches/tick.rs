@@ -12,7 +12,7 @@ use opspace::model::{
     Data, Model, OperationalSpace, aba, bias, crba, frame_jacobian, gravity, kinematics, rnea, update,
 };
 use opspace::transformer::{
-    CascadedServo, EstimatorParameters, ExtrapolatingTransformer, ExtrapolationSetup,
+    CascadedServo, DriveTiming, EstimatorParameters, ExtrapolatingTransformer, ExtrapolationSetup,
     GainAdaptationParameters, PaperTransformer, ServoParameters, Transformer,
 };
 use opspace_testing::oracle::urdf;
@@ -141,10 +141,12 @@ fn transformer_of_seven_joints(bencher: Bencher, name: &str) {
             ExtrapolatingTransformer::new(&ExtrapolationSetup {
                 servos: vec![servo; n],
                 torque_limits: vec![80.0; n],
-                servo_period_s: period_s,
-                servo_ticks_per_cycle: 5,
-                delay: 1,
-                setpoints: Setpoints::Held,
+                timing: DriveTiming {
+                    servo_period_s: period_s,
+                    servo_ticks_per_cycle: 5,
+                    delay: 1,
+                    setpoints: Setpoints::Held,
+                },
                 estimator: EstimatorParameters::default(),
                 gravity_compensated_by: GravityCompensation::Controller,
                 has_brakes: false,

@@ -671,16 +671,23 @@ fn every_shell_has_a_completion() {
     opspace(folder.path(), &["completion", "csh"]).exits(2).says(&["bash"]);
 }
 
-/// The reported gain margin of a task is that for the command interface declared in the robot file.
-#[test]
-fn check_uses_robot_kind_of_the_file() {
+/// Creates a folder with the ASIMO-like arm, without its robot.toml, and a task of it.
+fn arm_folder() -> tempfile::TempDir {
     let folder = scratch();
-    let (robot, tasks) = (folder.path().join("robots/asimo-arm"), folder.path().join("tasks"));
-    fs::create_dir_all(&robot).unwrap();
-    fs::create_dir_all(&tasks).unwrap();
+    for name in ["robots/asimo-arm", "tasks"] {
+        fs::create_dir_all(folder.path().join(name)).unwrap();
+    }
     for file in ["robots/asimo-arm/asimo-arm.urdf", "tasks/gravity-compensation.toml"] {
         fs::copy(project(file), folder.path().join(file)).unwrap();
     }
+    folder
+}
+
+/// The reported gain margin of a task is that for the command interface declared in the robot file.
+#[test]
+fn check_uses_robot_kind_of_the_file() {
+    let folder = arm_folder();
+    let robot = folder.path().join("robots/asimo-arm");
     let text = read(project("robots/asimo-arm/robot.toml"));
     // The behaviour at a missed cycle must match the command interface.
     let text: String =
@@ -704,13 +711,8 @@ fn check_uses_robot_kind_of_the_file() {
 /// A real robot whose gears may be elastic is not run with the emulation, unless this is asked for; a simulated one is.
 #[test]
 fn run_refuses_real_robot_with_small_margins() {
-    let folder = scratch();
-    let (robot, tasks) = (folder.path().join("robots/asimo-arm"), folder.path().join("tasks"));
-    fs::create_dir_all(&robot).unwrap();
-    fs::create_dir_all(&tasks).unwrap();
-    for file in ["robots/asimo-arm/asimo-arm.urdf", "tasks/gravity-compensation.toml"] {
-        fs::copy(project(file), folder.path().join(file)).unwrap();
-    }
+    let folder = arm_folder();
+    let robot = folder.path().join("robots/asimo-arm");
     let text =
         read(project("robots/asimo-arm/robot.toml")).replace("gears = \"rigid\"", "gears = \"elastic\"");
     fs::write(robot.join("robot.toml"), text + "\n[driver]\nname = \"absent\"\n").unwrap();

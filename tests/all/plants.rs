@@ -4,24 +4,10 @@
 
 #![expect(clippy::unwrap_used, clippy::print_stdout, reason = "a test that says that it is skipped")]
 
-use crate::cli_common::{Ran, command, opspace, project, read, read_json, scratch};
+use crate::cli_common::{Ran, circle_folder, command, opspace, read, read_json};
 use serde_json::Value;
 use std::fs;
 use std::path::Path;
-
-/// A circle of the planar arm: half a second, so that a run takes little time.
-const TASK: &str = r#"
-robot = "ROBOT"
-duration_s = 0.5
-settle_s = 0.2
-priority = ["tip"]
-start_rad = { shoulder = 0.6, elbow = 1.2 }
-[task.tip.cartesian]
-frame = "tip"
-axes = { x = "motion", z = "motion" }
-gains = { frequency_rad_per_s = 20.0, damping_ratio = 1.0 }
-reference.sinusoid.x = [{ amplitude_m = 0.1, frequency_hz = 0.5 }]
-"#;
 
 const SUITE: &str = r#"
 title = "plants"
@@ -29,15 +15,6 @@ title = "plants"
 tasks = ["circle.toml"]
 seeds = [1, 2]
 "#;
-
-/// Creates a folder with the task `circle.toml` and the suite `suite.toml`.
-fn folder() -> tempfile::TempDir {
-    let folder = scratch();
-    let task = TASK.replace("ROBOT", &project("robots/planar-2-link"));
-    fs::write(folder.path().join("circle.toml"), task).unwrap();
-    fs::write(folder.path().join("suite.toml"), SUITE).unwrap();
-    folder
-}
 
 /// Returns true if MuJoCo is installed; otherwise says that the test is skipped.
 fn has_mujoco(folder: &Path) -> bool {
@@ -52,7 +29,7 @@ fn has_mujoco(folder: &Path) -> bool {
 /// Checks the error without the library: the remedy, and exit code 2.
 #[test]
 fn missing_mujoco_is_an_error_with_the_remedy() {
-    let folder = folder();
+    let folder = circle_folder(SUITE);
     for arguments in
         [["run", "circle.toml", "--plant", "mujoco"], ["bench", "suite.toml", "--plants", "own,mujoco"]]
     {
@@ -76,7 +53,7 @@ fn missing_mujoco_is_an_error_with_the_remedy() {
 /// Checks plants that do not exist, a plant that is listed twice, and the own plant by name.
 #[test]
 fn unknown_plants_are_refused() {
-    let folder = folder();
+    let folder = circle_folder(SUITE);
     opspace(folder.path(), &["run", "circle.toml", "--plant", "bullet"]).exits(2).says(&["mujoco:SCENE.xml"]);
     opspace(folder.path(), &["run", "circle.toml", "--plant", "mujoco:"])
         .exits(2)
@@ -91,7 +68,7 @@ fn unknown_plants_are_refused() {
 /// Checks that a wrong scene is an error that names the file, and MuJoCo's reason with the line.
 #[test]
 fn wrong_scene_is_named() {
-    let folder = folder();
+    let folder = circle_folder(SUITE);
     if !has_mujoco(folder.path()) {
         return;
     }
@@ -111,7 +88,7 @@ fn wrong_scene_is_named() {
 /// second suite with other plants in the same folder.
 #[test]
 fn suite_runs_on_each_plant() {
-    let folder = folder();
+    let folder = circle_folder(SUITE);
     if !has_mujoco(folder.path()) {
         return;
     }

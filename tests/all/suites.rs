@@ -2,36 +2,13 @@
 
 #![expect(clippy::unwrap_used, clippy::expect_used, reason = "a test")]
 
-use crate::cli_common::{Ran, command, opspace, project, read, read_json, scratch};
+use crate::cli_common::{Ran, circle_folder, command, opspace, read, read_json};
 use serde_json::Value;
 use std::fs;
 use std::path::Path;
 use std::process::{Command, Stdio};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
-
-/// A circle of the planar arm: half a second, so that a run takes little time.
-const TASK: &str = r#"
-robot = "ROBOT"
-duration_s = 0.5
-settle_s = 0.2
-priority = ["tip"]
-start_rad = { shoulder = 0.6, elbow = 1.2 }
-[task.tip.cartesian]
-frame = "tip"
-axes = { x = "motion", z = "motion" }
-gains = { frequency_rad_per_s = 20.0, damping_ratio = 1.0 }
-reference.sinusoid.x = [{ amplitude_m = 0.1, frequency_hz = 0.5 }]
-"#;
-
-/// Creates a folder with the task `circle.toml` and the suite `suite.toml`.
-fn folder(suite: &str) -> tempfile::TempDir {
-    let folder = scratch();
-    let task = TASK.replace("ROBOT", &project("robots/planar-2-link"));
-    fs::write(folder.path().join("circle.toml"), task).unwrap();
-    fs::write(folder.path().join("suite.toml"), suite).unwrap();
-    folder
-}
 
 fn bench(folder: &Path, options: &[&str]) -> Ran {
     opspace(folder, &[&["bench", "suite.toml", "--jobs", "2"], options].concat())
@@ -65,7 +42,7 @@ seeds = { from = 1, to = 2 }
 /// row; a run that opts out.
 #[test]
 fn grid_runs_every_combination_or_pairs() {
-    let folder = folder(GRID);
+    let folder = circle_folder(GRID);
     let table = bench(folder.path(), &["--json", "rows.json"]).exits(0).stdout;
     assert!(table.contains("damping_ratio=0.7, inertia=1.1"), "{table}");
     let rows = read_json(folder.path().join("rows.json"));
@@ -91,7 +68,7 @@ fn grid_runs_every_combination_or_pairs() {
 /// A grid whose key contains the name of the profile, with a run per profile.
 #[test]
 fn grid_key_contains_the_profile() {
-    let folder = folder(
+    let folder = circle_folder(
         "title = \"s\"\nprofiles = [\"default\"]\n[grid]\n\"robot.profile.{profile}.servo_ticks_per_cycle\" = [1, 2]\n\
          [[run]]\ntasks = [\"circle.toml\"]\nlabel = \"rate\"\nbackend = \"torque\"\n",
     );
@@ -108,7 +85,7 @@ fn grid_key_contains_the_profile() {
 /// Compared: a suite without optional keys, and `opspace run` without options.
 #[test]
 fn suite_without_keys_equals_run_without_options() {
-    let folder = folder("title = \"defaults\"\n[[run]]\ntasks = [\"circle.toml\"]\n");
+    let folder = circle_folder("title = \"defaults\"\n[[run]]\ntasks = [\"circle.toml\"]\n");
     bench(folder.path(), &["--json", "rows.json"]).exits(0);
     let mut row = read_json(folder.path().join("rows.json"))["rows"][0].clone();
     let mut run = opspace(folder.path(), &["run", "circle.toml", "--json", "-"]).exits(0).json();
@@ -158,7 +135,7 @@ fn mistakes_in_a_suite_have_their_line() {
         (format!("columns = [\"hand-force\"]\n{base}"), "suite.toml:1: ", "spring"),
     ];
     for (suite, place, words) in cases {
-        let folder = folder(&suite);
+        let folder = circle_folder(&suite);
         bench(folder.path(), &[]).exits(2).says(&[place, words]);
         assert!(!folder.path().join("runs").exists(), "nothing was run");
     }
@@ -167,7 +144,7 @@ fn mistakes_in_a_suite_have_their_line() {
 /// A column whose values are only known after the runs.
 #[test]
 fn column_without_values_fails_after_the_runs() {
-    let folder = folder(
+    let folder = circle_folder(
         "title = \"s\"\ncolumns = [\"position-rms\", \"force-rms\"]\n[[run]]\ntasks = [\"circle.toml\"]\n",
     );
     bench(folder.path(), &[]).exits(1).says(&["no run has a value for the column `force-rms`"]);
@@ -176,7 +153,7 @@ fn column_without_values_fails_after_the_runs() {
 
 #[test]
 fn number_of_runs_and_expected_duration_are_printed() {
-    let folder = folder(GRID);
+    let folder = circle_folder(GRID);
     let ran = bench(folder.path(), &[]).exits(0);
     ran.says(&["8 runs, 4.0 s of simulated time, 2 at a time", "about ", " remaining"]);
 }
@@ -184,7 +161,7 @@ fn number_of_runs_and_expected_duration_are_printed() {
 /// Compared: the CSV and the JSON of a suite, cell by cell, through another reader of CSV.
 #[test]
 fn csv_has_a_row_per_run_and_a_column_per_metric() {
-    let folder = folder(GRID);
+    let folder = circle_folder(GRID);
     bench(folder.path(), &["--csv", "rows.csv", "--json", "rows.json"]).exits(0);
     let text = read(folder.path().join("rows.csv"));
     let json = read_json(folder.path().join("rows.json"));
@@ -234,7 +211,7 @@ fn cut_off(folder: &Path, options: &[&str], rows: &str, signal: &str) {
 #[test]
 fn killed_suite_is_continued_by_the_same_command() {
     let suite = GRID.replace("to = 2", "to = 8");
-    let folder = folder(&suite);
+    let folder = circle_folder(&suite);
     let rows = folder.path().join("runs/bench-suite/rows.jsonl");
     cut_off(folder.path(), &[], "runs/bench-suite/rows.jsonl", "-KILL");
     assert!(!folder.path().join("runs/bench-suite/bench.json").exists());
@@ -261,7 +238,7 @@ fn killed_suite_is_continued_by_the_same_command() {
 #[test]
 fn interrupted_suite_is_continued_unless_it_was_changed() {
     let suite = GRID.replace("to = 2", "to = 8");
-    let folder = folder(&suite);
+    let folder = circle_folder(&suite);
     cut_off(folder.path(), &["--out", "out"], "out/rows.jsonl", "-INT");
     assert!(folder.path().join("out/report.html").exists() && !folder.path().join("out/bench.json").exists());
     fs::write(folder.path().join("suite.toml"), suite.replace("0.9", "0.95")).unwrap();
@@ -283,7 +260,8 @@ fn interrupted_suite_is_continued_unless_it_was_changed() {
 #[test]
 fn merged_shards_equal_the_whole_suite() {
     let two = "[[run]]\ntasks = [\"other.toml\"]\ngrid = {}\nbackend = \"torque\"\n";
-    let folder = folder(&GRID.replace("to = 2", "to = 1").replace("[[run]]", &format!("{two}[[run]]")));
+    let folder =
+        circle_folder(&GRID.replace("to = 2", "to = 1").replace("[[run]]", &format!("{two}[[run]]")));
     let at = |name: &str| folder.path().join(name);
     fs::copy(at("circle.toml"), at("other.toml")).unwrap();
     bench(folder.path(), &["--out", "whole"]).exits(0);
@@ -319,7 +297,7 @@ fn merged_shards_equal_the_whole_suite() {
 /// Missing shards and rows are listed; shards of another suite are refused, as is a folder that is no shard.
 #[test]
 fn merge_lists_missing_runs_and_refuses_other_suites() {
-    let folder = folder(&GRID.replace("to = 2", "to = 1"));
+    let folder = circle_folder(&GRID.replace("to = 2", "to = 1"));
     let at = |name: &str| folder.path().join(name);
     for shard in ["1/3", "3/3"] {
         bench(folder.path(), &["--shard", shard, "--out", "all"]).exits(0);
@@ -348,7 +326,7 @@ fn merge_lists_missing_runs_and_refuses_other_suites() {
 /// Default folders: parts of a changed suite are moved aside, and merged without the earlier ones.
 #[test]
 fn shards_of_a_changed_suite_take_the_place_of_earlier_ones() {
-    let folder = folder(&GRID.replace("to = 2", "to = 1"));
+    let folder = circle_folder(&GRID.replace("to = 2", "to = 1"));
     let suite = folder.path().join("suite.toml");
     let all = || {
         for shard in ["1/2", "2/2"] {
@@ -367,7 +345,7 @@ fn shards_of_a_changed_suite_take_the_place_of_earlier_ones() {
 /// A part that runs differently on another machine is not merged.
 #[test]
 fn merge_refuses_two_results_of_one_run() {
-    let folder = folder(&GRID.replace("to = 2", "to = 1"));
+    let folder = circle_folder(&GRID.replace("to = 2", "to = 1"));
     let at = |name: &str| folder.path().join(name);
     bench(folder.path(), &["--shard", "1/4", "--out", "a"]).exits(0);
     bench(folder.path(), &["--shard", "1/2", "--out", "b"]).exits(0);
@@ -382,7 +360,7 @@ fn merge_refuses_two_results_of_one_run() {
 /// Two processes on one part: one waits for the other, then finds the part complete.
 #[test]
 fn two_processes_on_one_shard_give_one_result() {
-    let folder = folder(&GRID.replace("to = 2", "to = 4"));
+    let folder = circle_folder(&GRID.replace("to = 2", "to = 4"));
     let arguments = ["bench", "suite.toml", "--jobs", "1", "--shard", "1/1", "--out", "all"];
     let spawn =
         || command(folder.path(), &arguments).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
@@ -396,7 +374,7 @@ fn two_processes_on_one_shard_give_one_result() {
 /// The part of a Slurm array and of a Kubernetes job; neither, and one that does not determine the part.
 #[test]
 fn shard_is_read_from_the_batch_system() {
-    let folder = folder(&GRID.replace("to = 2", "to = 1"));
+    let folder = circle_folder(&GRID.replace("to = 2", "to = 1"));
     let with = |env: &[(&str, &str)], shard: &str| {
         let mut command = command(folder.path(), &["bench", "suite.toml", "--shard", shard, "--out", "all"]);
         for name in ["ID", "MIN", "MAX", "STEP", "COUNT"] {
@@ -427,7 +405,7 @@ fn shard_is_read_from_the_batch_system() {
 #[test]
 fn baseline_finds_what_is_worse() {
     let suite = "title = \"s\"\n[[run]]\ntasks = [\"circle.toml\"]\nseeds = { from = 1, to = 3 }\n";
-    let folder = folder(suite);
+    let folder = circle_folder(suite);
     let at = |name: &str| folder.path().join(name);
     bench(folder.path(), &["--json", "old.json"]).exits(0);
     let same = bench(folder.path(), &["--baseline", "old.json"]).exits(0).stdout;

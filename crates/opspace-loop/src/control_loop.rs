@@ -130,6 +130,7 @@ impl ControlLoop {
             &model,
             &config.servo_gains,
             &config.torque_limits,
+            &config.setpoint_limits,
             &safety.watchdog,
             period_s,
         );
@@ -383,6 +384,7 @@ impl ControlLoop {
             guard.expect_torque(torque);
             self.transformer.transform(&self.state.data, torque, guard.setpoint_mut());
             guard.keep_within_reach(measurement);
+            guard.keep_within_limits(missed);
         } else {
             check_finite(self.command.as_slice())?;
             guard.take(self.command.as_slice(), measurement, missed)?;
@@ -475,6 +477,7 @@ impl ControlLoop {
             self.transformer.transform(&self.state.data, torque, guard.setpoint_mut());
         }
         guard.keep_within_reach(estimator.measurement());
+        guard.keep_within_limits(estimator.missed());
         if check_finite(guard.setpoint()).is_ok() {
             self.transformer.sent(&self.state.data, guard.setpoint());
             self.outgoing = Outgoing::Setpoint;

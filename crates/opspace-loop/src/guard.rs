@@ -1,4 +1,5 @@
-//! Guard between transformer and robot: clamps setpoints around the measured state, checks the following error, and
+//! Guard between transformer and robot: clamps setpoints around the measured state and to the limits of
+//! the drives, checks the following error, and
 //! runs the watchdogs of motor torque and power.
 //!
 //! A torque robot needs no guard: its torques are clamped before.
@@ -13,6 +14,8 @@ use opspace_backend::{CommandKind, Observable, SignalRecorder};
 use opspace_control::Measurement;
 use opspace_model::{JointUnits, Model};
 use opspace_transformer::ServoGains;
+use opspace_transformer::setpoint_governor::GovernedSetpoint;
+use opspace_transformer::setpoint_limits::JointSetpointLimits;
 
 /// Guard of the setpoints of a position or velocity robot.
 pub(crate) struct Guard {
@@ -26,6 +29,8 @@ pub(crate) struct Guard {
     period_s: f64,
     /// Damping kv of each servo (n; Nms/rad, Ns/m).
     damping: Vec<f64>,
+    /// Limits of the drives (n); empty if there are none.
+    governors: Vec<GovernedSetpoint>,
     setpoint: DVector<f64>,
     /// Rate of change of the setpoints (n; rad/s, m/s or rad/s², m/s²); while a cycle is computed, the previous
     /// setpoints.
@@ -48,6 +53,7 @@ impl Guard {
         model: &Model,
         gains: &[ServoGains],
         torque_limits: &[f64],
+        setpoint_limits: &[JointSetpointLimits],
         parameters: &WatchdogParameters,
         period_s: f64,
     ) -> Option<Self> {
@@ -70,6 +76,7 @@ impl Guard {
             step: DVector::from_fn(n, |i, _| speeds[i] * period_s),
             period_s,
             damping: gains.iter().map(|servo| servo.damping).collect(),
+            governors: setpoint_limits.iter().map(|l| GovernedSetpoint::new(l, kind, period_s)).collect(),
             setpoint: DVector::from_element(n, f64::NAN),
             rate: DVector::zeros(n),
             clamped: DVector::zeros(n),
@@ -176,12 +183,23 @@ impl Guard {
         }
     }
 
+    /// Keeps setpoints within the limits of the drives, which have kept the last ones in `missed` cycles.
+    pub(crate) fn keep_within_limits(&mut self, missed: u64) {
+        for (governor, setpoint) in self.governors.iter_mut().zip(&mut self.setpoint) {
+            if missed > 0 {
+                governor.keep();
+            }
+            *setpoint = governor.follow(*setpoint);
+        }
+    }
+
     /// Ends a cycle in which setpoints were computed.
     pub(crate) fn finish(&mut self, missed: u64) {
         let elapsed_s = self.period_s * (missed + 1) as f64;
         for (rate, setpoint) in self.rate.iter_mut().zip(&self.setpoint) {
             *rate = (setpoint - *rate) / elapsed_s;
         }
+        self.governors.iter_mut().zip(&self.setpoint).for_each(|(governor, &sent)| governor.take(sent));
         self.is_set = true;
     }
 
@@ -192,6 +210,9 @@ impl Guard {
         self.rate.fill(0.0);
         if self.kind == CommandKind::Velocity {
             self.setpoint.fill(0.0);
+            self.governors.iter_mut().for_each(GovernedSetpoint::restart);
+        } else {
+            self.governors.iter_mut().for_each(GovernedSetpoint::keep);
         }
     }
 

@@ -4,6 +4,7 @@ use crate::safety::SafetyParameters;
 use opspace_backend::{Capabilities, CommandKind};
 use opspace_control::Controller;
 use opspace_model::{Model, UnknownFrame};
+use opspace_transformer::setpoint_limits::JointSetpointLimits;
 use opspace_transformer::{EstimatorParameters, FrictionCompensation, Identity, ServoGains, Transformer};
 use thiserror::Error;
 
@@ -25,6 +26,9 @@ pub struct LoopConfig {
     pub friction: FrictionCompensation,
     /// Torque limits of the drives (n; Nm, N).
     pub torque_limits: Vec<f64>,
+    /// Limits of the setpoints that the drives accept (n); empty if they have none. Setpoints of a transformer are kept
+    /// within them.
+    pub setpoint_limits: Vec<JointSetpointLimits>,
     /// Safety parameters.
     pub safety: SafetyParameters,
 }
@@ -39,6 +43,7 @@ impl LoopConfig {
             friction: FrictionCompensation::none(model.n()),
             transformer: Box::new(Identity),
             servo_gains: Vec::new(),
+            setpoint_limits: Vec::new(),
             estimator: EstimatorParameters::default(),
             safety: SafetyParameters::default(),
             model,
@@ -61,6 +66,10 @@ impl LoopConfig {
             ("torque_limits", self.torque_limits.len()),
             ("servo_gains", servos),
             ("friction", self.friction.joints()),
+            (
+                "setpoint_limits",
+                if self.setpoint_limits.is_empty() { joints } else { self.setpoint_limits.len() },
+            ),
         ];
         for (what, found) in lengths {
             if found != joints {

@@ -1,6 +1,6 @@
 //! Setpoints that act in the drives, from one interface cycle to the next.
 
-use crate::servo_inversion::Ticks;
+use crate::drive_timing::DriveTiming;
 use nalgebra::DVector;
 
 /// Setpoints of the drives at the start of an interface cycle (n; rad, m or rad/s, m/s).
@@ -14,12 +14,12 @@ pub(crate) struct ActiveSetpoints {
 
 impl ActiveSetpoints {
     /// Returns setpoints of zero for n joints.
-    pub(crate) fn new(n: usize, ticks: Ticks) -> Self {
+    pub(crate) fn new(n: usize, ticks: DriveTiming) -> Self {
         Self { before: DVector::zeros(n), last: DVector::zeros(n), age: ticks.servo_ticks_per_cycle }
     }
 
     /// Setpoint of a joint's drive at servo tick `tick`, counted from the interface cycle, if no new one is sent.
-    pub(crate) fn at(&self, ticks: Ticks, joint: usize, tick: u32) -> f64 {
+    pub(crate) fn at(&self, ticks: DriveTiming, joint: usize, tick: u32) -> f64 {
         ticks.setpoints.at(
             self.before[joint],
             self.last[joint],
@@ -29,7 +29,7 @@ impl ActiveSetpoints {
     }
 
     /// Setpoint of a joint's drive at servo tick `tick` if `new` setpoints (n) are sent at the interface cycle.
-    pub(crate) fn during(&self, ticks: Ticks, joint: usize, tick: u32, new: Option<&[f64]>) -> f64 {
+    pub(crate) fn during(&self, ticks: DriveTiming, joint: usize, tick: u32, new: Option<&[f64]>) -> f64 {
         match new {
             Some(new) if tick >= ticks.delay => ticks.setpoints.at(
                 self.left(ticks, joint),
@@ -43,7 +43,7 @@ impl ActiveSetpoints {
 
     /// Setpoint from which a drive interpolates to a new one, which takes effect `delay` servo ticks after the
     /// interface cycle.
-    pub(crate) fn left(&self, ticks: Ticks, joint: usize) -> f64 {
+    pub(crate) fn left(&self, ticks: DriveTiming, joint: usize) -> f64 {
         match (self.age.saturating_add(ticks.delay)).checked_sub(1) {
             Some(age) => {
                 ticks.setpoints.at(self.before[joint], self.last[joint], age, ticks.servo_ticks_per_cycle)
@@ -53,7 +53,7 @@ impl ActiveSetpoints {
     }
 
     /// Advances to the next interface cycle, after `new` setpoints (n) or none were sent at this one.
-    pub(crate) fn advance(&mut self, ticks: Ticks, new: Option<&[f64]>) {
+    pub(crate) fn advance(&mut self, ticks: DriveTiming, new: Option<&[f64]>) {
         match new {
             Some(new) => {
                 for i in 0..new.len() {
@@ -73,7 +73,7 @@ impl ActiveSetpoints {
     }
 
     /// Ends all interpolation.
-    pub(crate) fn settle(&mut self, ticks: Ticks) {
+    pub(crate) fn settle(&mut self, ticks: DriveTiming) {
         self.age = ticks.servo_ticks_per_cycle;
     }
 }

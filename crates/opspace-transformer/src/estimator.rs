@@ -3,6 +3,7 @@
 //! This is the paper's estimate (§III: "estimated with the available data and then filtered with a low
 //! pass filter").
 
+use crate::motion_estimator::{MotionEstimator, MotionGains};
 use nalgebra::DVector;
 use opspace_backend::low_pass;
 use opspace_backend::quantity::Positive;
@@ -51,10 +52,7 @@ impl Default for EstimatorParameters {
 /// sample, several periods if samples were missed.
 #[derive(Clone, Debug)]
 pub struct VelocityEstimator {
-    period_s: f64,
-    gain: f64,
-    /// Last positions; NaN before the first.
-    last: DVector<f64>,
+    joints: Vec<MotionEstimator>,
     velocity: DVector<f64>,
 }
 
@@ -63,7 +61,8 @@ impl VelocityEstimator {
     #[must_use]
     pub fn new(n: usize, parameters: &EstimatorParameters, period_s: f64) -> Self {
         let gain = low_pass::gain(parameters.velocity_filter_hz.get(), period_s);
-        Self { period_s, gain, last: DVector::from_element(n, f64::NAN), velocity: DVector::zeros(n) }
+        let joint = MotionEstimator::new(MotionGains::Difference { gain }, period_s);
+        Self { joints: vec![joint; n], velocity: DVector::zeros(n) }
     }
 
     /// Updates the estimate with new positions `q` (n; rad or m) and returns the velocity (n; rad/s or m/s), which is 0
@@ -74,27 +73,16 @@ impl VelocityEstimator {
 
     /// Same as [`update`](Self::update), for positions measured `periods` periods after the last ones.
     pub fn update_after(&mut self, periods: u64, q: &[f64]) -> &[f64] {
-        let elapsed_s = periods as f64 * self.period_s;
-        let gain = if periods == 1 { self.gain } else { 1.0 - (1.0 - self.gain).powf(periods as f64) };
-        for (i, &q) in q.iter().enumerate() {
-            let difference = (q - self.last[i]) / elapsed_s;
-            if difference.is_finite() {
-                self.velocity[i] += gain * (difference - self.velocity[i]);
-            }
+        for ((joint, velocity), &q) in self.joints.iter_mut().zip(&mut self.velocity).zip(q) {
+            joint.update(periods, q);
+            *velocity = joint.velocity;
         }
-        self.last.copy_from_slice(q);
-        self.velocity.as_slice()
-    }
-
-    /// Velocity (n; rad/s or m/s) at the last positions.
-    #[must_use]
-    pub fn velocity(&self) -> &[f64] {
         self.velocity.as_slice()
     }
 
     /// Resets the estimator: the next positions are the first.
     pub fn reset(&mut self) {
-        self.last.fill(f64::NAN);
+        self.joints.iter_mut().for_each(MotionEstimator::reset);
         self.velocity.fill(0.0);
     }
 }

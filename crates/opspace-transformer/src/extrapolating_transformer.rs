@@ -37,16 +37,17 @@
 //! low-passed at up to [`UNSETTLED_HZ`] instead.
 
 use crate::active_setpoints::ActiveSetpoints;
+use crate::drive_timing::DriveTiming;
 use crate::estimator::EstimatorParameters;
 use crate::gain_adaptation::{GainAdaptation, GainAdaptationParameters};
 use crate::motion_estimator::{MotionEstimator, MotionGains};
 use crate::servo::{ServoGains, ServoParameters};
-use crate::servo_inversion::{EmulationError, Ticks, quiet_horizon};
+use crate::servo_inversion::{EmulationError, quiet_horizon};
 use crate::servo_law::{MAX_ORDER, ServoLaw, ServoState};
 use crate::transformer::Transformer;
 use nalgebra::DVector;
 use opspace_backend::low_pass::{self, LowPass};
-use opspace_backend::{CommandKind, GravityCompensation, Sample, Setpoints};
+use opspace_backend::{CommandKind, GravityCompensation, Sample};
 use opspace_model::Data;
 
 /// Cut-off frequency of the correction by current with known gains, Hz: a quarter of the antiresonance of a soft gear.
@@ -68,6 +69,9 @@ const UNSETTLED: f64 = 0.01;
 /// Largest number of intervals whose mean torque is matched.
 const LONGEST_HORIZON: u32 = 16;
 
+/// Largest number of intervals without a sample over which the drives are followed: more is forgotten by them anyway.
+const LONGEST_GAP: u32 = 100;
+
 /// Bound on δ, as a multiple of the torque limit.
 const LIMIT: f64 = 3.0;
 
@@ -78,14 +82,8 @@ pub struct ExtrapolationSetup {
     pub servos: Vec<ServoParameters>,
     /// Torque limit of each drive (n; Nm, N).
     pub torque_limits: Vec<f64>,
-    /// Time between two servo ticks, s.
-    pub servo_period_s: f64,
-    /// Servo ticks per interface cycle.
-    pub servo_ticks_per_cycle: u32,
-    /// Delay until a setpoint acts, in servo ticks.
-    pub delay: u32,
-    /// Behaviour of the drives between two setpoints: hold or interpolate.
-    pub setpoints: Setpoints,
+    /// Timing of the drives.
+    pub timing: DriveTiming,
     /// Estimate of the velocities.
     pub estimator: EstimatorParameters,
     /// Side that compensates gravity: the robot or the controller.
@@ -117,7 +115,7 @@ pub struct SetpointNoise {
 pub struct ExtrapolatingTransformer {
     takes: CommandKind,
     joints: Vec<Joint>,
-    ticks: Ticks,
+    ticks: DriveTiming,
     /// Time between two interface cycles, s.
     period_s: f64,
     gravity_compensated_by: GravityCompensation,
@@ -216,6 +214,8 @@ struct Estimation {
     adaptation: GainAdaptation,
     nominal: ServoGains,
     now: ServoGains,
+    /// Responses per unit of stiffness and of damping.
+    responses: [f64; 2],
     /// Measured torque, and torques of the nominal stiffness and damping.
     low_pass: LowPass<3>,
 }
@@ -229,10 +229,10 @@ struct Interval {
 }
 
 impl Joint {
-    fn new(setup: &ExtrapolationSetup, i: usize, ticks: Ticks) -> Result<Self, EmulationError> {
+    fn new(setup: &ExtrapolationSetup, i: usize, ticks: DriveTiming) -> Result<Self, EmulationError> {
         let servo = &setup.servos[i];
-        let law = ServoLaw::new(servo, ticks.period_s)?;
-        let period_s = ticks.period_s * f64::from(ticks.servo_ticks_per_cycle);
+        let law = ServoLaw::new(servo, ticks.servo_period_s)?;
+        let period_s = ticks.period_s();
         let gains = match setup.setpoint_noise.get(i) {
             Some(&Some(noise)) => {
                 MotionGains::of_limited(noise.position_noise, noise.acceleration_limit, period_s)
@@ -241,28 +241,19 @@ impl Joint {
                 gain: low_pass::gain(setup.estimator.velocity_filter_hz.get(), period_s),
             },
         };
-        let ServoGains { stiffness, damping } = servo.gains(ticks.period_s);
+        let ServoGains { stiffness, damping } = servo.gains(ticks.servo_period_s);
         let static_response = if servo.takes() == CommandKind::Velocity { damping } else { stiffness };
-        let mut joint = Self {
+        let horizon = quiet_horizon(&law, ticks, static_response, LONGEST_HORIZON)?;
+        Ok(Self {
             motion: MotionEstimator::new(gains, period_s),
             reference: Reference::new(gains, period_s),
-            horizon: quiet_horizon(&law, ticks, static_response, LONGEST_HORIZON)?,
-            law,
+            horizon,
+            response: response(&law, ticks, horizon),
             memory: [0.0; MAX_ORDER],
-            response: 0.0,
             torque_limit: setup.torque_limits[i],
-            current: setup.current.map(|parameters| Correction::new(setup, servo, i, &parameters)),
-        };
-        joint.respond(ticks);
-        Ok(joint)
-    }
-
-    /// Computes the response to a unit setpoint.
-    fn respond(&mut self, ticks: Ticks) {
-        let mut memory = [0.0; MAX_ORDER];
-        let unit = |tick| ticks.setpoints.at(0.0, 1.0, tick, ticks.servo_ticks_per_cycle);
-        let torque = |tick| self.law.step(&mut memory, unit(tick), 0.0);
-        self.response = (0..self.horizon * ticks.servo_ticks_per_cycle).map(torque).sum();
+            current: setup.current.map(|parameters| Correction::new(setup, i, &law, horizon, &parameters)),
+            law,
+        })
     }
 
     fn excess(&self) -> f64 {
@@ -271,12 +262,13 @@ impl Joint {
 
     /// Corrects the joint with the `measured` mean torque of the last interval. `was_asked` is true if its setpoints were
     /// those of this transformer; the torque of others is emulated.
-    fn correct(&mut self, ticks: Ticks, measured: f64, interval: Interval, was_asked: bool) {
+    fn correct(&mut self, ticks: DriveTiming, measured: f64, interval: Interval, was_asked: bool) {
         let Some(current) = &mut self.current else { return };
         let mut unsettled = 0.0;
         if let Some(estimation) = &mut current.estimation {
             unsettled =
                 estimation.update(&mut self.law, measured, interval) / (UNSETTLED * self.torque_limit);
+            self.response = estimation.response();
         }
         let share = f64::from(ticks.delay) / f64::from(ticks.servo_ticks_per_cycle);
         let asked = (1.0 - share) * current.asked[0] + share * current.asked[1];
@@ -286,21 +278,20 @@ impl Joint {
         let excess = current.excess + gain * (measured - expected - current.excess);
         let limit = LIMIT * self.torque_limit;
         current.excess = excess.clamp(-limit, limit);
-        if current.estimation.is_some() {
-            self.respond(ticks);
-        }
     }
 }
 
 impl Correction {
     fn new(
         setup: &ExtrapolationSetup,
-        servo: &ServoParameters,
         joint: usize,
+        law: &ServoLaw,
+        horizon: u32,
         parameters: &GainAdaptationParameters,
     ) -> Self {
-        let period_s = setup.servo_period_s * f64::from(setup.servo_ticks_per_cycle);
-        let nominal = servo.gains(setup.servo_period_s);
+        let period_s = setup.timing.period_s();
+        let servo = &setup.servos[joint];
+        let nominal = servo.gains(setup.timing.servo_period_s);
         let fastest_hz = setup.antiresonance_hz.map_or(f64::INFINITY, |hz| OF_ANTIRESONANCE * hz);
         let estimation = servo.has_two_gains().then(|| Estimation {
             adaptation: GainAdaptation::of_filtered(
@@ -311,6 +302,7 @@ impl Correction {
             ),
             nominal,
             now: nominal,
+            responses: responses(law, nominal, setup.timing, horizon),
             low_pass: LowPass::new(ESTIMATION_HZ, period_s),
         });
         Self {
@@ -336,6 +328,28 @@ impl Estimation {
         law.retune(before, self.now);
         self.adaptation.uncertainty(of_position, of_velocity)
     }
+
+    /// Response with the present gains, in which it is linear.
+    fn response(&self) -> f64 {
+        self.responses[0] * self.now.stiffness + self.responses[1] * self.now.damping
+    }
+}
+
+/// Sum of the torques of `horizon` intervals per unit of setpoint.
+fn response(law: &ServoLaw, timing: DriveTiming, horizon: u32) -> f64 {
+    let ratio = timing.servo_ticks_per_cycle;
+    let mut memory = [0.0; MAX_ORDER];
+    let unit = |tick| timing.setpoints.at(0.0, 1.0, tick, ratio);
+    (0..horizon * ratio).map(|tick| law.step(&mut memory, unit(tick), 0.0)).sum()
+}
+
+/// Responses per unit of stiffness and of damping, of a law with these two gains.
+fn responses(law: &ServoLaw, gains: ServoGains, timing: DriveTiming, horizon: u32) -> [f64; 2] {
+    let mut stiffer = *law;
+    stiffer.retune(gains, ServoGains { stiffness: 2.0 * gains.stiffness, ..gains });
+    let whole = response(law, timing, horizon);
+    let of_stiffness = response(&stiffer, timing, horizon) - whole;
+    [of_stiffness / gains.stiffness, (whole - of_stiffness) / gains.damping]
 }
 
 impl ExtrapolatingTransformer {
@@ -345,12 +359,7 @@ impl ExtrapolatingTransformer {
     /// Index of the first joint whose servo cannot be inverted, and the reason.
     pub fn new(setup: &ExtrapolationSetup) -> Result<Self, (usize, EmulationError)> {
         let n = setup.servos.len();
-        let ticks = Ticks {
-            period_s: setup.servo_period_s,
-            servo_ticks_per_cycle: setup.servo_ticks_per_cycle,
-            delay: setup.delay,
-            setpoints: setup.setpoints,
-        };
+        let ticks = setup.timing;
         let takes = setup.servos.first().map_or(CommandKind::Position, ServoParameters::takes);
         let joint = |i: usize| {
             let kind = setup.servos[i].takes();
@@ -359,7 +368,7 @@ impl ExtrapolatingTransformer {
             }
             Joint::new(setup, i, ticks).map_err(|error| (i, error))
         };
-        let period_s = setup.servo_period_s * f64::from(setup.servo_ticks_per_cycle);
+        let period_s = setup.timing.period_s();
         let zero = DVector::zeros(n);
         Ok(Self {
             takes,
@@ -385,12 +394,13 @@ impl ExtrapolatingTransformer {
     fn follow(&mut self, sample: &Sample) {
         let ticks = self.ticks;
         let measured = sample.motor_torque.as_ref().filter(|_| self.elapsed == 1);
-        let all_ticks = self.elapsed * ticks.servo_ticks_per_cycle;
+        let intervals = self.elapsed.min(LONGEST_GAP);
+        let all_ticks = intervals * ticks.servo_ticks_per_cycle;
         let share = 1.0 / f64::from(all_ticks);
         let was_asked = self.known >= 2;
         for (i, joint) in self.joints.iter_mut().enumerate() {
             let from = joint.motion.position;
-            joint.motion.update(self.elapsed, sample.q[i]);
+            joint.motion.update(u64::from(self.elapsed), sample.q[i]);
             if !self.begun {
                 continue;
             }
@@ -407,7 +417,7 @@ impl ExtrapolatingTransformer {
                 joint.correct(ticks, measured[i], mean, was_asked);
             }
         }
-        for _ in 0..if self.begun { self.elapsed } else { 0 } {
+        for _ in 0..if self.begun { intervals } else { 0 } {
             let new = std::mem::take(&mut self.was_sent).then_some(self.sent.as_slice());
             self.active.advance(ticks, new);
         }
@@ -461,7 +471,7 @@ impl Transformer for ExtrapolatingTransformer {
             let v = joint.motion.velocity + reference.anticipated();
             let acceleration = (reference.now - reference.before) / self.period_s;
             let position = |tick: u32| {
-                let t = f64::from(tick) * ticks.period_s;
+                let t = f64::from(tick) * ticks.servo_period_s;
                 q + t * (v + 0.5 * t * acceleration)
             };
             let mut memory = joint.memory;

@@ -9,7 +9,8 @@
 //! The impedance is measured: the transformer and the drive's law run with a sampled sine as the motor's position. It
 //! includes everything that the transformer does, also the correction by current.
 
-use crate::moving_joint::{DriveTiming, MovingJoint, SampledDrive};
+use crate::drive_timing::DriveTiming;
+use crate::moving_joint::{MovingJoint, SampledDrive};
 use crate::servo_law::ServoLaw;
 use nalgebra::Complex;
 use std::f64::consts::TAU;

@@ -42,6 +42,7 @@
 mod active_setpoints;
 pub mod closed_loop_transformer;
 pub mod current;
+pub mod drive_timing;
 pub mod estimator;
 pub mod extrapolating_transformer;
 pub mod friction;
@@ -68,6 +69,7 @@ pub use closed_loop_transformer::{
     ClosedLoopModel, IdentificationError, LiteralTransformer, TransferFunction,
 };
 pub use current::{CurrentFeedback, CurrentObserver};
+pub use drive_timing::DriveTiming;
 pub use estimator::{EstimatorParameters, VelocityEstimator, VelocitySource};
 pub use extrapolating_transformer::{ExtrapolatingTransformer, ExtrapolationSetup, SetpointNoise};
 pub use friction::{FrictionCompensation, FrictionCompensationParameters, FrictionLaw, FrictionParameters};

@@ -57,23 +57,23 @@ impl MotionEstimator {
         (self.position, self.velocity) = (position, velocity);
     }
 
-    /// Updates the estimate with a position measured `periods` periods after the last one.
-    pub(crate) fn update(&mut self, periods: u32, position: f64) {
-        if self.position.is_nan() {
+    /// Updates the estimate with a position measured `periods` periods after the last one. A position that is not finite changes no velocity.
+    pub(crate) fn update(&mut self, periods: u64, position: f64) {
+        let elapsed_s = periods as f64 * self.period_s;
+        let change = position - self.position;
+        if !change.is_finite() {
             self.position = position;
             return;
         }
-        let elapsed_s = f64::from(periods) * self.period_s;
         match self.gains {
             MotionGains::Difference { gain } => {
-                let gain = if periods == 1 { gain } else { 1.0 - (1.0 - gain).powf(f64::from(periods)) };
-                self.velocity += gain * ((position - self.position) / elapsed_s - self.velocity);
+                let gain = if periods == 1 { gain } else { 1.0 - (1.0 - gain).powf(periods as f64) };
+                self.velocity += gain * (change / elapsed_s - self.velocity);
                 self.position = position;
             }
             MotionGains::Filter { position: to_position, velocity } => {
-                let predicted = self.position + elapsed_s * self.velocity;
-                let innovation = position - predicted;
-                self.position = predicted + to_position * innovation;
+                let innovation = change - elapsed_s * self.velocity;
+                self.position += elapsed_s * self.velocity + to_position * innovation;
                 self.velocity += velocity / elapsed_s * innovation;
             }
         }

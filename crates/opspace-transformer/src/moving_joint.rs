@@ -1,42 +1,12 @@
 //! One joint of an arm with its drive and its transformer, cycle by cycle: the loop that stability analyses run.
 
 use crate::active_setpoints::ActiveSetpoints;
+use crate::drive_timing::DriveTiming;
 use crate::estimator::VelocityEstimator;
-use crate::servo_inversion::Ticks;
 use crate::servo_law::{ServoLaw, ServoState};
 use crate::transformer::Transformer;
-use opspace_backend::{Sample, Setpoints};
+use opspace_backend::Sample;
 use opspace_model::Data;
-
-/// Timing of a drive.
-#[derive(Clone, Copy, Debug)]
-pub struct DriveTiming {
-    /// Time between two servo ticks, s.
-    pub servo_period_s: f64,
-    /// Servo ticks per interface cycle.
-    pub servo_ticks_per_cycle: u32,
-    /// Delay until a setpoint acts, in servo ticks.
-    pub delay: u32,
-    /// Behaviour between two setpoints: hold or interpolate.
-    pub setpoints: Setpoints,
-}
-
-impl DriveTiming {
-    fn ticks(self) -> Ticks {
-        Ticks {
-            period_s: self.servo_period_s,
-            servo_ticks_per_cycle: self.servo_ticks_per_cycle,
-            delay: self.delay,
-            setpoints: self.setpoints,
-        }
-    }
-
-    /// Time between two interface cycles, s.
-    #[must_use]
-    pub fn period_s(&self) -> f64 {
-        self.servo_period_s * f64::from(self.servo_ticks_per_cycle)
-    }
-}
 
 /// Drive of one joint that accepts setpoints at the interface.
 #[derive(Clone, Debug)]
@@ -53,7 +23,7 @@ impl SampledDrive {
     /// Returns a drive at rest at `position` (rad, m) with this torque (Nm, N).
     #[must_use]
     pub fn new(law: ServoLaw, timing: DriveTiming, position: f64, torque: f64) -> Self {
-        let mut active = ActiveSetpoints::new(1, timing.ticks());
+        let mut active = ActiveSetpoints::new(1, timing);
         let (memory, setpoint) = law.rest(position, torque);
         active.hold(0, setpoint);
         Self { law, memory, timing, active, tick: 0, torques: 0.0 }
@@ -62,7 +32,7 @@ impl SampledDrive {
     /// Returns the torque (Nm, N) of the next servo tick at `position` (rad, m); `setpoint` is the one sent at the present
     /// interface cycle.
     pub fn step(&mut self, setpoint: f64, position: f64) -> f64 {
-        let now = self.active.during(self.timing.ticks(), 0, self.tick, Some(&[setpoint]));
+        let now = self.active.during(self.timing, 0, self.tick, Some(&[setpoint]));
         let torque = self.law.step(&mut self.memory, now, position);
         self.tick += 1;
         self.torques += torque;
@@ -71,7 +41,7 @@ impl SampledDrive {
 
     /// Ends the interface cycle, and returns the mean torque during it, Nm (N).
     pub fn end_cycle(&mut self, setpoint: f64) -> f64 {
-        self.active.advance(self.timing.ticks(), Some(&[setpoint]));
+        self.active.advance(self.timing, Some(&[setpoint]));
         self.tick = 0;
         std::mem::take(&mut self.torques) / f64::from(self.timing.servo_ticks_per_cycle)
     }

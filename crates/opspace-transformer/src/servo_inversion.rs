@@ -1,9 +1,10 @@
 //! Stability check of a servo's inverse: the setpoints for desired torques must be bounded.
 
+use crate::drive_timing::DriveTiming;
 use crate::polynomial::MAX_ITERATIONS;
 use crate::servo_law::{MAX_ORDER, ServoError, ServoLaw, ServoState};
 use nalgebra::{Complex, DMatrix, Schur};
-use opspace_backend::{CommandKind, Setpoints};
+use opspace_backend::CommandKind;
 use thiserror::Error;
 
 /// Largest spectral radius of the inverse, per interface cycle, that counts as stable.
@@ -23,15 +24,6 @@ pub enum TorqueObjective {
     IntervalMean,
     /// Torque of each servo tick, in the least-squares sense.
     PerTick,
-}
-
-/// Timing of a drive and of its setpoints.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Ticks {
-    pub period_s: f64,
-    pub servo_ticks_per_cycle: u32,
-    pub delay: u32,
-    pub setpoints: Setpoints,
 }
 
 /// Reason why a servo cannot be emulated or inverted.
@@ -69,7 +61,7 @@ pub enum EmulationError {
 /// Checks that the setpoints for a desired torque are bounded, for a joint that doesn't move.
 pub(crate) fn check_inverse(
     law: &ServoLaw,
-    ticks: Ticks,
+    ticks: DriveTiming,
     matching: TorqueObjective,
 ) -> Result<(), EmulationError> {
     let growth = inverse(law, ticks, matching, 1)?.growth;
@@ -81,7 +73,7 @@ pub(crate) fn check_inverse(
 /// cycle to cycle decays. If there is none up to `longest`, returns the largest number with bounded setpoints.
 pub(crate) fn quiet_horizon(
     law: &ServoLaw,
-    ticks: Ticks,
+    ticks: DriveTiming,
     stiffness: f64,
     longest: u32,
 ) -> Result<u32, EmulationError> {
@@ -115,7 +107,7 @@ struct Inverse {
 /// zero.
 fn inverse(
     law: &ServoLaw,
-    ticks: Ticks,
+    ticks: DriveTiming,
     matching: TorqueObjective,
     intervals: u32,
 ) -> Result<Inverse, EmulationError> {

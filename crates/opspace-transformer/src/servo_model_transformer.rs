@@ -25,11 +25,12 @@
 
 use crate::active_setpoints::ActiveSetpoints;
 use crate::current::CurrentObserver;
+use crate::drive_timing::DriveTiming;
 use crate::friction::FrictionCompensation;
 use crate::gain_adaptation::{GainAdaptation, GainAdaptationParameters};
 use crate::observer::{ObservedJoint, ObserverGain};
 use crate::servo::{ServoGains, ServoParameters};
-use crate::servo_inversion::{EmulationError, Ticks, TorqueObjective, check_inverse};
+use crate::servo_inversion::{EmulationError, TorqueObjective, check_inverse};
 use crate::servo_law::{MAX_ORDER, ServoLaw, ServoState};
 use crate::transformer::Transformer;
 use nalgebra::{DMatrix, DVector};
@@ -77,7 +78,7 @@ pub struct EmulatingTransformer {
     takes: CommandKind,
     drives: Vec<Drive>,
     friction: FrictionCompensation,
-    ticks: Ticks,
+    ticks: DriveTiming,
     matching: TorqueObjective,
     gravity_compensated_by: GravityCompensation,
     has_brakes: bool,
@@ -202,8 +203,8 @@ impl EmulatingTransformer {
     /// Index of the first joint whose servo cannot be emulated or inverted, and the reason.
     pub fn new(setup: &EmulationSetup) -> Result<Self, (usize, EmulationError)> {
         let n = setup.servos.len();
-        let ticks = Ticks {
-            period_s: setup.servo_period_s,
+        let ticks = DriveTiming {
+            servo_period_s: setup.servo_period_s,
             servo_ticks_per_cycle: setup.servo_ticks_per_cycle,
             delay: setup.delay,
             setpoints: setup.setpoints,
@@ -346,7 +347,7 @@ impl EmulatingTransformer {
                 let unit = ticks.setpoints.at(0.0, 1.0, tick, ticks.servo_ticks_per_cycle);
                 self.rollout.drive(&self.drives, |i| if i == joint { unit } else { 0.0 });
                 response.column_mut(joint).copy_from(&self.rollout.torque);
-                self.rollout.travel(&self.mass_inverse, &self.rest, ticks.period_s);
+                self.rollout.travel(&self.mass_inverse, &self.rest, ticks.servo_period_s);
             }
         }
     }
@@ -396,7 +397,7 @@ impl EmulatingTransformer {
                 *torque = torque.clamp(-drive.torque_limit - more, drive.torque_limit - more);
                 self.mean_torque[i] += share * *torque;
             }
-            self.rollout.travel(&self.mass_inverse, &self.free, ticks.period_s);
+            self.rollout.travel(&self.mass_inverse, &self.free, ticks.servo_period_s);
         }
         self.intervals += 1.0;
         self.mean_torque /= self.intervals;
@@ -436,7 +437,7 @@ impl Transformer for EmulatingTransformer {
         let ticks_before = if self.is_braked() { 0 } else { ticks.delay };
         for tick in 0..ticks_before {
             self.roll_old(tick);
-            self.rollout.travel(&self.mass_inverse, &self.free, ticks.period_s);
+            self.rollout.travel(&self.mass_inverse, &self.free, ticks.servo_period_s);
         }
         // Y₀ is computed with the measured positions or velocities as setpoints, so that the solution is a small
         // difference with little rounding.
@@ -450,7 +451,7 @@ impl Transformer for EmulatingTransformer {
             for (i, tau) in tau.iter().enumerate() {
                 self.missing[tick as usize][i] = tau - self.torque_disturbance()[i] - self.rollout.torque[i];
             }
-            self.rollout.travel(&self.mass_inverse, &self.free, ticks.period_s);
+            self.rollout.travel(&self.mass_inverse, &self.free, ticks.servo_period_s);
         }
         self.assemble();
         eliminate(&mut self.normal, self.solution.as_mut_slice());

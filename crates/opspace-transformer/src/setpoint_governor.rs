@@ -14,35 +14,17 @@
 //! ```
 //!
 //! s(m) is the largest acceleration that can be taken back at the jerk J before the velocity has changed by m. Hence the
-//! limits of velocity and jerk never contradict each other. The transformer works from the setpoints that were really
-//! sent, so that a limited one causes no wind-up.
+//! limits of velocity and jerk never contradict each other. Transformers work from the setpoints that were really sent,
+//! so that a limited one causes no wind-up.
 
 use crate::setpoint_limits::JointSetpointLimits;
-use crate::transformer::Transformer;
+use opspace_backend::CommandKind;
 use opspace_backend::quantity::Positive;
-use opspace_backend::{CommandKind, Sample};
-use opspace_model::Data;
 
 /// Fraction of the limits that is used: rounding must not exceed them.
 const USED: f64 = 1.0 - 1e-4;
 
-/// Transformer whose setpoints are within the limits of the drives: see the [module](self).
-pub struct SetpointGovernor {
-    inner: Box<dyn Transformer>,
-    joints: Vec<GovernedSetpoint>,
-}
-
-impl SetpointGovernor {
-    /// Returns the transformer `inner` with setpoints within these limits (n), at interface cycles of `period_s` (s).
-    #[must_use]
-    pub fn new(inner: Box<dyn Transformer>, limits: &[JointSetpointLimits], period_s: f64) -> Self {
-        let takes = inner.takes();
-        let joints = limits.iter().map(|limits| GovernedSetpoint::new(limits, takes, period_s)).collect();
-        Self { inner, joints }
-    }
-}
-
-/// Setpoint of one joint.
+/// Setpoint of one joint, within the limits of its drive: see the [module](self).
 #[derive(Clone, Copy, Debug)]
 pub struct GovernedSetpoint {
     takes: CommandKind,
@@ -158,45 +140,5 @@ impl GovernedSetpoint {
     /// Forgets the setpoints: the next one is the first.
     pub fn restart(&mut self) {
         self.last = None;
-    }
-}
-
-impl Transformer for SetpointGovernor {
-    fn takes(&self) -> CommandKind {
-        self.inner.takes()
-    }
-
-    fn observe(&mut self, sample: &Sample) -> Option<&[f64]> {
-        self.inner.observe(sample)
-    }
-
-    fn uses_reference_velocity(&self) -> bool {
-        self.inner.uses_reference_velocity()
-    }
-
-    fn set_reference_velocity(&mut self, velocity: &[f64]) {
-        self.inner.set_reference_velocity(velocity);
-    }
-
-    fn transform(&mut self, data: &Data, torque: &[f64], command: &mut [f64]) {
-        self.inner.transform(data, torque, command);
-        for (joint, setpoint) in self.joints.iter_mut().zip(command) {
-            *setpoint = joint.follow(*setpoint);
-        }
-    }
-
-    fn sent(&mut self, data: &Data, command: &[f64]) {
-        self.joints.iter_mut().zip(command).for_each(|(joint, &setpoint)| joint.take(setpoint));
-        self.inner.sent(data, command);
-    }
-
-    fn missed(&mut self, periods: u64) {
-        self.joints.iter_mut().for_each(GovernedSetpoint::keep);
-        self.inner.missed(periods);
-    }
-
-    fn reset(&mut self) {
-        self.joints.iter_mut().for_each(GovernedSetpoint::restart);
-        self.inner.reset();
     }
 }

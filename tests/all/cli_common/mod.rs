@@ -3,6 +3,7 @@
 #![allow(dead_code, reason = "each test uses some of it")]
 
 use serde_json::Value;
+use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
@@ -81,4 +82,27 @@ pub fn read(path: impl AsRef<Path>) -> String {
 
 pub fn read_json(path: impl AsRef<Path>) -> Value {
     serde_json::from_str(&read(path)).expect("JSON")
+}
+
+/// A circle of the planar arm: half a second, so that a run takes little time.
+const CIRCLE: &str = r#"
+robot = "ROBOT"
+duration_s = 0.5
+settle_s = 0.2
+priority = ["tip"]
+start_rad = { shoulder = 0.6, elbow = 1.2 }
+[task.tip.cartesian]
+frame = "tip"
+axes = { x = "motion", z = "motion" }
+gains = { frequency_rad_per_s = 20.0, damping_ratio = 1.0 }
+reference.sinusoid.x = [{ amplitude_m = 0.1, frequency_hz = 0.5 }]
+"#;
+
+/// Creates a folder with the task `circle.toml` and the suite `suite.toml`.
+pub fn circle_folder(suite: &str) -> tempfile::TempDir {
+    let folder = scratch();
+    let task = CIRCLE.replace("ROBOT", &project("robots/planar-2-link"));
+    fs::write(folder.path().join("circle.toml"), task).expect("a new folder");
+    fs::write(folder.path().join("suite.toml"), suite).expect("a new folder");
+    folder
 }

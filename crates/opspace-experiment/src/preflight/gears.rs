@@ -1,7 +1,7 @@
 //! Elastic gears of an arm, from soft to stiff, with which it is checked for oscillation.
 //!
-//! Where a stiffness is declared, multiples of it are examined. Where none is, the gears of all joints are so soft that
-//! each link has a given antiresonance f on its gear, with its rotor and all other joints held:
+//! Multiples of the declared stiffness are examined; if none is declared, gears so soft that each link has a given
+//! antiresonance f on its gear, with its rotor and all other joints held:
 //!
 //! ```text
 //! K = (2π f)² (M − B)

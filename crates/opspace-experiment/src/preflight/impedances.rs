@@ -9,7 +9,7 @@ use crate::run::experiment::Experiment;
 use opspace_backend::Sample;
 use opspace_model::{Data, update};
 use opspace_transformer::impedance::impedance_near;
-use opspace_transformer::moving_joint::{DriveTiming, MovingJoint};
+use opspace_transformer::moving_joint::MovingJoint;
 use opspace_transformer::{Gears, ServoLaw, VelocityEstimator};
 
 /// Lowest examined frequency, Hz.
@@ -52,12 +52,7 @@ pub fn impedances(experiment: &Experiment) -> Option<Vec<JointImpedance>> {
     let (n, profile) = (model.n(), experiment.profile().1);
     let mut data = Data::new(model);
     update(model, &mut data, &experiment.start().ok()?, &vec![0.0; n]).then_some(())?;
-    let timing = DriveTiming {
-        servo_period_s: profile.servo_period_s(),
-        servo_ticks_per_cycle: profile.servo_ticks_per_cycle.get(),
-        delay: profile.delay(),
-        setpoints: experiment.robot().file.interface.setpoints,
-    };
+    let timing = experiment.drive_timing();
     let highest_hz = HIGHEST / timing.period_s();
     let step = (highest_hz / LOWEST_HZ).max(1.0).powf(1.0 / f64::from(FREQUENCIES - 1));
     let frequencies_hz: Vec<f64> =

@@ -437,6 +437,7 @@ impl Experiment {
             controller: self.controller()?,
             transformer: self.transformer()?,
             servo_gains: self.servo_gains()?,
+            setpoint_limits: self.setpoint_limits(),
             estimator: self.profile.estimator.clone(),
             friction: FrictionCompensation::new(joints.iter().map(|j| &j.friction), friction),
             torque_limits: self.robot.torque_limits(),

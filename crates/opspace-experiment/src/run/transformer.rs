@@ -6,10 +6,9 @@ use nalgebra::DMatrix;
 use opspace_backend::quantity::{NonNegative, Positive};
 use opspace_backend::{CommandKind, Measured, Setpoints};
 use opspace_model::{Data, update};
-use opspace_transformer::setpoint_governor::SetpointGovernor;
 use opspace_transformer::setpoint_limits::JointSetpointLimits;
 use opspace_transformer::{
-    ClosedLoopModel, CurrentFeedback, DeclaredProperties, EmulatingTransformer, EmulationSetup,
+    ClosedLoopModel, CurrentFeedback, DeclaredProperties, DriveTiming, EmulatingTransformer, EmulationSetup,
     ExtrapolatingTransformer, ExtrapolationSetup, FrictionCompensation, FrictionCompensationParameters,
     FrictionLaw, GainAdaptationParameters, Identity, JointParameters, LiteralTransformer, Method,
     ObservedTransformer, PaperTransformer, ServoGains, ServoParameters, SetpointNoise, TorqueObjective,
@@ -64,16 +63,6 @@ impl Experiment {
         if self.options.backend == CommandKind::Torque {
             return Ok(if observes { Box::new(self.torque_observer()) } else { Box::new(Identity) });
         }
-        let unlimited = self.unlimited_transformer(observes)?;
-        let Some(limits) = &self.profile.setpoint_limits else { return Ok(unlimited) };
-        let names = self.robot.model.joints().iter().map(|joint| &joint.name);
-        let limits: Vec<JointSetpointLimits> =
-            names.map(|name| limits.joint.get(name).copied().unwrap_or_default()).collect();
-        Ok(Box::new(SetpointGovernor::new(unlimited, &limits, self.profile.period_s())))
-    }
-
-    /// Builds the chosen transformer, without limits of setpoints.
-    fn unlimited_transformer(&self, observes: bool) -> Result<Box<dyn Transformer>, FileError> {
         let (TransformerKind { method, current }, _) = self.chosen_transformer();
         let joints = || self.robot.identified(&self.profile);
         let literal = |measured| {
@@ -202,10 +191,7 @@ impl Experiment {
         Ok(ExtrapolationSetup {
             servos: self.servos()?,
             torque_limits: self.robot.torque_limits(),
-            servo_period_s: self.profile.servo_period_s(),
-            servo_ticks_per_cycle: self.profile.servo_ticks_per_cycle.get(),
-            delay: self.profile.delay(),
-            setpoints: self.robot.file.interface.setpoints,
+            timing: self.drive_timing(),
             estimator: self.profile.estimator.clone(),
             gravity_compensated_by: self.gravity_compensated_by(),
             has_brakes: self.capabilities().has_brakes,
@@ -215,18 +201,33 @@ impl Experiment {
         })
     }
 
+    /// Timing of the drives.
+    pub(crate) fn drive_timing(&self) -> DriveTiming {
+        DriveTiming {
+            servo_period_s: self.profile.servo_period_s(),
+            servo_ticks_per_cycle: self.profile.servo_ticks_per_cycle.get(),
+            delay: self.profile.delay(),
+            setpoints: self.robot.file.interface.setpoints,
+        }
+    }
+
+    /// Limits of the setpoints of each joint (n); empty if the drives have none.
+    pub(crate) fn setpoint_limits(&self) -> Vec<JointSetpointLimits> {
+        let Some(limits) = &self.profile.setpoint_limits else { return Vec::new() };
+        let names = self.robot.model.joints().iter().map(|joint| &joint.name);
+        names.map(|name| limits.joint.get(name).copied().unwrap_or_default()).collect()
+    }
+
     /// Noise of positions that must not reach the setpoints, where drives limit their acceleration (n).
     fn setpoint_noise(&self) -> Vec<Option<SetpointNoise>> {
-        let Some(limits) = &self.profile.setpoint_limits else { return Vec::new() };
-        let noise = |(name, joint): (&String, JointParameters)| {
-            let acceleration_limit = limits.joint.get(name)?.acceleration_rad_per_s2?.get();
+        let noise = |(limits, joint): (JointSetpointLimits, JointParameters)| {
+            let acceleration_limit = limits.acceleration_rad_per_s2?.get();
             let declared = self.profile.estimator.position_noise_rad;
             // A rounding error is uniform over one count.
             let position_noise = declared.map_or(joint.rotor.resolution_rad() / 12f64.sqrt(), Positive::get);
             Some(SetpointNoise { position_noise, acceleration_limit })
         };
-        let names = self.robot.model.joints().iter().map(|joint| &joint.name);
-        names.zip(self.robot.joints()).map(noise).collect()
+        self.setpoint_limits().into_iter().zip(self.robot.joints()).map(noise).collect()
     }
 
     /// Lowest frequency √(K/J)/2π of a link of inertia J on a gear of declared stiffness K, with its rotor and the other

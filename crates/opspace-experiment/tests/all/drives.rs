@@ -27,6 +27,8 @@ fn experiment(controller: ControllerKind, settings: &[&str]) -> Result<Experimen
 /// of its rod and B = 100² 0.5e-5 kg m² of its rotor; without a declared stiffness there are none.
 #[test]
 fn declared_gear_has_frequencies_of_two_masses() {
+    /// Rounding errors, Hz.
+    const TOLERANCE_HZ: f64 = 1e-9;
     assert_eq!(gear_resonances(&experiment(ControllerKind::Osc, &[]).unwrap()), []);
     let gears = gear_resonances(
         &experiment(ControllerKind::Osc, &["robot.joint.elbow.gear_stiffness_nm_per_rad=3000.0"]).unwrap(),
@@ -35,8 +37,8 @@ fn declared_gear_has_frequencies_of_two_masses() {
     assert_eq!((gears[0].joint.as_str(), gears[0].stiffness_nm_per_rad), ("elbow", 3000.0));
     let antiresonance = (3000.0_f64 * 3.0).sqrt() / TAU;
     let resonance = (3000.0_f64 * (3.0 + 1.0 / 0.05)).sqrt() / TAU;
-    assert!((gears[0].antiresonance_hz - antiresonance).abs() < 1e-9, "{}", gears[0]);
-    assert!((gears[0].resonance_hz.unwrap() - resonance).abs() < 1e-9, "{}", gears[0]);
+    assert!((gears[0].antiresonance_hz - antiresonance).abs() < TOLERANCE_HZ, "{}", gears[0]);
+    assert!((gears[0].resonance_hz.unwrap() - resonance).abs() < TOLERANCE_HZ, "{}", gears[0]);
     assert_eq!(
         gears[0].to_string(),
         "gear of joint 'elbow': antiresonance at 15.1 Hz, resonance at 41.8 Hz, at the start"

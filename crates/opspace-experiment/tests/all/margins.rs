@@ -162,6 +162,8 @@ fn impedance_and_torque_error_of_encoder_are_stated() {
 /// Setpoint limits bound the torque on a held joint, and velocity feed-forward with held setpoints is a finding.
 #[test]
 fn limits_and_feed_forward_of_setpoints_are_stated() {
+    /// Relative rounding error.
+    const TOLERANCE: f64 = 1e-6;
     let limits = [
         "robot.profile.a-med.setpoint_limits.reaction=\"clamp\"",
         "robot.profile.a-med.setpoint_limits.joint.elbow={ velocity_rad_per_s = 2.0, acceleration_rad_per_s2 = 10.0 }",
@@ -175,7 +177,7 @@ fn limits_and_feed_forward_of_setpoints_are_stated() {
     for (hz, amplitude) in [1.0, 5.0, 10.0, 20.0, 50.0].into_iter().zip(amplitudes) {
         let omega = std::f64::consts::TAU * hz;
         let expected = stiffness * (2.0 / omega).min(10.0 / (omega * omega));
-        assert!((amplitude / expected - 1.0).abs() < 1e-6, "{hz} Hz: {amplitude} for {expected}");
+        assert!((amplitude / expected - 1.0).abs() < TOLERANCE, "{hz} Hz: {amplitude} for {expected}");
     }
     assert!(stated.iter().filter(|floor| floor.within_setpoint_limits_nm.is_some()).count() == 1);
 

@@ -9,6 +9,10 @@ use std::io::Cursor;
 use std::path::Path;
 use std::sync::Arc;
 
+/// Physics step of the ASIMO-like arm, and its rounding error, s.
+const STEP_S: f64 = 5e-5;
+const ROUNDING_S: f64 = 1e-12;
+
 /// Engine with a scene that it ignores.
 #[derive(Debug)]
 struct OtherEngine {
@@ -41,7 +45,7 @@ impl PhysicsEngine for OtherEngine {
             let message = "the table is too small".to_owned();
             return Err(PlantError { message, file: Some(self.scene.path.clone()) });
         }
-        assert!((parts.step_s - 5e-5).abs() < 1e-12);
+        assert!((parts.step_s - STEP_S).abs() < ROUNDING_S);
         Ok(Box::new(RigidPlant::new(parts)))
     }
 }

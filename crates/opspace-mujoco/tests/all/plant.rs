@@ -8,6 +8,13 @@ use opspace_sim::{
 };
 
 /// Start of the arm, rad.
+/// The rounding errors of 10 000 steps, rad, and what they are at springs of some kN/m, N.
+const TOLERANCE_RAD: f64 = 1e-10;
+const TOLERANCE_N: f64 = 1e-6;
+
+/// Force that a contact has at least, N: it is compared in contact.
+const LEAST_N: f64 = 1.0;
+
 const START: [f64; 7] = [0.1, -0.7, 0.2, -2.2, 0.3, 1.5, 0.7];
 
 fn panda() -> RobotDefinition {
@@ -41,8 +48,6 @@ fn difference(a: &[f64], b: &[f64]) -> f64 {
 #[test]
 fn falling_arm_moves_as_on_the_own_plant() {
     const STEP_S: f64 = 5e-5;
-    /// The rounding errors of 10 000 steps, rad.
-    const TOLERANCE_RAD: f64 = 1e-10;
     let Some(mujoco) = mujoco(None) else { return };
     let mut plant = mujoco.build(config(STEP_S)).expect("a plant");
     let q = positions_after(&mut *plant, STEP_S, 0.5);
@@ -118,8 +123,8 @@ fn couplings_and_external_forces_act_as_on_the_own_plant() {
     };
     let own = moved(Box::new(RigidPlant::new(config())));
     let other = moved(mujoco.build(config()).expect("a plant"));
-    assert!(difference(&own.0, &other.0) < 1e-10);
-    assert!((own.1 - other.1).norm() < 1e-6 && own.1.norm() > 1.0, "{} {}", own.1, other.1);
+    assert!(difference(&own.0, &other.0) < TOLERANCE_RAD);
+    assert!((own.1 - other.1).norm() < TOLERANCE_N && own.1.norm() > LEAST_N, "{} {}", own.1, other.1);
     assert_eq!(own.2, other.2);
-    assert!((own.3.linear - other.3.linear).norm() < 1e-6 && own.3.linear.norm() > 1.0);
+    assert!((own.3.linear - other.3.linear).norm() < TOLERANCE_N && own.3.linear.norm() > LEAST_N);
 }

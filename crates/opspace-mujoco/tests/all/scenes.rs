@@ -106,6 +106,8 @@ const DEFAULTS: &str = "<mujoco model='other'>
 /// Compared: the motion of an arm beside a scene, and its motion on the library's own plant.
 #[test]
 fn settings_of_a_scene_do_not_change_the_arm() {
+    /// Rounding errors of the steps, rad.
+    const TOLERANCE_RAD: f64 = 1e-10;
     let folder = tempfile::tempdir().expect("a folder");
     let Some(mujoco) = mujoco(Some(&scene(folder.path(), DEFAULTS))) else { return };
     let robot = RobotDefinition::load(Files::Disk, &project("robots/panda"), &[]).expect("a robot");
@@ -124,7 +126,7 @@ fn settings_of_a_scene_do_not_change_the_arm() {
     let own = after(Box::new(RigidPlant::new(config())));
     let other = after(mujoco.build(config()).expect("a plant"));
     for (own, other) in own.iter().zip(&other) {
-        assert!((own - other).abs() < 1e-10, "{own} and {other}");
+        assert!((own - other).abs() < TOLERANCE_RAD, "{own} and {other}");
     }
 }
 

@@ -6,8 +6,9 @@ use nalgebra::DVector;
 use opspace_backend::quantity::Positive;
 use opspace_backend::{CommandKind, GravityCompensation, Setpoints};
 use opspace_model::Data;
+use opspace_transformer::drive_timing::DriveTiming;
 use opspace_transformer::estimator::VelocityEstimator;
-use opspace_transformer::moving_joint::{DriveTiming, MovingJoint, SampledDrive};
+use opspace_transformer::moving_joint::{MovingJoint, SampledDrive};
 use opspace_transformer::{
     EstimatorParameters, ExtrapolatingTransformer, ExtrapolationSetup, GainAdaptationParameters, ServoLaw,
     ServoParameters, Transformer,
@@ -21,10 +22,12 @@ fn setup(case: Case) -> ExtrapolationSetup {
     ExtrapolationSetup {
         servos: case.servo.parameters(),
         torque_limits: vec![10.0; 2],
-        servo_period_s: SERVO_S,
-        servo_ticks_per_cycle: RATIO,
-        delay: case.delay,
-        setpoints: case.setpoints,
+        timing: DriveTiming {
+            servo_period_s: SERVO_S,
+            servo_ticks_per_cycle: RATIO,
+            delay: case.delay,
+            setpoints: case.setpoints,
+        },
         estimator: EstimatorParameters {
             velocity_filter_hz: Positive::literal(80.0),
             ..EstimatorParameters::default()
@@ -133,10 +136,7 @@ fn error_at_constant_velocity(servo: &ServoParameters, timing: DriveTiming) -> f
     let period_s = timing.period_s();
     let mut transformer = ExtrapolatingTransformer::new(&ExtrapolationSetup {
         servos: vec![servo.clone(); 2],
-        servo_period_s: timing.servo_period_s,
-        servo_ticks_per_cycle: timing.servo_ticks_per_cycle,
-        delay: timing.delay,
-        setpoints: timing.setpoints,
+        timing,
         ..setup(CASE)
     })
     .unwrap();

@@ -6,9 +6,10 @@ use nalgebra::Complex;
 use opspace_backend::quantity::Positive;
 use opspace_backend::{CommandKind, GravityCompensation, Setpoints};
 use opspace_model::{Data, update};
+use opspace_transformer::drive_timing::DriveTiming;
 use opspace_transformer::estimator::VelocityEstimator;
 use opspace_transformer::impedance::impedance;
-use opspace_transformer::moving_joint::{DriveTiming, MovingJoint};
+use opspace_transformer::moving_joint::MovingJoint;
 use opspace_transformer::{
     CascadedServo, EstimatorParameters, ExtrapolatingTransformer, ExtrapolationSetup,
     GainAdaptationParameters, PaperTransformer, ServoLaw, ServoParameters, Transformer,
@@ -126,10 +127,7 @@ fn extrapolation_is_passive() {
         let setup = ExtrapolationSetup {
             servos: vec![servo.clone(); 2],
             torque_limits: vec![100.0; 2],
-            servo_period_s: timing.servo_period_s,
-            servo_ticks_per_cycle: timing.servo_ticks_per_cycle,
-            delay: timing.delay,
-            setpoints: timing.setpoints,
+            timing,
             estimator: estimator(estimator_hz),
             gravity_compensated_by: GravityCompensation::Controller,
             has_brakes: false,
