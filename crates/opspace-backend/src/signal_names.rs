@@ -97,6 +97,16 @@ pub const ERROR: &str = "error";
 pub const FORCE: &str = "force";
 /// Wrench sensed by a task, which acts ON the robot (6; N, Nm).
 pub const SENSED_FORCE: &str = "sensed_force";
+/// Target of a task's force axes, with ramps and profiles; 0 on other axes, and while an axis approaches (6; N, Nm).
+pub const TARGET_FORCE: &str = "target_force";
+/// Contact of a task's force axes: 1 made, 0 while the axis approaches, NaN on other axes (6).
+pub const CONTACT: &str = "contact";
+/// Energy that the force feedback has given to the motion within its window (6; J).
+pub const FORCE_ENERGY: &str = "force_energy";
+/// Share of the force gains that the passivity control leaves (6).
+pub const FORCE_GAIN_SHARE: &str = "force_gain_share";
+/// Time for which the passivity control has reduced the force gains (6; s).
+pub const PASSIVITY_TIME: &str = "passivity_time";
 /// Smallest gain of the damped inverse over all directions of a task; 1 without damping.
 pub const MIN_SINGULAR_GAIN: &str = "min_singular_gain";
 /// Acceleration of the fastest joint by which a task escapes from a singular pose, rad/s²; 0 if it does not.

@@ -161,9 +161,15 @@ pub enum Reason {
     /// Force feedback for a task without a compliant or force axis.
     #[error("force feedback needs at least one axis that is `compliant` or `force`")]
     NothingCompliant,
-    /// An integral gain that no axis uses.
-    #[error("only `force` axes integrate the force error: remove it, or make an axis `force`")]
+    /// A value of force control that no axis uses.
+    #[error("only `force` axes use it: remove it, or make an axis `force`")]
     NothingIntegrates,
+    /// A target force as a function of time on an axis that is not in force control.
+    #[error("only `force` axes follow a profile: remove it, or make the axis `force`")]
+    ProfileAxis,
+    /// A damping of compliant axes without such axes.
+    #[error("no axis is `compliant`: remove it; the damping of `force` axes is `force.damping_per_s`")]
+    NothingDamped,
     /// Force control without a sensor.
     #[error("a `force` axis needs a sensor and a target: force = {{ sensor = \"...\", target_n = ... }}")]
     ForceAxisUnsensed,

@@ -1,9 +1,11 @@
 //! Feedback law of a Cartesian task: stiffness, damping and integral of each axis.
 
 use crate::error::{ControlError, Reason};
+use crate::references::reference::CartesianReference;
 use crate::tasks::axes::{AxisMode, required};
 use crate::tasks::cartesian_parameters::CartesianParameters;
 use crate::tasks::cartesian_target::AxisSettings;
+use crate::tasks::force_parameters::FORCE_DAMPING_PER_S;
 use crate::tasks::gains::AxisGains;
 use crate::tasks::impedance::Impedance;
 use nalgebra::Vector6;
@@ -42,8 +44,10 @@ pub(crate) struct AxisFeedback {
     pub integral_per_s: Vector6<f64>,
     /// Motion gains of the axes that have them.
     motion: [Option<MotionGains>; 6],
-    /// Damping of an axis that is compliant or in force control, 1/s.
+    /// Damping of an axis that is compliant, 1/s.
     compliant_damping: Vector6<f64>,
+    /// Damping of an axis in force control, 1/s.
+    force_damping: Vector6<f64>,
 }
 
 /// Gains of a motion axis.
@@ -76,14 +80,24 @@ impl AxisFeedback {
                 parameters.gains.as_ref().and_then(|gains| MotionGains::new(gains, axis, period_s))
             }),
             compliant_damping: zero,
+            force_damping: zero,
         };
-        for axis in 0..6 {
-            let c = parameters.compliant_damping_per_s.get(axis);
-            feedback.compliant_damping[axis] = c.map_or(COMPLIANT_DAMPING_PER_S, NonNegative::get);
+        let modes = parameters.axes.modes();
+        let compliant = modes.map(|mode| mode == AxisMode::Compliant);
+        let damping = parameters.compliant_damping_per_s;
+        let is_streamed = matches!(parameters.reference, CartesianReference::Streamed(_));
+        if damping.is_some() && !compliant.contains(&true) && !is_streamed {
+            return Err(at("compliant_damping_per_s")(Reason::NothingDamped));
         }
-        for (axis, _) in parameters.force_axes().iter().enumerate().filter(|(_, held)| **held) {
-            let c = required(&parameters.compliant_damping_per_s, axis);
-            feedback.damping[axis] = c.map_err(at("compliant_damping_per_s"))?.get();
+        for (axis, mode) in modes.into_iter().enumerate() {
+            let given = damping.and_then(|damping| damping.get(axis)).map(NonNegative::get);
+            feedback.compliant_damping[axis] = given.unwrap_or(COMPLIANT_DAMPING_PER_S);
+            let of_force = parameters.force.as_ref().and_then(|force| force.damping_of(axis));
+            feedback.force_damping[axis] = of_force.unwrap_or(FORCE_DAMPING_PER_S);
+            feedback.damping[axis] = feedback.damping_without_reference(axis, mode);
+            if let (true, Some(damping)) = (compliant[axis], &damping) {
+                required(damping, axis).map_err(at("compliant_damping_per_s"))?;
+            }
         }
         let (motion, sensed) = (parameters.motion_axes(), parameters.force.is_some());
         match (&parameters.gains, &parameters.impedance) {
@@ -105,6 +119,15 @@ impl AxisFeedback {
         Ok(feedback)
     }
 
+    /// Damping of an axis that follows no reference, 1/s.
+    fn damping_without_reference(&self, axis: usize, mode: AxisMode) -> f64 {
+        match mode {
+            AxisMode::Compliant => self.compliant_damping[axis],
+            AxisMode::Force => self.force_damping[axis],
+            AxisMode::Motion | AxisMode::Free => 0.0,
+        }
+    }
+
     /// Returns true if the axis has motion gains.
     pub(crate) fn can_follow(&self, axis: usize) -> bool {
         self.motion[axis].is_some()
@@ -120,8 +143,7 @@ impl AxisFeedback {
                 let zeta = streamed.damping_ratio.unwrap_or(gains.damping_ratio);
                 [omega * omega, 2.0 * zeta * omega]
             }
-            (None, AxisMode::Compliant | AxisMode::Force) => [0.0, self.compliant_damping[axis]],
-            (None, _) => [0.0; 2],
+            (None, mode) => [0.0, self.damping_without_reference(axis, mode)],
         };
         self.stiffness[axis] = stiffness;
         self.damping[axis] = damping;

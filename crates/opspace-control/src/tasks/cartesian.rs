@@ -9,7 +9,8 @@
 //! ```
 //!
 //! f is the sensed force ON the robot. With gain 0, the axis pushes with the target force in open loop; the gain makes
-//! the hand appear 1 + gain times lighter. The same holds for moments on rotation axes. An
+//! the hand appear 1 + gain times lighter. The same holds for moments on rotation axes. Contact, ramps and passivity of force
+//! axes are described in the file `force_axis.rs`. An
 //! [`impedance`](crate::tasks::impedance) in N/m and Ns/m can replace the unit mass.
 //!
 //! A speed limit ẋ_max bounds the desired speed and keeps its direction (Khatib 1987, §VI): with the damping 2ζω
@@ -40,8 +41,8 @@ use crate::tasks::when_limited::{WhenLimited, axis_weights};
 use nalgebra::{Matrix3, Matrix6, Matrix6xX, Vector3, Vector6};
 use opspace_backend::quantity::Positive;
 use opspace_backend::signal_names::{
-    ERROR, FORCE, MODES, ORIENTATION, POSITION, REFERENCE, REFERENCE_ORIENTATION, REFERENCE_VELOCITY,
-    SENSED_FORCE, SLACK, VELOCITY,
+    ERROR, FORCE, MODES, ORIENTATION, POSITION, REFERENCE, REFERENCE_ORIENTATION, REFERENCE_VELOCITY, SLACK,
+    VELOCITY,
 };
 use opspace_backend::{Signal, SignalRecorder, signal_names};
 use opspace_model::{Data, Inversion, Model, Placement};
@@ -159,7 +160,9 @@ impl CartesianTask {
             None => None,
             Some(force) => {
                 let (axes, shaped) = (&parameters.axes, parameters.shapes_inertia());
-                Some(ForceFeedback::new(force, axes, shaped, context, &format!("{key}.force"))?)
+                let mut feedback = ForceFeedback::new(force, axes, shaped, context, &format!("{key}.force"))?;
+                feedback.records_control |= matches!(parameters.reference, CartesianReference::Streamed(_));
+                Some(feedback)
             }
         };
         let limit = |limit: Option<Positive>| limit.map_or(f64::INFINITY, Positive::get);
@@ -253,7 +256,7 @@ impl CartesianTask {
 
     /// Continues from a task of the same controlled frame.
     fn continue_from(&mut self, before: &mut Self, input: &ControlInput<'_>) {
-        let ControlInput { model, data, measurement, .. } = *input;
+        let ControlInput { model, data, .. } = *input;
         before.follow(input);
         self.home = before.home;
         self.inherit_modes(before);
@@ -273,12 +276,22 @@ impl CartesianTask {
             let limit = self.feedback.integral_limit[axis];
             self.feedback.integral[axis] = before.feedback.integral[axis].clamp(-limit, limit);
         }
-        match (&mut self.force, &before.force) {
-            (Some(force), Some(before)) => force.inherit_state(before, measurement),
-            (Some(force), None) => force.start(measurement),
-            (None, _) => {}
+        self.start_force(input);
+        if let (Some(force), Some(before)) = (&mut self.force, &before.force) {
+            force.inherit_state(before);
         }
         self.follow(input);
+    }
+
+    /// Starts the force feedback at the present state.
+    fn start_force(&mut self, input: &ControlInput<'_>) {
+        let ControlInput { model, data, measurement, .. } = *input;
+        let controlled = self.axes.controlled;
+        let rotation = self.axes_frame.rotation(model, data, controlled);
+        let rotation = controlled.coordinates(model, data) * rotation;
+        if let Some(force) = &mut self.force {
+            force.start(model, data, measurement, &rotation, &controlled.point(model, data));
+        }
     }
 
     /// Starts the reference at `from`, with the current task axes.
@@ -415,7 +428,8 @@ impl CartesianTask {
         if let Some(force) = &mut self.force {
             let controlled = self.axes.controlled;
             let axes = controlled.coordinates(model, data) * self.axes.rotation;
-            force.update(model, data, measurement, &axes, &controlled.point(model, data), hold);
+            let point = controlled.point(model, data);
+            force.update(model, data, measurement, &axes, &point, &self.velocity, hold);
         }
     }
 
@@ -505,7 +519,12 @@ impl Task for CartesianTask {
         for (i, mode) in self.modes.iter().enumerate() {
             a[i] = match mode {
                 AxisMode::Free => 0.0,
-                AxisMode::Compliant | AxisMode::Force => -feedback.damping[i] * self.velocity[i],
+                AxisMode::Compliant => -feedback.damping[i] * self.velocity[i],
+                AxisMode::Force => {
+                    let damping = feedback.damping[i];
+                    let approach = self.force.as_ref().map_or(0.0, |f| f.approach_acceleration(i, damping));
+                    approach - damping * self.velocity[i]
+                }
                 AxisMode::Motion => match &feedback.impedance {
                     None => {
                         wanted[i]
@@ -532,16 +551,14 @@ impl Task for CartesianTask {
     }
 
     fn start(&mut self, input: &ControlInput<'_>) {
-        let ControlInput { model, data, measurement, .. } = *input;
+        let ControlInput { model, data, .. } = *input;
         let controlled = self.axes.controlled;
         self.home = controlled.placement(model, data);
         self.reset_settings();
         self.feedback.integral.fill(0.0);
         let axes = self.axes_frame.rotation(model, data, controlled);
         self.begin(&Target::at_rest(self.home), &axes, input);
-        if let Some(force) = &mut self.force {
-            force.start(measurement);
-        }
+        self.start_force(input);
         self.follow(input);
     }
 
@@ -563,9 +580,7 @@ impl Task for CartesianTask {
             self.trajectory.join(measurement.time_s - self.start_s, &from);
         }
         self.feedback.integral.fill(0.0);
-        if let Some(force) = &mut self.force {
-            force.start(measurement);
-        }
+        self.start_force(input);
         self.follow(input);
     }
 
@@ -729,7 +744,7 @@ impl Task for CartesianTask {
 
     fn record_sensed(&self, out: &mut SignalRecorder<'_>) {
         if let Some(force) = &self.force {
-            out.signal((&self.name, SENSED_FORCE), "N,Nm", &AXIS_NAMES, force.sensed.as_slice());
+            force.record(&self.name, out);
         }
     }
 }

@@ -6,7 +6,7 @@ use crate::references::reference::CartesianReference;
 use crate::tasks::axes::{Axes, AxesFrameParameter, AxisMode, PerAxis};
 use crate::tasks::controlled_frame::ControlledFrame;
 use crate::tasks::damping_zone::DampingZone;
-use crate::tasks::force::ForceParameters;
+use crate::tasks::force_parameters::ForceParameters;
 use crate::tasks::gains::AxisGains;
 use crate::tasks::impedance::ImpedanceParameters;
 use crate::tasks::singular_escape::SingularEscape;
@@ -47,9 +47,10 @@ pub struct CartesianParameters {
     /// Force feedback of the compliant and force axes. Without it, the force on compliant axes is zero, in open loop.
     #[serde(default)]
     pub force: Option<ForceParameters>,
-    /// Damping of the compliant and force axes (acceleration per velocity), 1/s; 2 if absent.
-    #[serde(default = "default_compliant_damping")]
-    pub compliant_damping_per_s: PerAxis<NonNegative>,
+    /// Damping of the compliant axes (acceleration per velocity), 1/s; 2 if absent. That of force axes is
+    /// `force.damping_per_s`.
+    #[serde(default)]
+    pub compliant_damping_per_s: Option<PerAxis<NonNegative>>,
     /// Inertia that converts accelerations to forces; the arm's own if absent.
     #[serde(default)]
     pub decoupling: Decoupling,
@@ -184,10 +185,6 @@ fn equal_weights() -> PerAxis<Positive> {
     PerAxis::All(Positive::literal(1.0))
 }
 
-fn default_compliant_damping() -> PerAxis<NonNegative> {
-    PerAxis::All(NonNegative::literal(2.0))
-}
-
 impl CartesianParameters {
     /// Creates a task of `frame` that holds its start pose; all other parameters have the default values of files.
     #[must_use]
@@ -201,7 +198,7 @@ impl CartesianParameters {
             gains: Some(gains),
             impedance: None,
             force: None,
-            compliant_damping_per_s: default_compliant_damping(),
+            compliant_damping_per_s: None,
             decoupling: Decoupling::Full,
             speed_limit_m_per_s: None,
             speed_limit_rad_per_s: None,

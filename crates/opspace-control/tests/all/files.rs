@@ -81,7 +81,7 @@ fn errors_name_value_and_choices() {
         (
             ("sensor = \"wrist\"", "sensor = \"wrist\", integral_limit = 3.0"),
             "task.hand.cartesian.force.integral_limit",
-            "only `force` axes integrate the force error: remove it, or make an axis `force`",
+            "only `force` axes use it: remove it, or make an axis `force`",
         ),
         (
             ("sensor = \"wrist\"", "sensor = \"wrist\", target_n = { y = 3.0 }"),

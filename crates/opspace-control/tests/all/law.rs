@@ -421,9 +421,10 @@ fn compliant_axis_settles_on_target_force() {
 fn pressed_force(mode: &str, integral: &str, wall: bool) -> (f64, f64) {
     const UNKNOWN_NM: [f64; 4] = [0.8, -0.4, 0.3, 0.6];
     let model = four_joints();
+    let damping =
+        if mode == "force" { ", damping_per_s = 40.0 }" } else { " }\ncompliant_damping_per_s = 40.0" };
     let force = format!(
-        "force = {{ sensor = \"wrist\", target_n = {{ x = -8.0 }}, gain = 1.0, filter_hz = 100.0{integral} }}\n\
-         compliant_damping_per_s = 40.0"
+        "force = {{ sensor = \"wrist\", target_n = {{ x = -8.0 }}, gain = 1.0, filter_hz = 100.0{integral}{damping}"
     );
     let text = COMPLIANT
         .replace("force = { sensor = \"wrist\", filter_hz = 100.0 }", &force)

@@ -4,6 +4,7 @@ mod allocation;
 mod collisions;
 mod common;
 mod files;
+mod force_control;
 mod hierarchy;
 mod impedance;
 mod inverse_kinematics;

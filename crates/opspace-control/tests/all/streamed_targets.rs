@@ -356,8 +356,7 @@ fn reference_holds_before_target_and_resumes_at_hand() {
 /// controller whose file contains these values.
 #[test]
 fn streamed_modes_gains_and_forces_apply_immediately() {
-    const SENSOR: &str =
-        "force = { sensor = 'wrist', target_n = { x = 0.0 }, integral_per_s = { x = 0.0, z = 0.0 } }";
+    const SENSOR: &str = "force = { sensor = 'wrist', target_n = { x = 0.0 }, integral_per_s = { x = 0.0, z = 0.0 }, ramp_s = 0.0 }";
     let axes = r#"{ x = "force", y = "motion", z = "motion" }"#;
     let mut bench = Bench::new(&hand(axes, "streamed = {}", SENSOR));
     bench.measurement.wrenches[0].linear = Vector3::new(1.0, 2.0, 3.0);
@@ -379,7 +378,7 @@ fn streamed_modes_gains_and_forces_apply_immediately() {
     let changed = "priority = [\"hand\", \"rest\"]\n[task.hand.cartesian]\nframe = \"hand\"\n\
         axes = { x = \"compliant\", y = \"motion\", z = \"force\" }\nreference = \"hold\"\n\
         gains = { frequency_rad_per_s = 20.0, damping_ratio = 0.5 }\n\
-        force = { sensor = 'wrist', target_n = { z = -7.0 }, integral_per_s = { z = 0.0 } }\n\
+        force = { sensor = 'wrist', target_n = { z = -7.0 }, integral_per_s = { z = 0.0 }, ramp_s = 0.0 }\n\
         [task.rest.joint-damping]\ndamping_nms_per_rad = 1.0\n";
     let mut other = Bench::new(changed);
     (other.measurement, other.data) = (bench.measurement.clone(), bench.data.clone());

@@ -20,15 +20,18 @@ use std::fmt;
 pub const TOLERANCE: f64 = 0.01;
 
 /// Metrics of which a smaller value is better.
-const SMALLER: [&str; 20] = [
+const SMALLER: [&str; 23] = [
     "position_rms_m",
     "position_max_m",
     "orientation_rms_rad",
     "orientation_max_rad",
     "joint_rms_rad",
     "force_rms_n",
+    "force_hold_rms_n",
+    "force_settle_s",
     "contact_peak_n",
     "contact_losses",
+    "late_contact_losses",
     "hand_force_rms_n",
     "torque_error_servo",
     "torque_error_interval",
@@ -46,7 +49,8 @@ const SMALLER: [&str; 20] = [
 const LARGER: [&str; 1] = ["in_contact_fraction"];
 /// Metrics that describe a run and are neither better nor worse.
 #[cfg(test)]
-const NEUTRAL: [&str; 15] = [
+const NEUTRAL: [&str; 16] = [
+    "passivity_active_s",
     "contact_begin_s",
     "compliant_motion_rms_m",
     "compliant_work_j",

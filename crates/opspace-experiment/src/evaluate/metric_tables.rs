@@ -171,8 +171,14 @@ pub struct PoseErrors {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Contact {
-    /// Error of the force, rms, N; `None` if the target is streamed.
+    /// Error of the force, rms, N; `None` if the target is streamed and not logged.
     pub force_rms_n: Option<f64>,
+    /// Error of the force while the references of the motion axes rest, rms, N.
+    #[serde(default)]
+    pub force_hold_rms_n: Option<f64>,
+    /// Time from the first contact until the error has been below 1 N for half a second, s.
+    #[serde(default)]
+    pub force_settle_s: Option<f64>,
     /// Fraction of the time after settling with contact (more than 0.1 N).
     pub in_contact_fraction: Option<f64>,
     /// Time from the start of control to the first contact, s.
@@ -181,6 +187,12 @@ pub struct Contact {
     pub contact_peak_n: Option<f64>,
     /// Number of times that contact was lost.
     pub contact_losses: Option<u64>,
+    /// Number of times that contact was lost later than a second after the first contact.
+    #[serde(default)]
+    pub late_contact_losses: Option<u64>,
+    /// Time for which the passivity control of the force feedback has reduced its gains, s.
+    #[serde(default)]
+    pub passivity_active_s: Option<f64>,
 }
 
 /// Motion of a controlled frame over the compliant axes of its task; `None` without such axes.

@@ -426,6 +426,7 @@ pub fn task_table(summary: &Summary) -> Table {
         row("position error", "m", task.pose.position_rms_m, task.pose.position_max_m);
         row("orientation error", "rad", task.pose.orientation_rms_rad, task.pose.orientation_max_rad);
         row("force error", "N", task.contact.force_rms_n, None);
+        row("force error while the reference rests", "N", task.contact.force_hold_rms_n, None);
         row("contact peak (first second of contact)", "N", None, task.contact.contact_peak_n);
         row("compliant motion", "m", task.compliance.compliant_motion_rms_m, None);
         let slack = &task.slack;

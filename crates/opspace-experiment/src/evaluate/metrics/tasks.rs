@@ -6,7 +6,10 @@ use super::task_axes::{AxesOfTask, TaskAxes, TaskRow};
 use crate::evaluate::metric_tables::{ElementError, TaskMetrics};
 use crate::run::experiment::Experiment;
 use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
-use opspace_backend::signal_names::{self, ERROR, FORCE, REFERENCE, REFERENCE_ORIENTATION, TRUTH_CHANNEL};
+use opspace_backend::signal_names::{
+    self, CONTACT, ERROR, FORCE, PASSIVITY_TIME, REFERENCE, REFERENCE_ORIENTATION, REFERENCE_VELOCITY,
+    TARGET_FORCE, TRUTH_CHANNEL,
+};
 use opspace_control::orientation::log;
 use opspace_control::{AxesFrame, ControlledFrame, TaskParameters};
 use opspace_log::Column;
@@ -15,6 +18,13 @@ use std::collections::BTreeMap;
 
 /// Smallest true contact force that counts as contact, N.
 const CONTACT_N: f64 = 0.1;
+
+/// Largest speed of a reference that rests, m/s.
+const RESTING_M_PER_S: f64 = 1e-3;
+
+/// Largest force error of settled contact, N, and the time for which it must hold, s.
+const SETTLED_N: f64 = 1.0;
+const SETTLED_FOR_S: f64 = 0.5;
 
 /// Time after the first contact in which the largest force is the peak at contact, s.
 const PEAK_S: f64 = 1.0;
@@ -184,6 +194,8 @@ impl CartesianErrors {
         let signal = |name: &str| run.tick.signal(&signal_names::of(&self.name, name));
         let (reference, reference_orientation) = (signal(REFERENCE), signal(REFERENCE_ORIENTATION));
         let forces = run.forces_on(&self.frame);
+        let reference_velocity = signal(REFERENCE_VELOCITY);
+        let (target, made, passivity) = (signal(TARGET_FORCE), signal(CONTACT), signal(PASSIVITY_TIME));
         let settled = run.settled(run.joints.0);
         for row in self.axes.rows(run) {
             let TaskRow { k, pose, rotation, in_world, axes } = row;
@@ -206,12 +218,20 @@ impl CartesianErrors {
             }
             let force = forces.as_ref().map(|forces| in_world.tr_mul(&total(forces, k)));
             match force.filter(|_| axes.force.contains(&true)) {
-                Some(force) => self.contact.get_or_insert_default().add(
-                    &force,
-                    &axes,
-                    run.joints.0[k] - run.start_s,
-                    is_settled,
-                ),
+                Some(force) => {
+                    let tick = run.tick_up_to(k);
+                    let at_tick = |column: Option<Column<'_>>| Some(column?.row(tick?).to_vec());
+                    let (target, made) = (at_tick(target), at_tick(made));
+                    let is_resting = at_tick(reference_velocity)
+                        .is_none_or(|v| Vector3::from_column_slice(&v).norm() < RESTING_M_PER_S);
+                    let contact = self.contact.get_or_insert_default();
+                    let target = force_target(&axes, target.as_deref(), made.as_deref());
+                    let since_start_s = run.joints.0[k] - run.start_s;
+                    contact.add(&force, &axes.force, target, since_start_s, is_settled, is_resting);
+                    contact.reduced_s = passivity
+                        .zip(tick)
+                        .map(|(time_s, tick)| time_s.row(tick).iter().copied().fold(0.0, f64::max));
+                }
                 None => self.contact.iter_mut().for_each(ContactForce::leave),
             }
             let acts = forces.as_ref().is_some_and(|forces| !forces.is_empty());
@@ -244,33 +264,72 @@ impl CartesianErrors {
     }
 }
 
+/// Target of the force axes at a row, N: as logged on axes in contact, otherwise as in the file; `None` if it is not known.
+fn force_target(axes: &TaskAxes, logged: Option<&[f64]>, made: Option<&[f64]>) -> Option<Vector3<f64>> {
+    let (Some(logged), Some(made)) = (logged, made) else { return axes.target };
+    let mut target = axes.target.unwrap_or_else(|| Vector3::from_column_slice(&logged[..3]));
+    for axis in (0..3).filter(|&axis| made[axis] == 1.0) {
+        target[axis] = logged[axis];
+    }
+    Some(target)
+}
+
 /// True contact force on a task's frame, compared with the target of its force axes.
 #[derive(Default)]
 struct ContactForce {
     error_n: RmsMax,
+    resting_n: RmsMax,
     touching: Mean,
     begin_s: Option<f64>,
+    /// Time since which the error has been small, s.
+    small_since_s: Option<f64>,
+    settled_s: Option<f64>,
     peak_n: Option<f64>,
     losses: u64,
+    late_losses: u64,
     touched: bool,
+    reduced_s: Option<f64>,
 }
 
 impl ContactForce {
-    /// Adds a force in the axes of the task, at a time since the start of control.
-    fn add(&mut self, force: &Vector3<f64>, axes: &TaskAxes, since_start_s: f64, is_settled: bool) {
-        let size = masked_norm(force, &axes.force);
+    /// Adds a force in the axes of the task, of which `axes` are in force control, at a time since the start of control.
+    fn add(
+        &mut self,
+        force: &Vector3<f64>,
+        axes: &[bool; 3],
+        target: Option<Vector3<f64>>,
+        since_start_s: f64,
+        is_settled: bool,
+        is_resting: bool,
+    ) {
+        let size = masked_norm(force, axes);
         let touches = size > CONTACT_N;
         if touches && self.begin_s.is_none() {
             self.begin_s = Some(since_start_s);
         }
-        if self.begin_s.is_some_and(|begin_s| since_start_s <= begin_s + PEAK_S) {
+        let is_early = self.begin_s.is_some_and(|begin_s| since_start_s <= begin_s + PEAK_S);
+        if is_early {
             self.peak_n = Some(f64::max(self.peak_n.unwrap_or(0.0), size));
         }
-        self.losses += u64::from(self.touched && !touches);
+        let is_lost = self.touched && !touches;
+        self.losses += u64::from(is_lost);
+        self.late_losses += u64::from(is_lost && !is_early);
         self.touched = touches;
+        let error_n = target.map(|target| masked_norm(&(force - target), axes));
+        if let (Some(error_n), Some(begin_s), None) = (error_n, self.begin_s, self.settled_s) {
+            if error_n > SETTLED_N {
+                self.small_since_s = None;
+            } else {
+                let since_s = *self.small_since_s.get_or_insert(since_start_s);
+                self.settled_s = (since_start_s - since_s >= SETTLED_FOR_S).then_some(since_s - begin_s);
+            }
+        }
         if is_settled {
-            if let Some(target) = axes.target {
-                self.error_n.add(masked_norm(&(force - target), &axes.force));
+            if let Some(error_n) = error_n {
+                self.error_n.add(error_n);
+                if is_resting {
+                    self.resting_n.add(error_n);
+                }
             }
             self.touching.add(f64::from(u8::from(touches)));
         }
@@ -282,10 +341,14 @@ impl ContactForce {
     }
 
     fn finish(self, metrics: &mut TaskMetrics) {
-        metrics.contact.force_rms_n = self.error_n.rms();
-        metrics.contact.in_contact_fraction = self.touching.get();
-        (metrics.contact.contact_begin_s, metrics.contact.contact_peak_n) = (self.begin_s, self.peak_n);
-        metrics.contact.contact_losses = Some(self.losses);
+        let contact = &mut metrics.contact;
+        (contact.force_rms_n, contact.force_hold_rms_n) = (self.error_n.rms(), self.resting_n.rms());
+        contact.force_settle_s = self.settled_s;
+        contact.in_contact_fraction = self.touching.get();
+        (contact.contact_begin_s, contact.contact_peak_n) = (self.begin_s, self.peak_n);
+        contact.contact_losses = Some(self.losses);
+        contact.late_contact_losses = Some(self.late_losses);
+        contact.passivity_active_s = self.reduced_s;
     }
 }
 

@@ -1,0 +1,294 @@
+//! Parameters of the force feedback of a Cartesian task, for files and code.
+
+use crate::error::{ControlError, Reason};
+use crate::tasks::axes::{AXIS_NAMES, Axes, PerAxis};
+use nalgebra::Vector6;
+use opspace_backend::quantity::{Fraction, NonNegative, Positive};
+#[cfg(feature = "schema")]
+use schemars::JsonSchema;
+use serde::Deserialize;
+
+/// Feedback of a force sensor to the compliant and force axes.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(deny_unknown_fields)]
+#[non_exhaustive]
+pub struct ForceParameters {
+    /// Name of the robot's force sensor.
+    pub sensor: String,
+    /// Force that the environment should exert ON the robot along these axes, N; 0 if absent.
+    #[serde(default = "no_target")]
+    pub target_n: PerAxis<f64>,
+    /// Moment that the environment should exert ON the robot about these axes, Nm; 0 if absent.
+    #[serde(default = "no_target")]
+    pub target_nm: PerAxis<f64>,
+    /// Target forces of force axes as functions of time, instead of `target_n`: for each axis a list of times (s, since the
+    /// task began) and forces (N), between which it is interpolated linearly.
+    #[serde(default)]
+    pub profile_n: ForceProfiles,
+    /// Time over which the target of a force axis ramps in from the sensed force at the start and at contact, and from the
+    /// previous target at an event, s; 0.1 if absent. Streamed targets apply at once.
+    #[serde(default = "default_ramp_s")]
+    pub ramp_s: NonNegative,
+    /// Fraction of the target that is commanded in open loop; 1 if absent.
+    #[serde(default = "whole_target")]
+    pub feed_forward: PerAxis<Fraction>,
+    /// Gain of the force error; 1 on force axes and 2 on compliant ones if absent.
+    #[serde(default)]
+    pub gain: Option<PerAxis<NonNegative>>,
+    /// Integral gain of a force axis, 1/s: fraction of the force error that is added to the force per second; 20 if
+    /// absent.
+    #[serde(default)]
+    pub integral_per_s: Option<PerAxis<NonNegative>>,
+    /// Upper bound of the integral of a force axis, which prevents windup without contact, N or Nm; the largest magnitude of
+    /// the target if absent.
+    #[serde(default)]
+    pub integral_limit: Option<PerAxis<NonNegative>>,
+    /// Damping of a force axis (acceleration per velocity), 1/s; 120 if absent. It keeps stiff contact stable: see the rule in
+    /// the documentation of tasks.
+    #[serde(default)]
+    pub damping_per_s: Option<PerAxis<NonNegative>>,
+    /// −3 dB frequency of the low-pass filter of the sensed force, Hz; 100 if absent.
+    #[serde(default = "default_filter_hz")]
+    pub filter_hz: Positive,
+    /// Fraction of the sensed force that is compensated on motion axes, for example the friction of a surface along which the
+    /// frame slides; 0 if absent. Stiff contact along such an axis is unstable with it.
+    #[serde(default)]
+    pub sensed_compensation: Option<PerAxis<Fraction>>,
+    /// Approach of force axes until contact is made; without it, force control begins at once.
+    #[serde(default)]
+    pub contact: Option<ContactParameters>,
+    /// Passivity control of the force feedback of force axes.
+    #[serde(default)]
+    pub passivity: PassivityParameters,
+}
+
+/// Target forces of force axes as functions of time, N.
+#[derive(Clone, Debug, Default, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct ForceProfiles {
+    /// Times (s) and forces (N) along the first task axis.
+    #[serde(default)]
+    pub x: Vec<[f64; 2]>,
+    /// Times (s) and forces (N) along the second task axis.
+    #[serde(default)]
+    pub y: Vec<[f64; 2]>,
+    /// Times (s) and forces (N) along the third task axis.
+    #[serde(default)]
+    pub z: Vec<[f64; 2]>,
+}
+
+/// Approach of a force axis with a target: it moves against the desired force until the environment is touched, and again when
+/// contact is lost.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct ContactParameters {
+    /// Speed of the approach, m/s; 0.05 if absent.
+    #[serde(default = "default_approach")]
+    pub approach_m_per_s: Positive,
+    /// Sensed force above which contact is made, N; 2 if absent.
+    #[serde(default = "default_made")]
+    pub made_above_n: Positive,
+    /// Sensed force below which contact is lost, N; 0.5 if absent.
+    #[serde(default = "default_lost")]
+    pub lost_below_n: NonNegative,
+    /// Time for which the force must be below `lost_below_n` before the axis approaches again, s; 0.05 if absent.
+    #[serde(default = "default_lost_after")]
+    pub lost_after_s: NonNegative,
+}
+
+impl Default for ContactParameters {
+    fn default() -> Self {
+        Self {
+            approach_m_per_s: default_approach(),
+            made_above_n: default_made(),
+            lost_below_n: default_lost(),
+            lost_after_s: default_lost_after(),
+        }
+    }
+}
+
+/// Passivity observer and controller of the force feedback of one axis.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct PassivityParameters {
+    /// True if the gains are reduced when the feedback gives too much energy to the motion; true if absent.
+    #[serde(default = "enabled")]
+    pub enabled: bool,
+    /// Energy that the feedback may give to the motion within the window before its gains are reduced, J; 0.02 if absent.
+    #[serde(default = "default_store")]
+    pub store_j: Positive,
+    /// Time over which given energy is forgotten, s; 0.25 if absent.
+    #[serde(default = "default_window")]
+    pub window_s: Positive,
+    /// Time over which reduced gains return, s; 10 if absent.
+    #[serde(default = "default_recovery")]
+    pub recovery_s: Positive,
+}
+
+impl Default for PassivityParameters {
+    fn default() -> Self {
+        Self {
+            enabled: true,
+            store_j: default_store(),
+            window_s: default_window(),
+            recovery_s: default_recovery(),
+        }
+    }
+}
+
+const fn no_target() -> PerAxis<f64> {
+    PerAxis::All(0.0)
+}
+
+const fn default_ramp_s() -> NonNegative {
+    NonNegative::literal(0.1)
+}
+
+const fn whole_target() -> PerAxis<Fraction> {
+    PerAxis::All(Fraction::literal(1.0))
+}
+
+const fn default_filter_hz() -> Positive {
+    Positive::literal(100.0)
+}
+
+const fn default_approach() -> Positive {
+    Positive::literal(0.05)
+}
+
+const fn default_made() -> Positive {
+    Positive::literal(2.0)
+}
+
+const fn default_lost() -> NonNegative {
+    NonNegative::literal(0.5)
+}
+
+const fn default_lost_after() -> NonNegative {
+    NonNegative::literal(0.05)
+}
+
+const fn enabled() -> bool {
+    true
+}
+
+const fn default_store() -> Positive {
+    Positive::literal(0.02)
+}
+
+const fn default_window() -> Positive {
+    Positive::literal(0.25)
+}
+
+const fn default_recovery() -> Positive {
+    Positive::literal(10.0)
+}
+
+/// Default gain of the force error on compliant axes.
+pub(crate) const COMPLIANT_GAIN: f64 = 2.0;
+
+/// Default gain of the force error on force axes.
+pub(crate) const FORCE_GAIN: f64 = 1.0;
+
+/// Default integral gain of force axes, 1/s.
+pub(crate) const INTEGRAL_PER_S: f64 = 20.0;
+
+/// Default damping of force axes, 1/s.
+pub(crate) const FORCE_DAMPING_PER_S: f64 = 120.0;
+
+impl ForceParameters {
+    /// Returns the feedback of a sensor, by name, without a target force and with the other defaults of files.
+    #[must_use]
+    pub fn new(sensor: impl Into<String>) -> Self {
+        Self {
+            sensor: sensor.into(),
+            target_n: no_target(),
+            target_nm: no_target(),
+            profile_n: ForceProfiles::default(),
+            ramp_s: default_ramp_s(),
+            feed_forward: whole_target(),
+            gain: None,
+            integral_per_s: None,
+            integral_limit: None,
+            damping_per_s: None,
+            filter_hz: default_filter_hz(),
+            sensed_compensation: None,
+            contact: None,
+            passivity: PassivityParameters::default(),
+        }
+    }
+
+    /// Force (N) and moment (Nm) that the environment should exert ON the robot, in the task axes; 0 on axes that are
+    /// neither compliant nor in force control. With a profile it is the last force.
+    #[must_use]
+    pub fn target(&self, axes: &Axes) -> Vector6<f64> {
+        let held = axes.force_axes();
+        Vector6::from_fn(|axis, _| if held[axis] { self.target_of(axis) } else { 0.0 })
+    }
+
+    /// Target of an axis, N or Nm.
+    pub(crate) fn target_of(&self, axis: usize) -> f64 {
+        let targets = if axis < 3 { &self.target_n } else { &self.target_nm };
+        self.profile_n.of(axis).last().map_or(targets.get(axis).unwrap_or(0.0), |&[_, force]| force)
+    }
+
+    /// Largest magnitude of an axis' target, N or Nm.
+    pub(crate) fn largest_target(&self, axis: usize) -> f64 {
+        let of_profile = self.profile_n.of(axis).iter().map(|&[_, force]| force.abs());
+        of_profile.fold(self.target_of(axis).abs(), f64::max)
+    }
+
+    /// Damping of a force axis, 1/s; `None` if the file gives values to other axes only.
+    pub(crate) fn damping_of(&self, axis: usize) -> Option<f64> {
+        self.damping_per_s.map_or(Some(FORCE_DAMPING_PER_S), |damping| Some(damping.get(axis)?.get()))
+    }
+
+    /// Checks the profiles. `key` is the path of the parameters in the file.
+    pub(crate) fn check_profiles(&self, in_force_control: [bool; 6], key: &str) -> Result<(), ControlError> {
+        for axis in 0..3 {
+            let profile = self.profile_n.of(axis);
+            let key = format!("{key}.profile_n.{}", AXIS_NAMES[axis]);
+            if profile.is_empty() {
+                continue;
+            }
+            if !in_force_control[axis] {
+                return Err(ControlError::new(key, Reason::ProfileAxis));
+            }
+            if profile.iter().flatten().any(|value| !value.is_finite()) {
+                return Err(ControlError::value(&key, "times and forces must be finite".to_owned()));
+            }
+            if profile.windows(2).any(|pair| pair[1][0] <= pair[0][0]) {
+                return Err(ControlError::value(&key, "times must increase".to_owned()));
+            }
+        }
+        Ok(())
+    }
+}
+
+impl ForceProfiles {
+    /// Times (s) and forces (N) along an axis; none about an axis.
+    pub(crate) fn of(&self, axis: usize) -> &[[f64; 2]] {
+        match axis {
+            0 => &self.x,
+            1 => &self.y,
+            2 => &self.z,
+            _ => &[],
+        }
+    }
+}
+
+/// Value of a list of times (s) and values at the time `time_s`, interpolated linearly; the first and the last value outside
+/// of it, `None` if it is empty.
+pub(crate) fn interpolated(profile: &[[f64; 2]], time_s: f64) -> Option<f64> {
+    let after = profile.partition_point(|&[t, _]| t <= time_s);
+    let (&[_, first], &[_, last]) = (profile.first()?, profile.last()?);
+    Some(match (after.checked_sub(1).and_then(|before| profile.get(before)), profile.get(after)) {
+        (Some(&[t0, from]), Some(&[t1, to])) => from + (to - from) * (time_s - t0) / (t1 - t0),
+        (None, _) => first,
+        (_, None) => last,
+    })
+}
