@@ -95,6 +95,10 @@ pub const VALUE: &str = "value";
 pub const ERROR: &str = "error";
 /// Task force along the task's rows, or contact force.
 pub const FORCE: &str = "force";
+/// True normal force of an environment object with friction, N.
+pub const NORMAL_FORCE: &str = "normal_force";
+/// True friction of an environment object on the robot, world axes (3; N).
+pub const FRICTION_FORCE: &str = "friction_force";
 /// Wrench sensed by a task, which acts ON the robot (6; N, Nm).
 pub const SENSED_FORCE: &str = "sensed_force";
 /// Target of a task's force axes, with ramps and profiles; 0 on other axes, and while an axis approaches (6; N, Nm).

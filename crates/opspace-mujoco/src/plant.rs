@@ -8,7 +8,9 @@ use crate::ffi::{Instance, Library};
 use crate::mjcf::{LOAD_CELL, ModelSettings, contents, joint_name, write};
 use nalgebra::Vector3;
 use opspace_model::Force;
-use opspace_sim::{ExternalForce, Plant, PlantArm, PlantArms, PlantConfig, PlantError, PlantFrame, Scene};
+use opspace_sim::{
+    EnvironmentObject, ExternalForce, Plant, PlantArm, PlantArms, PlantConfig, PlantError, PlantFrame, Scene,
+};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -156,6 +158,10 @@ impl Plant for MujocoPlant {
 
     fn contact_force(&self, arm: usize, contact: usize) -> Vector3<f64> {
         self.arms.contact_force(arm, contact)
+    }
+
+    fn environment_object(&self, arm: usize, contact: usize) -> Option<&EnvironmentObject> {
+        self.arms.environment_object(arm, contact)
     }
 
     fn push(&mut self, arm: usize, force: Option<ExternalForce>) {

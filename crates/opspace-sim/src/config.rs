@@ -163,8 +163,11 @@ impl ArmConfig {
                         return Err(SimulationError::Normal { object: name.clone() });
                     }
                 }
-                EnvironmentObjectParameters::Pushes(_) => {}
+                _ => {}
             }
+            object
+                .check()
+                .map_err(|mistake| SimulationError::EnvironmentObject { object: name.clone(), mistake })?;
         }
         Ok(())
     }

@@ -1,5 +1,6 @@
 //! Errors in the parameters of a simulation.
 
+use crate::environment::Mistake;
 use crate::plant::PlantError;
 use opspace_backend::CommandKind;
 use opspace_model::{UnknownFrame, UnknownJoint};
@@ -233,6 +234,14 @@ pub enum SimulationError {
         /// Name of the object.
         object: String,
     },
+    /// Object of the environment with contradictory parameters.
+    #[error("environment.{object}: {}", mistake.message)]
+    EnvironmentObject {
+        /// Name of the object.
+        object: String,
+        /// Key and description.
+        mistake: Mistake,
+    },
     /// Physics engine that cannot build the plant.
     #[error(transparent)]
     Plant(PlantError),
@@ -324,6 +333,10 @@ impl SimulationError {
             Self::Band { object } => task(object, "motion"),
             Self::NothingReported { object } => task(object, "report"),
             Self::Normal { object } => task(object, "normal"),
+            Self::EnvironmentObject { object, mistake } => {
+                let path = ["environment", object].into_iter().chain(mistake.key.split('.'));
+                Key::Task(path.map(str::to_owned).collect())
+            }
         }
     }
 }

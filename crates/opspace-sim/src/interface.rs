@@ -84,6 +84,7 @@ impl ArmInterface {
                 model,
                 TruthConfig {
                     contacts: contacts.collect(),
+                    objects: config.contacts(model).into_iter().map(|(_, object)| object).collect(),
                     has_external: config.external_forces,
                     has_setpoint_limits: setpoint_check.is_some(),
                 },

@@ -33,6 +33,10 @@ pub trait Plant {
     /// [`PlantArm::contacts`], followed by the arm's couplings in the order of [`PlantConfig::couplings`].
     fn contact_force(&self, arm: usize, contact: usize) -> Vector3<f64>;
 
+    /// Environment object of an arm, in the order of [`PlantArm::contacts`], with its state after the last step; `None`
+    /// for a coupling.
+    fn environment_object(&self, arm: usize, contact: usize) -> Option<&EnvironmentObject>;
+
     /// Sets the external force on an arm from the next step on; `None` removes it.
     fn push(&mut self, arm: usize, force: Option<ExternalForce>);
 

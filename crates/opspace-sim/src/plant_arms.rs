@@ -99,11 +99,12 @@ impl MovingArm {
         (x, v)
     }
 
-    /// Updates the forces of the environment and the external force, in the middle of the present step.
-    fn touch(&mut self, time_s: f64) {
+    /// Advances the environment by a step of `dt_s` to the middle of the present step, and updates its forces and the
+    /// external force.
+    fn touch(&mut self, time_s: f64, dt_s: f64) {
         for index in 0..self.objects.len() {
             let (x, v) = self.point(self.contacts[index].frame);
-            self.contacts[index].force = self.objects[index].force(time_s, &x, &v);
+            self.contacts[index].force = self.objects[index].force(time_s, dt_s, &x, &v);
         }
         if let Some(force) = self.external.set {
             let (x, v) = self.point(force.frame);
@@ -193,7 +194,7 @@ impl PlantArms {
             arm.torque.copy_from_slice(&joint_torques[arm.joints.clone()]);
             let (q, dq) = (&self.q.as_slice()[arm.joints.clone()], &self.dq.as_slice()[arm.joints.clone()]);
             arm.integrator.predict(&arm.model, q, dq, dt_s);
-            arm.touch(time_s + 0.5 * dt_s);
+            arm.touch(time_s + 0.5 * dt_s, dt_s);
         }
         for coupling in &self.couplings {
             coupling.pull(&mut self.arms);
@@ -241,6 +242,12 @@ impl PlantArms {
     #[must_use]
     pub fn contact_force(&self, arm: usize, contact: usize) -> Vector3<f64> {
         self.arms[arm].contacts[contact].force
+    }
+
+    /// Environment object of an arm: see [`Plant::environment_object`](crate::Plant::environment_object).
+    #[must_use]
+    pub fn environment_object(&self, arm: usize, contact: usize) -> Option<&EnvironmentObject> {
+        self.arms[arm].objects.get(contact)
     }
 
     /// Sets or removes the external force on an arm: see [`Plant::push`](crate::Plant::push).

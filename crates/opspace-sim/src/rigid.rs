@@ -1,5 +1,6 @@
 //! Plant of the library: rigid bodies simulated with the articulated-body algorithm and midpoint steps.
 
+use crate::environment::EnvironmentObject;
 use crate::external::ExternalForce;
 use crate::plant::{Plant, PlantConfig, PlantFrame};
 use crate::plant_arms::PlantArms;
@@ -44,6 +45,10 @@ impl Plant for RigidPlant {
 
     fn contact_force(&self, arm: usize, contact: usize) -> Vector3<f64> {
         self.arms.contact_force(arm, contact)
+    }
+
+    fn environment_object(&self, arm: usize, contact: usize) -> Option<&EnvironmentObject> {
+        self.arms.environment_object(arm, contact)
     }
 
     fn push(&mut self, arm: usize, force: Option<ExternalForce>) {

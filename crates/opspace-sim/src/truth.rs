@@ -1,5 +1,6 @@
 //! Rows of the true state of an arm between two reads.
 
+use crate::environment::EnvironmentObject;
 use crate::external::{self, ExternalForce, ExternalRows};
 use crate::plant::Plant;
 use crate::timing::Timing;
@@ -14,6 +15,8 @@ use std::ops::Range;
 /// Rows since the last read. Memory for many missed cycles is preallocated.
 pub(crate) struct TruthRows {
     arm: ArmSignals,
+    /// Signals of the channel `truth`.
+    signals: Vec<Signal>,
     truth: Vec<f64>,
     truth_width: usize,
     servo: Vec<f64>,
@@ -29,6 +32,8 @@ pub(crate) struct TruthRows {
 pub(crate) struct TruthConfig {
     /// Names of the contacts.
     pub contacts: Vec<String>,
+    /// Environment objects at the start, which are the first contacts.
+    pub objects: Vec<EnvironmentObject>,
     /// True if external forces may be applied.
     pub has_external: bool,
     /// True if the drives limit their setpoints.
@@ -43,19 +48,60 @@ struct ArmSignals {
     has_setpoint_limits: bool,
 }
 
+/// Contacts of an arm in the last step.
+trait Contacts {
+    /// Force of a contact on the arm, world axes (N).
+    fn force(&self, contact: usize) -> Vector3<f64>;
+
+    /// Environment object of a contact, if it is one.
+    fn object(&self, contact: usize) -> Option<&EnvironmentObject>;
+}
+
+/// Contacts before the first step.
+struct AtStart<'a>(&'a [EnvironmentObject]);
+
+impl Contacts for AtStart<'_> {
+    fn force(&self, _contact: usize) -> Vector3<f64> {
+        Vector3::zeros()
+    }
+
+    fn object(&self, contact: usize) -> Option<&EnvironmentObject> {
+        self.0.get(contact)
+    }
+}
+
+/// Contacts of an arm in a plant.
+struct InPlant<'a> {
+    plant: &'a dyn Plant,
+    arm: usize,
+}
+
+impl Contacts for InPlant<'_> {
+    fn force(&self, contact: usize) -> Vector3<f64> {
+        self.plant.contact_force(self.arm, contact)
+    }
+
+    fn object(&self, contact: usize) -> Option<&EnvironmentObject> {
+        self.plant.environment_object(self.arm, contact)
+    }
+}
+
 impl ArmSignals {
     fn record(
         &self,
         q: &[f64],
         dq: &[f64],
-        force: impl Fn(usize) -> Vector3<f64>,
+        contacts: &impl Contacts,
         setpoint_limited: &[f64],
         out: &mut SignalRecorder<'_>,
     ) {
         out.signal(Q, &self.units.position, &self.joints, q);
         out.signal(DQ, &self.units.velocity, &self.joints, dq);
         for (i, contact) in self.contacts.iter().enumerate() {
-            out.signal((contact, FORCE), "N", &["x", "y", "z"], force(i).as_slice());
+            out.signal((contact, FORCE), "N", &["x", "y", "z"], contacts.force(i).as_slice());
+            if let Some(object) = contacts.object(i) {
+                object.record(contact, out);
+            }
         }
         if self.has_setpoint_limits {
             out.signal(SETPOINT_LIMITED, "1", &self.joints, setpoint_limited);
@@ -68,25 +114,27 @@ impl TruthRows {
     pub fn new(model: &Model, config: TruthConfig, cycles: usize, ratio: usize) -> Self {
         let joints: Vec<String> = model.joints().iter().map(|j| j.name.clone()).collect();
         let n = joints.len();
-        let TruthConfig { contacts, has_external, has_setpoint_limits } = config;
-        let truth_width = 2 * n + 3 * contacts.len() + if has_setpoint_limits { n } else { 0 };
+        let TruthConfig { contacts, objects, has_external, has_setpoint_limits } = config;
+        let arm = ArmSignals { joints, units: model.joint_units(), contacts, has_setpoint_limits };
+        let signals = SignalRecorder::describe(|out| arm.record(&[], &[], &AtStart(&objects), &[], out));
+        let truth_width = signals.iter().map(|signal| signal.elements.len()).sum();
         Self {
             truth: Vec::with_capacity(cycles * truth_width),
             truth_width,
             servo: Vec::with_capacity(cycles * ratio * n),
             servo_commands: Vec::with_capacity(cycles * ratio),
             external: has_external.then(|| ExternalRows::new(model, cycles)),
-            arm: ArmSignals { joints, units: model.joint_units(), contacts, has_setpoint_limits },
+            arm,
+            signals,
             read: false,
             kept: true,
         }
     }
 
     pub fn layouts(&self) -> TruthLayouts {
-        let truth = SignalRecorder::describe(|out| self.arm.record(&[], &[], |_| Vector3::zeros(), &[], out));
         let servo = vec![Signal::new(MOTOR_TORQUE, &self.arm.units.torque, &self.arm.joints)];
         let layouts = TruthLayouts::new(
-            Layout { channel: TRUTH_CHANNEL.to_owned(), signals: truth },
+            Layout { channel: TRUTH_CHANNEL.to_owned(), signals: self.signals.clone() },
             Layout { channel: SERVO_CHANNEL.to_owned(), signals: servo },
         );
         match &self.external {
@@ -144,7 +192,7 @@ impl TruthRows {
         self.truth.resize(begin + self.truth_width, f64::NAN);
         let (q, dq) = (&plant.q()[joints.clone()], &plant.dq()[joints.clone()]);
         let mut out = SignalRecorder::sampling(&mut self.truth[begin..]);
-        self.arm.record(q, dq, |contact| plant.contact_force(arm, contact), setpoint_limited, &mut out);
+        self.arm.record(q, dq, &InPlant { plant, arm }, setpoint_limited, &mut out);
     }
 
     /// Adds a row: the external force that is set from this cycle on, and the force that acted before it (N).

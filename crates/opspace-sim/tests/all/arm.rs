@@ -4,7 +4,7 @@ use crate::common::{START, arm, object, parsed, read, servo_rows, setup, try_rea
 use nalgebra::{DVector, Vector3};
 use opspace_backend::{Backend, Command, CommandKind, GravityCompensation, Measured, Sample, TruthRow};
 use opspace_model::{Data, Model, frame_placement, kinematics, potential_energy};
-use opspace_sim::{ArmConfig, SimulatedArm, SimulationError, fault};
+use opspace_sim::{ArmConfig, Key, SimulatedArm, SimulationError, fault};
 use std::f64::consts::TAU;
 
 /// Returns the gradient of potential energy by finite differences: joint torques that hold the weight, computed without
@@ -407,6 +407,15 @@ fn contradictory_parameters_are_refused_by_name() {
     let wall = "[wall]\nframe = 'hand'\npoint_m = [0.0, 0.0, 0.0]\nnormal = [0.0, 0.0, 0.0]\nstiffness_n_per_m = 1.0\ndamping_ns_per_m = 0.0";
     let flat = refused(&|s| s.environment = vec![("table".to_owned(), object(wall))]);
     assert_eq!(flat, SimulationError::Normal { object: "table".to_owned() });
+    let sloped = wall.replace("normal = [0.0, 0.0, 0.0]", "normal = [0.0, 0.0, 1.0]");
+    for (edge, words) in [("[0.0, 0.0, 0.0]", "no length"), ("[0.0, 0.0, -2.0]", "direction along the wall")]
+    {
+        let text = format!("{sloped}\nedge = {{ toward = {edge}, at_m = 0.1 }}");
+        let error = refused(&|s| s.environment = vec![("table".to_owned(), object(&text))]);
+        assert!(error.to_string().contains(words), "{error}");
+        let key = ["environment", "table", "edge", "toward"].map(str::to_owned).to_vec();
+        assert_eq!(error.key(), Key::Task(key));
+    }
     let lost = wall.replace("'hand'", "'hnad'");
     let lost = refused(&|s| s.environment = vec![("table".to_owned(), object(&lost))]);
     assert!(lost.to_string().contains("hnad"), "{lost}");

@@ -9,6 +9,9 @@ use opspace_sim::parameters::ForceSensorParameters;
 use opspace_sim::random::{RngStream, generator};
 use std::f64::consts::TAU;
 
+/// Duration of a step of the plant, s.
+const STEP_S: f64 = 5e-5;
+
 const HOME: Vector3<f64> = Vector3::new(0.3, -0.1, -0.2);
 
 /// Returns the offset of an operator's hand over time: the force of a spring of 1 N/m without damping on a frame at
@@ -25,7 +28,7 @@ fn offset_of_hand(stream: u32) -> impl FnMut(f64) -> Vector3<f64> {
     );
     let mut hand =
         EnvironmentObject::new(&parameters, HOME, generator(5, RngStream::EnvironmentObject(stream)));
-    move |t| hand.force(t, &HOME, &Vector3::zeros())
+    move |t| hand.force(t, STEP_S, &HOME, &Vector3::zeros())
 }
 
 /// Compared: rms of the motion over a long time, and the configured rms.
@@ -90,20 +93,21 @@ fn operator_starts_at_rest_and_pulls_the_frame() {
         HOME,
         generator(1, RngStream::EnvironmentObject(0)),
     );
-    let force = still.force(3.0, &(HOME + Vector3::new(0.01, 0.02, 0.03)), &Vector3::new(0.1, -0.2, 0.3));
+    let force =
+        still.force(3.0, STEP_S, &(HOME + Vector3::new(0.01, 0.02, 0.03)), &Vector3::new(0.1, -0.2, 0.3));
     // By hand: -200 0.01 - 15 0.1; half of -200 0.02 + 15 0.2; zero.
     assert!((force - Vector3::new(-3.5, -0.5, 0.0)).norm() < 1e-12, "{force}");
     // The damper acts relative to the hand's velocity, the derivative of its offset.
     let random = "random = { rms_m = 0.04, from_hz = 0.1, to_hz = 0.7, ramp_s = 1.0 }";
     let mut moving =
         EnvironmentObject::new(&object(&text(random)), HOME, generator(1, RngStream::EnvironmentObject(0)));
-    let mut at = |t: f64| moving.force(t, &HOME, &Vector3::zeros()).x;
+    let mut at = |t: f64| moving.force(t, STEP_S, &HOME, &Vector3::zeros()).x;
     let mut spring_only = EnvironmentObject::new(
         &object(&text(random).replace("damping_ns_per_m = 15.0", "damping_ns_per_m = 0.0")),
         HOME,
         generator(1, RngStream::EnvironmentObject(0)),
     );
-    let mut offset = |t: f64| spring_only.force(t, &HOME, &Vector3::zeros()).x / 200.0;
+    let mut offset = |t: f64| spring_only.force(t, STEP_S, &HOME, &Vector3::zeros()).x / 200.0;
     for t in [0.4, 1.3, 5.7] {
         let speed = (offset(t + 1e-5) - offset(t - 1e-5)) / 2e-5;
         assert!((at(t) - 200.0 * offset(t) - 15.0 * speed).abs() < 1e-6, "at {t} s");
@@ -124,7 +128,7 @@ fn push_is_half_a_sine() {
         "[pushes]\nframe = 'hand'\npush = [{ at_s = 1.0, duration_s = 0.5, force_n = [10.0, -4.0, 0.0] }]",
     );
     let mut push = EnvironmentObject::new(&parameters, HOME, generator(1, RngStream::EnvironmentObject(0)));
-    let mut force = |t: f64| push.force(t, &HOME, &Vector3::zeros());
+    let mut force = |t: f64| push.force(t, STEP_S, &HOME, &Vector3::zeros());
     assert_eq!(force(0.999), Vector3::zeros());
     assert_eq!(force(1.501), Vector3::zeros());
     assert!((force(1.25) - Vector3::new(10.0, -4.0, 0.0)).norm() < 1e-12);
@@ -148,7 +152,7 @@ fn wall_pushes_and_never_pulls() {
     );
     let mut wall = EnvironmentObject::new(&parameters, HOME, generator(1, RngStream::EnvironmentObject(0)));
     let mut force =
-        |x: f64, v: f64| wall.force(0.0, &Vector3::new(x, 0.2, -0.3), &Vector3::new(v, 1.0, -1.0));
+        |x: f64, v: f64| wall.force(0.0, STEP_S, &Vector3::new(x, 0.2, -0.3), &Vector3::new(v, 1.0, -1.0));
     for v in [-3.0, -0.1, 0.0, 0.1, 3.0] {
         assert_eq!(force(0.2999, v), Vector3::zeros(), "before the wall");
         for depth in [1e-5, 1e-3, 1e-2] {

@@ -3,6 +3,7 @@
 mod arm;
 mod bus;
 mod common;
+mod contacts;
 mod drives;
 mod energy;
 mod environment;

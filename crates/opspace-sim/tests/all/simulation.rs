@@ -6,8 +6,8 @@ use opspace_backend::quantity::NonNegative;
 use opspace_backend::{Backend, Command, CommandKind, GroundTruth, Sample, Setpoints, TruthRow};
 use opspace_model::{Data, Force, Model, Placement, frame_placement, kinematics};
 use opspace_sim::{
-    ArmConfig, CouplingConfig, ExternalForce, Plant, PlantFrame, RigidPlant, SimulatedArm, Simulation,
-    SimulationConfig, SimulationError,
+    ArmConfig, CouplingConfig, EnvironmentObject, ExternalForce, Plant, PlantFrame, RigidPlant, SimulatedArm,
+    Simulation, SimulationConfig, SimulationError,
 };
 
 use std::sync::Arc;
@@ -302,6 +302,10 @@ impl Plant for OtherEngine {
 
     fn contact_force(&self, arm: usize, contact: usize) -> Vector3<f64> {
         self.0.contact_force(arm, contact)
+    }
+
+    fn environment_object(&self, arm: usize, contact: usize) -> Option<&EnvironmentObject> {
+        self.0.environment_object(arm, contact)
     }
 
     fn push(&mut self, arm: usize, force: Option<ExternalForce>) {

@@ -1,0 +1,19 @@
+//! Contradictory parameters of an environment object.
+
+use std::borrow::Cow;
+
+/// Key of an object's table that causes an error, and a description.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Mistake {
+    /// Key below the object's table, with a dot between the parts.
+    pub key: &'static str,
+    /// Description of the mistake, and of what is allowed.
+    pub message: Cow<'static, str>,
+}
+
+impl Mistake {
+    /// Returns the mistake in the value of a key.
+    pub(super) fn new(key: &'static str, message: impl Into<Cow<'static, str>>) -> Self {
+        Self { key, message: message.into() }
+    }
+}

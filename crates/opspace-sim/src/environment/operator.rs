@@ -1,0 +1,164 @@
+//! Operator who holds a frame of the robot by a spring: `[environment.NAME.spring]`.
+
+use crate::sines::{SINES, Sines};
+use nalgebra::Vector3;
+use opspace_backend::quantity::{NonNegative, Positive, exactly};
+use rand::RngExt;
+use rand_chacha::ChaCha8Rng;
+#[cfg(feature = "schema")]
+use schemars::JsonSchema;
+use serde::Deserialize;
+use std::f64::consts::TAU;
+
+/// Spring and damper between frame and operator: `F = gain ∘ [K (x_operator − x) + B (ẋ_operator − ẋ)]`. The operator
+/// starts at the frame's initial position.
+#[derive(Clone, Debug, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct SpringParameters {
+    /// Name of the frame that the operator holds.
+    pub frame: String,
+    /// Stiffness K, N/m.
+    pub stiffness_n_per_m: NonNegative,
+    /// Damping B, Ns/m.
+    pub damping_ns_per_m: NonNegative,
+    /// Factor on K and B in x, y and z of the world.
+    #[serde(default = "everywhere", deserialize_with = "exactly")]
+    pub gain: [NonNegative; 3],
+    /// World axes for which its force and the frame's motion are reported.
+    #[serde(default = "all_axes")]
+    pub report: Vec<WorldAxis>,
+    /// Motion of the operator.
+    pub motion: OperatorMotion,
+}
+
+const fn everywhere() -> [NonNegative; 3] {
+    [NonNegative::literal(1.0); 3]
+}
+
+fn all_axes() -> Vec<WorldAxis> {
+    vec![WorldAxis::X, WorldAxis::Y, WorldAxis::Z]
+}
+
+/// Axis of the world.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(rename_all = "kebab-case")]
+pub enum WorldAxis {
+    /// Forward.
+    X,
+    /// Left.
+    Y,
+    /// Up.
+    Z,
+}
+
+/// Motion of an operator.
+#[derive(Clone, Debug, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(rename_all = "kebab-case", deny_unknown_fields)]
+#[non_exhaustive]
+pub enum OperatorMotion {
+    /// No motion.
+    Still {},
+    /// Band-limited random motion: 24 sines per axis, of random frequency, phase and amplitude.
+    Random(RandomMotion),
+}
+
+/// Band-limited random motion.
+#[derive(Clone, Debug, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct RandomMotion {
+    /// Rms amplitude of the motion along each axis, m.
+    pub rms_m: NonNegative,
+    /// Lowest frequency, Hz.
+    pub from_hz: Positive,
+    /// Highest frequency, Hz.
+    pub to_hz: Positive,
+    /// Time over which the motion ramps up, s.
+    #[serde(default = "one_second")]
+    pub ramp_s: Positive,
+}
+
+const fn one_second() -> Positive {
+    Positive::literal(1.0)
+}
+
+/// Operator with spring and damper, and the sines of its random motion.
+#[derive(Clone, Debug)]
+pub struct Spring {
+    stiffness: Vector3<f64>,
+    damping: Vector3<f64>,
+    home: Vector3<f64>,
+    ramp_s: f64,
+    /// Random motion along each axis, m; no sines for an operator who does not move.
+    sines: Box<[Sines; 3]>,
+}
+
+/// Returns the minimum-jerk ramp s = 10u³ − 15u⁴ + 6u⁵ with u = t/duration, from 0 to 1, and its rate (1/s).
+fn minimum_jerk(t: f64, duration: f64) -> (f64, f64) {
+    if t <= 0.0 {
+        return (0.0, 0.0);
+    }
+    if t >= duration {
+        return (1.0, 0.0);
+    }
+    let u = t / duration;
+    let rate = 30.0 * u * u * (1.0 - u) * (1.0 - u) / duration;
+    (u * u * u * (10.0 + u * (-15.0 + 6.0 * u)), rate)
+}
+
+impl Spring {
+    pub(super) fn new(p: &SpringParameters, home: Vector3<f64>, mut random: ChaCha8Rng) -> Self {
+        let gain = Vector3::from(p.gain.map(NonNegative::get));
+        let (ramp_s, sines) = match &p.motion {
+            OperatorMotion::Still {} => (1.0, Default::default()),
+            OperatorMotion::Random(motion) => {
+                (motion.ramp_s.get(), Box::new(std::array::from_fn(|_| motion.draw(&mut random))))
+            }
+        };
+        Self {
+            stiffness: gain * p.stiffness_n_per_m.get(),
+            damping: gain * p.damping_ns_per_m.get(),
+            home,
+            ramp_s,
+            sines,
+        }
+    }
+
+    pub(super) fn force(&mut self, t: f64, x: &Vector3<f64>, v: &Vector3<f64>) -> Vector3<f64> {
+        let (offset, speed) = self.motion(t);
+        self.stiffness.component_mul(&(self.home + offset - x)) + self.damping.component_mul(&(speed - v))
+    }
+
+    /// Offset from home and velocity of the operator (m, m/s), along the axes on which it acts.
+    fn motion(&mut self, t: f64) -> (Vector3<f64>, Vector3<f64>) {
+        let (s, ds) = minimum_jerk(t, self.ramp_s);
+        let mut offset = Vector3::zeros();
+        let mut speed = Vector3::zeros();
+        for (axis, sines) in self.sines.iter_mut().enumerate() {
+            if self.stiffness[axis] != 0.0 || self.damping[axis] != 0.0 {
+                let (p, dp) = sines.at(t);
+                offset[axis] = s * p;
+                speed[axis] = ds * p + s * dp;
+            }
+        }
+        (offset, speed)
+    }
+}
+
+impl RandomMotion {
+    /// Returns the sines of one axis; the rms of their sum is `rms_m`.
+    fn draw(&self, random: &mut ChaCha8Rng) -> Sines {
+        let (from, to) = (self.from_hz.get(), self.to_hz.get());
+        let mut drawn: [(f64, f64, f64); SINES] = std::array::from_fn(|_| {
+            let frequency = from + (to - from) * random.random_range(0.0..1.0);
+            let phase = random.random_range(0.0..TAU);
+            (random.random_range(0.3..=1.0), TAU * frequency, phase)
+        });
+        let rms = (drawn.iter().map(|s| s.0 * s.0 / 2.0).sum::<f64>()).sqrt();
+        drawn.iter_mut().for_each(|s| s.0 *= self.rms_m.get() / rms);
+        Sines::new(&drawn)
+    }
+}
