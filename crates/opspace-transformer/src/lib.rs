@@ -49,6 +49,7 @@ pub mod friction;
 pub mod gain_adaptation;
 pub mod identity;
 pub mod impedance;
+pub mod momentum_observer;
 mod motion_estimator;
 pub mod moving_joint;
 pub mod observed;
@@ -75,6 +76,7 @@ pub use extrapolating_transformer::{ExtrapolatingTransformer, ExtrapolationSetup
 pub use friction::{FrictionCompensation, FrictionCompensationParameters, FrictionLaw, FrictionParameters};
 pub use gain_adaptation::{GainAdaptation, GainAdaptationParameters};
 pub use identity::Identity;
+pub use momentum_observer::MomentumObserver;
 pub use observed::ObservedTransformer;
 pub use observer::{ObservedJoint, ObserverGain};
 pub use parameters::{JointParameters, ProfileParameters, RotorParameters};
