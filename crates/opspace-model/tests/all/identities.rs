@@ -11,7 +11,8 @@ use crate::common::{
 use nalgebra::DMatrix;
 use opspace_model::{
     Data, OperationalSpace, aba, bias, crba, frame_bias_acceleration, frame_jacobian, frame_placement,
-    frame_velocity, generalized_momentum, gravity, kinematics, kinetic_energy, potential_energy, rnea, update,
+    frame_velocity, generalized_momentum, gravity, kinematics, kinetic_energy, potential_energy, rnea,
+    update,
 };
 use proptest::prelude::*;
 
