@@ -50,6 +50,8 @@ pub const COMMAND: &str = "command";
 pub const TORQUE_DESIRED: &str = "torque_desired";
 /// 1 for each joint whose desired torque was clamped (n).
 pub const TORQUE_SATURATED: &str = "torque_saturated";
+/// Torques of the friction observer (n; Nm).
+pub const FRICTION_OBSERVER: &str = "friction_observer";
 /// Setpoints of a position-controlled robot (n; rad).
 pub const Q_DESIRED: &str = "q_desired";
 /// Setpoints of a velocity-controlled robot (n; rad/s).

@@ -21,6 +21,7 @@
 //! references continue. After more, the robot is held until it stands still. Then the estimates start anew, the
 //! references are approached again from the robot's position, and torques ramp in as at the start.
 
+use crate::external_torque::ExternalTorque;
 use crate::fault::Fault;
 use crate::guard::Guard;
 use crate::loop_config::{LoopConfig, LoopError};
@@ -62,6 +63,7 @@ pub struct ControlLoop {
     transformer: Box<dyn Transformer>,
     guard: Option<Guard>,
     friction: FrictionCompensation,
+    external_torque: Option<ExternalTorque>,
     /// Joint velocities that the references ask for (n; rad/s, m/s).
     reference_velocity: DVector<f64>,
     torque_limits: Vec<f64>,
@@ -121,6 +123,7 @@ impl ControlLoop {
     /// If the parts are not compatible.
     pub fn new(config: LoopConfig) -> Result<Self, LoopError> {
         config.check()?;
+        let external_torque = ExternalTorque::new(&config)?;
         let LoopConfig { model, capabilities, controller, transformer, safety, .. } = config;
         let (n, period_s) = (model.n(), capabilities.period_s);
         let nan = DVector::from_element(n, f64::NAN);
@@ -154,6 +157,7 @@ impl ControlLoop {
             torque_limits: config.torque_limits,
             reference_velocity: DVector::zeros(config.friction.joints()),
             friction: config.friction,
+            external_torque,
             capabilities,
             controller,
             transformer,
@@ -341,6 +345,9 @@ impl ControlLoop {
     fn hold(&mut self, targets: &Targets) -> Result<(), Fault> {
         self.controller.observe_while_held(&self.state.input(targets));
         self.friction.reset();
+        if let Some(external) = &mut self.external_torque {
+            external.reset();
+        }
         self.command.fill(f64::NAN);
         self.torque_desired.fill(f64::NAN);
         self.saturated.fill(0.0);
@@ -356,6 +363,7 @@ impl ControlLoop {
 
     fn command(&mut self, targets: &Targets) -> Result<(), Fault> {
         let kind = self.controller.command_kind();
+        self.observe_external_torque();
         if kind == CommandKind::Torque {
             self.compensate_friction();
         }
@@ -396,12 +404,23 @@ impl ControlLoop {
         Ok(())
     }
 
+    fn observe_external_torque(&mut self) {
+        let State { model, data, estimator, .. } = &mut self.state;
+        if let Some(external) = &mut self.external_torque {
+            let (measurement, missed) = (estimator.measurement(), estimator.missed());
+            external.update(model, data, measurement, &self.torque_desired, missed);
+        }
+    }
+
     fn compensate_friction(&mut self) {
         let State { estimator, feedforward_torque, .. } = &mut self.state;
         let Measurement { q, dq, .. } = estimator.measurement();
         self.friction.advance(q.as_slice());
         for (i, (torque, &dq)) in feedforward_torque.iter_mut().zip(dq.iter()).enumerate() {
             *torque = self.friction.torque(i, dq);
+        }
+        if let Some(external) = &mut self.external_torque {
+            external.compensate(feedforward_torque);
         }
     }
 
@@ -505,6 +524,9 @@ impl Observable for ControlLoop {
         out.signal(COMMAND, command_units, joints, self.command.as_slice());
         out.signal(TORQUE_DESIRED, &units.torque, joints, self.torque_desired.as_slice());
         out.signal(TORQUE_SATURATED, "1", joints, self.saturated.as_slice());
+        if let Some(external) = &self.external_torque {
+            external.record(out);
+        }
         if let Some(guard) = &self.guard {
             guard.record(out);
         }

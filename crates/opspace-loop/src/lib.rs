@@ -53,6 +53,8 @@
 
 pub mod control_loop;
 pub mod drive;
+mod driving_torque;
+mod external_torque;
 pub mod fault;
 mod guard;
 pub mod link;

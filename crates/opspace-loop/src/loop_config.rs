@@ -5,7 +5,9 @@ use opspace_backend::{Capabilities, CommandKind};
 use opspace_control::Controller;
 use opspace_model::{Model, UnknownFrame};
 use opspace_transformer::setpoint_limits::JointSetpointLimits;
-use opspace_transformer::{EstimatorParameters, FrictionCompensation, Identity, ServoGains, Transformer};
+use opspace_transformer::{
+    EstimatorParameters, FrictionCompensation, FrictionObserver, Identity, ServoGains, Transformer,
+};
 use thiserror::Error;
 
 /// Parts of a [`ControlLoop`](crate::ControlLoop).
@@ -24,6 +26,12 @@ pub struct LoopConfig {
     pub estimator: EstimatorParameters,
     /// Friction compensation n̂, added to the controller's torques.
     pub friction: FrictionCompensation,
+    /// Observer of the friction that the compensation leaves, if any. It needs a force sensor: otherwise it would oppose all
+    /// contact.
+    pub friction_observer: Option<FrictionObserver>,
+    /// Time from a sample until the torque of its command acts, s. Observers of external torques use it if motor torques are
+    /// not measured.
+    pub command_delay_s: f64,
     /// Torque limits of the drives (n; Nm, N).
     pub torque_limits: Vec<f64>,
     /// Limits of the setpoints that the drives accept (n); empty if they have none. Setpoints of a transformer are kept
@@ -41,6 +49,8 @@ impl LoopConfig {
         Self {
             torque_limits: model.joints().iter().map(|joint| joint.limits.effort).collect(),
             friction: FrictionCompensation::none(model.n()),
+            friction_observer: None,
+            command_delay_s: 0.0,
             transformer: Box::new(Identity),
             servo_gains: Vec::new(),
             setpoint_limits: Vec::new(),
@@ -89,6 +99,9 @@ impl LoopConfig {
         {
             return value("a servo gain", "finite and not below 0", gain);
         }
+        if self.friction_observer.is_some() && capabilities.force_sensors.is_empty() {
+            return Err(LoopError::NoForceSensor);
+        }
         let gives = controller.command_kind();
         if gives != CommandKind::Torque && gives != takes {
             return Err(LoopError::Kind { part: "controller", gives, takes });
@@ -115,6 +128,9 @@ pub enum LoopError {
         /// Joints of the model.
         model: Vec<String>,
     },
+    /// Friction observer on a robot without a force sensor.
+    #[error("the friction observer needs a force sensor: without one it would oppose all contact")]
+    NoForceSensor,
     /// Array that does not have one value per joint.
     #[error("{what} has {found} values; the model has {joints} joints")]
     Length {

@@ -52,6 +52,10 @@ pub struct Data<T: Real = f64> {
     pub mass_matrix_inverse: DMatrix<T>,
     /// C(q, q̇) from Christoffel symbols (n × n), Nms/rad. By [`coriolis`](crate::coriolis()).
     pub coriolis_matrix: DMatrix<T>,
+    /// Generalised momentum p = M q̇, Nms (n). By [`generalized_momentum`](crate::generalized_momentum).
+    pub momentum: DVector<T>,
+    /// Gradient of the kinetic energy, Cᵀ q̇, Nm (n). By [`generalized_momentum`](crate::generalized_momentum).
+    pub kinetic_energy_gradient: DVector<T>,
     /// C(q, q̇) q̇ + g(q), Nm (n). By [`bias`](crate::bias).
     pub bias: DVector<T>,
     /// g(q), Nm (n). By [`gravity`](crate::gravity).
@@ -124,6 +128,8 @@ impl<T: Real> Data<T> {
             mass_matrix_factor: MassMatrixFactor::new(model),
             mass_matrix_inverse: square.clone(),
             coriolis_matrix: square.clone(),
+            momentum: zero.clone(),
+            kinetic_energy_gradient: zero.clone(),
             bias: zero.clone(),
             gravity: zero.clone(),
             torque: zero.clone(),

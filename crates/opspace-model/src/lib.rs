@@ -35,6 +35,7 @@
 //! | M, its factor, M⁻¹ x, M⁻¹ | [`crba()`], [`cholesky()`], [`MassMatrixFactor::solve`], [`mass_matrix_inverse`] | `crba`, `cholesky::decompose`, `cholesky::solve`, `computeMinverse` |
 //! | q̈ | [`aba()`] | `aba` |
 //! | C | [`coriolis()`] | `computeCoriolisMatrix` |
+//! | M q̇ and Cᵀ q̇ | [`generalized_momentum`] | – |
 //! | derivatives in q, q̇ | [`rnea_derivatives`], [`aba_derivatives`] | `computeRNEADerivatives`, `computeABADerivatives` |
 //! | momentum, centre of mass, energy | [`centroidal`], [`com_jacobian`], [`energy`] | `ccrba`, `jacobianCenterOfMass`, `computeKineticEnergy` |
 //! | linear in the inertial parameters | [`torque_regressor`] | `computeJointTorqueRegressor` |
@@ -66,6 +67,7 @@ pub mod energy;
 pub mod jacobian;
 pub mod kinematics;
 pub mod model;
+pub mod momentum;
 mod name_list;
 pub mod operational_space;
 pub mod postures;
@@ -97,6 +99,7 @@ pub use kinematics::{
 pub use model::{
     Body, Frame, FrameId, Joint, JointKind, JointUnits, Limits, Model, UnknownFrame, UnknownJoint,
 };
+pub use momentum::generalized_momentum;
 pub use operational_space::{Inversion, OperationalSpace};
 pub use postures::Postures;
 pub use real::Real;

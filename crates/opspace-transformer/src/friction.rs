@@ -67,6 +67,14 @@ pub struct FrictionCompensationParameters {
     /// rad/s (m/s).
     #[serde(default = "default_smoothing")]
     pub smoothing_rad_per_s: Positive,
+    /// Corner frequency of the friction observer, rad/s; none if absent. It adds the friction that the compensation leaves,
+    /// and errors of the model, as far as the motion shows them. It needs a force sensor. 60 rad/s is a good value; below
+    /// 20 rad/s, arms at rest may hunt.
+    #[serde(default)]
+    pub observer_rad_per_s: Option<Positive>,
+    /// Largest torque of the friction observer at each joint, Nm (N).
+    #[serde(default = "default_observer_limit")]
+    pub observer_limit_nm: Positive,
 }
 
 /// Quantity that the compensation of Coulomb friction follows.
@@ -92,6 +100,8 @@ impl Default for FrictionCompensationParameters {
             gain: default_gain(),
             follows: FrictionLaw::default(),
             smoothing_rad_per_s: default_smoothing(),
+            observer_rad_per_s: None,
+            observer_limit_nm: default_observer_limit(),
         }
     }
 }
@@ -102,6 +112,10 @@ const fn default_gain() -> NonNegative {
 
 const fn default_smoothing() -> Positive {
     Positive::literal(0.05)
+}
+
+const fn default_observer_limit() -> Positive {
+    Positive::literal(6.0)
 }
 
 const fn default_presliding() -> Positive {

@@ -20,7 +20,9 @@ use opspace_control::{
 use opspace_loop::{ControlLoop, LoopConfig, LoopError};
 use opspace_model::{Limits, Placement};
 use opspace_sim::{ArmConfig, Key, PhysicsEngine, PlantError, Scene, SimulatedArm, SimulationError};
-use opspace_transformer::{FrictionCompensation, ProfileParameters, ServoGains, TransformerKind};
+use opspace_transformer::{
+    FrictionCompensation, FrictionObserver, ProfileParameters, ServoGains, TransformerKind,
+};
 #[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::Deserialize;
@@ -439,6 +441,10 @@ impl Experiment {
             servo_gains: self.servo_gains()?,
             setpoint_limits: self.setpoint_limits(),
             estimator: self.profile.estimator.clone(),
+            friction_observer: friction.observer_rad_per_s.map(|corner_rad_per_s| {
+                FrictionObserver::new(joints.len(), corner_rad_per_s, friction.observer_limit_nm)
+            }),
+            command_delay_s: f64::from(self.profile.delay()) * self.profile.servo_period_s(),
             friction: FrictionCompensation::new(joints.iter().map(|j| &j.friction), friction),
             torque_limits: self.robot.torque_limits(),
             safety: self.robot.file.safety.clone(),
@@ -492,6 +498,15 @@ impl Experiment {
         self.servos()?;
         if let Some(kind) = self.transformer_kind() {
             self.check_transformer(kind)?;
+        }
+        let observes_friction = self.task.file.friction_compensation.observer_rad_per_s.is_some();
+        if observes_friction && self.robot.file.force_sensor.is_empty() {
+            let message = "the friction observer needs a force sensor, which this robot does not have: it would oppose \
+                           all contact as if it were friction";
+            let help =
+                Some("omit observer_rad_per_s, or add [force_sensor.NAME] if the robot has one".to_owned());
+            let key = "friction_compensation.observer_rad_per_s";
+            return Err(FileError::at_key(&self.task.source, key, message, help));
         }
         let counted_s = self.duration_s() - self.task.file.settle_s.get();
         if counted_s > 0.0 && counted_s < self.profile.period_s() {

@@ -5,9 +5,11 @@
 
 use crate::common::cases::{Case, DURATION_S, cases};
 use crate::common::{self, KINDS, PERIOD_S, capabilities, config, gravity_controller};
+use opspace_backend::quantity::Positive;
 use opspace_backend::{CommandKind, DeviceFault, Layout, Sample, Sink, TICK};
-use opspace_loop::{ControlLoop, Phase, Run};
+use opspace_loop::{ControlLoop, LoopConfig, Phase, Run};
 use opspace_testing::allocation::allocations;
+use opspace_transformer::FrictionObserver;
 use std::sync::atomic::AtomicBool;
 
 /// Sink that keeps the phases and device faults of the rows.
@@ -46,8 +48,11 @@ fn device_fault() -> DeviceFault {
 /// Checks that no cycle of a run allocates.
 fn check(case: &Case, kind: CommandKind) -> Seen {
     let stop_request = AtomicBool::new(false);
-    let control =
-        ControlLoop::new(config(capabilities(kind), gravity_controller(3.0))).expect("parts that fit");
+    let parts = LoopConfig {
+        friction_observer: Some(FrictionObserver::new(2, Positive::literal(60.0), Positive::literal(6.0))),
+        ..config(capabilities(kind), gravity_controller(3.0))
+    };
+    let control = ControlLoop::new(parts).expect("parts that fit");
     let mut seen = Seen::new(&Run::layouts(&control, None)[TICK]);
     let mut run = Run::new(control, DURATION_S, &mut seen).with_stop_request(&stop_request);
     let mut sample = Sample::new(&capabilities(kind));

@@ -6,6 +6,7 @@ mod clock;
 mod common;
 mod device_fault;
 mod dropout;
+mod friction_observer;
 mod ground_truth;
 mod measurement;
 mod panic;

@@ -12,8 +12,8 @@ use opspace_model::{
     Data, Force, FrameId, Inertia, Limits, Model, OperationalSpace, Placement, Real, UrdfOptions, aba,
     aba_derivatives, aba_external, bias, center_of_mass, centroidal_map, centroidal_momentum, cholesky,
     com_jacobian, coriolis, crba, difference, forward_kinematics, frame_bias_acceleration, frame_jacobian,
-    frame_jacobian_rate, frame_placement, frame_velocity, gravity, inertial_parameters, integrate,
-    kinematics, kinetic_energy, local_jacobian, local_jacobian_rate, mass_matrix_inverse, neutral,
+    frame_jacobian_rate, frame_placement, frame_velocity, generalized_momentum, gravity, inertial_parameters,
+    integrate, kinematics, kinetic_energy, local_jacobian, local_jacobian_rate, mass_matrix_inverse, neutral,
     point_jacobian, potential_energy, relative_jacobian, rnea, rnea_derivatives, rnea_external,
     torque_regressor, update, world_jacobian, world_jacobian_rate,
 };
@@ -103,6 +103,7 @@ fn allocations_of_all<T: Real>(model: &Model<T>, [tip, second]: [FrameId; 2], q:
         bias(model, &mut data);
         gravity(model, &mut data);
         coriolis(model, &mut data);
+        generalized_momentum(model, &mut data);
         rnea(model, &mut data, &ddq);
         rnea_external(model, &mut data, &ddq, &wrenches);
         aba(model, &mut data, &tau);

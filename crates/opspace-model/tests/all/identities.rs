@@ -11,7 +11,8 @@ use crate::common::{
 use nalgebra::DMatrix;
 use opspace_model::{
     Data, OperationalSpace, aba, bias, crba, frame_bias_acceleration, frame_jacobian, frame_placement,
-    frame_velocity, gravity, kinematics, kinetic_energy, potential_energy, rnea, update,
+    frame_velocity, generalized_momentum, gravity, kinematics, kinetic_energy, potential_energy, rnea,
+    update,
 };
 use proptest::prelude::*;
 
@@ -21,6 +22,16 @@ fn mass_matrix(case: &Case) -> DMatrix<f64> {
 
 proptest! {
     #![proptest_config(config(384))]
+
+    /// Compared: momentum and gradient of the kinetic energy from one pass over the bodies, with M q̇ and Cᵀ q̇ from the
+    /// matrices of CRBA and of the Christoffel symbols.
+    #[test]
+    fn generalized_momentum_matches_mass_and_coriolis_matrices(case in case()) {
+        let mut data = case.evaluated();
+        generalized_momentum(&case.model, &mut data);
+        close(&data.momentum, &(&data.mass_matrix * vector(&case.dq)), ROUNDING)?;
+        close(&data.kinetic_energy_gradient, &(data.coriolis_matrix.tr_mul(&vector(&case.dq))), ROUNDING)?;
+    }
 
     /// Compared: the acceleration after inverse and forward dynamics, and the original acceleration.
     #[test]

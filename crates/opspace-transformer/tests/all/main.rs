@@ -4,6 +4,7 @@ mod closed_loop;
 mod emulation;
 mod extrapolation;
 mod impedance;
+mod momentum_observer;
 
 mod servos;
 mod setpoint_governor;

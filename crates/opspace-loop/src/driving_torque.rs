@@ -1,0 +1,57 @@
+//! Known torques on the joints since the last sample, the input of the observers of external torques.
+
+use nalgebra::DVector;
+use opspace_backend::{Capabilities, GravityCompensation};
+use opspace_control::Measurement;
+use opspace_model::Data;
+
+/// Mean of τ_m + Cᵀ q̇ − g since the last sample, with the torques τ_m of the motors: measured, or else those that were
+/// commanded.
+#[derive(Clone, Debug)]
+pub(crate) struct DrivingTorque {
+    /// Fraction of a period during which the command before the last one still acts.
+    delay: f64,
+    compensates_gravity: bool,
+    /// Torques of the command before the last one (n; Nm, N); NaN if there was none.
+    commanded: DVector<f64>,
+    /// Cᵀ q̇ − g at the last sample (n; Nm, N).
+    rates: DVector<f64>,
+    mean: DVector<f64>,
+}
+
+impl DrivingTorque {
+    /// Returns the torques of `n` joints; a command acts after `command_delay_s` (s).
+    pub(crate) fn new(n: usize, capabilities: &Capabilities, command_delay_s: f64) -> Self {
+        let zero = DVector::zeros(n);
+        Self {
+            delay: (command_delay_s / capabilities.period_s).clamp(0.0, 1.0),
+            compensates_gravity: capabilities.gravity_compensated_by == GravityCompensation::Controller,
+            commanded: DVector::from_element(n, f64::NAN),
+            rates: zero.clone(),
+            mean: zero,
+        }
+    }
+
+    /// Computes the mean since the last sample; `commanded` are the torques of the last command (n; Nm, N). After a hold the
+    /// first mean has no meaning: there was no command.
+    pub(crate) fn update(
+        &mut self,
+        data: &Data,
+        measurement: &Measurement,
+        commanded: &DVector<f64>,
+    ) -> &DVector<f64> {
+        for (i, &last) in commanded.iter().enumerate() {
+            let before = if self.commanded[i].is_finite() { self.commanded[i] } else { last };
+            let motor = match &measurement.motor_torque {
+                Some(measured) => measured[i],
+                None => last + self.delay * (before - last),
+            };
+            let gravity = if self.compensates_gravity { data.gravity[i] } else { 0.0 };
+            let rate = data.kinetic_energy_gradient[i] - gravity;
+            self.mean[i] = motor + 0.5 * (self.rates[i] + rate);
+            self.rates[i] = rate;
+        }
+        self.commanded.copy_from(commanded);
+        &self.mean
+    }
+}

@@ -1,0 +1,105 @@
+//! Observers of torques that no model of the arm predicts: friction that the compensation leaves.
+
+use crate::driving_torque::DrivingTorque;
+use crate::loop_config::LoopConfig;
+use nalgebra::{DVector, Matrix6xX, Vector6};
+use opspace_backend::signal_names::FRICTION_OBSERVER;
+use opspace_backend::{Observable, SignalRecorder};
+use opspace_control::Measurement;
+use opspace_model::{Data, FrameId, JointUnits, Model, UnknownFrame, frame_jacobian, generalized_momentum};
+use opspace_transformer::FrictionObserver;
+
+/// Observers of external torques, for a loop that has at least one. Allocates only when it is created.
+pub(crate) struct ExternalTorque {
+    joints: Vec<String>,
+    units: JointUnits,
+    period_s: f64,
+    driving: DrivingTorque,
+    sensor_frames: Vec<FrameId>,
+    jacobian: Matrix6xX<f64>,
+    /// Torques Jᵀ F of the measured wrenches (n; Nm, N).
+    sensed: DVector<f64>,
+    /// Friction compensation n̂ of the last command (n; Nm, N).
+    compensation: DVector<f64>,
+    known: DVector<f64>,
+    friction: Option<FrictionObserver>,
+}
+
+impl ExternalTorque {
+    /// Returns the observers of a loop; `None` if it has none.
+    ///
+    /// # Errors
+    /// If a force sensor is on a frame that the model does not have.
+    pub(crate) fn new(config: &LoopConfig) -> Result<Option<Self>, UnknownFrame> {
+        let LoopConfig { model, capabilities, friction_observer, .. } = config;
+        if friction_observer.is_none() {
+            return Ok(None);
+        }
+        let n = model.n();
+        let zero = DVector::zeros(n);
+        let frames = capabilities.force_sensors.iter().map(|sensor| model.frame_id(&sensor.frame));
+        Ok(Some(Self {
+            joints: capabilities.joints.clone(),
+            units: model.joint_units(),
+            period_s: capabilities.period_s,
+            driving: DrivingTorque::new(n, capabilities, config.command_delay_s),
+            sensor_frames: frames.collect::<Result<_, _>>()?,
+            jacobian: Matrix6xX::zeros(n),
+            sensed: zero.clone(),
+            compensation: zero.clone(),
+            known: zero,
+            friction: friction_observer.clone(),
+        }))
+    }
+
+    /// Updates the observers with a sample, `missed` cycles after the previous one. `commanded` are the torques of the last
+    /// command (n; Nm, N).
+    pub(crate) fn update(
+        &mut self,
+        model: &Model,
+        data: &mut Data,
+        measurement: &Measurement,
+        commanded: &DVector<f64>,
+        missed: u64,
+    ) {
+        generalized_momentum(model, data);
+        let elapsed_s = missed.saturating_add(1) as f64 * self.period_s;
+        let driving = self.driving.update(data, measurement, commanded);
+        self.sensed.fill(0.0);
+        for (&frame, wrench) in self.sensor_frames.iter().zip(&measurement.wrenches) {
+            frame_jacobian(model, data, frame, &mut self.jacobian);
+            let (force, moment) = (wrench.linear, wrench.angular);
+            let wrench = Vector6::new(force.x, force.y, force.z, moment.x, moment.y, moment.z);
+            self.sensed.gemv_tr(1.0, &self.jacobian, &wrench, 1.0);
+        }
+        if let Some(friction) = &mut self.friction {
+            self.known.copy_from(driving);
+            self.known += &self.sensed;
+            self.known -= &self.compensation;
+            friction.update(elapsed_s, &data.momentum, &self.known);
+        }
+    }
+
+    /// Adds the observed friction to the compensation n̂ of this cycle (n; Nm, N).
+    pub(crate) fn compensate(&mut self, compensation: &mut DVector<f64>) {
+        self.compensation.copy_from(compensation);
+        if let Some(friction) = &self.friction {
+            *compensation += friction.torque();
+        }
+    }
+
+    /// Starts all observers anew.
+    pub(crate) fn reset(&mut self) {
+        if let Some(friction) = &mut self.friction {
+            friction.reset();
+        }
+    }
+}
+
+impl Observable for ExternalTorque {
+    fn record(&self, out: &mut SignalRecorder<'_>) {
+        if let Some(friction) = &self.friction {
+            out.signal(FRICTION_OBSERVER, &self.units.torque, &self.joints, friction.torque().as_slice());
+        }
+    }
+}
