@@ -126,7 +126,9 @@ pub use tasks::coordinate::Coordinate;
 pub use tasks::coordinate_task::{CoordinateGains, CoordinateTask};
 pub use tasks::damping::Damping;
 pub use tasks::damping_zone::DampingZone;
-pub use tasks::force_parameters::{ContactParameters, ForceParameters, ForceProfiles, PassivityParameters};
+pub use tasks::force_parameters::{
+    ContactParameters, ForceParameters, ForceProfiles, PassivityParameters, SurfaceParameters,
+};
 pub use tasks::gains::AxisGains;
 pub use tasks::impedance::{self, ImpedanceParameters};
 pub use tasks::joint_parameters::{

@@ -16,6 +16,7 @@
 //! | `impedances` | real part of the impedance of drives with their transformer |
 //! | `gears` | oscillation on elastic gears |
 //! | `torque_floor` | velocity feed-forward with held setpoints |
+//! | `contact` | force axes whose contact would oscillate, or whose impact exceeds torque limits |
 //! | `collisions` | a start or references in collision with an obstacle or the arm itself |
 //! | `times` | events and references that end after the run |
 //!
@@ -25,6 +26,7 @@
 mod boundary;
 mod case;
 mod collisions;
+mod contact;
 mod diagnostic;
 mod freedom;
 mod gear_resonance;
@@ -71,6 +73,7 @@ pub fn diagnostics(experiment: &Experiment) -> Vec<Diagnostic> {
     if experiment.options().controller == ControllerKind::Osc {
         found.extend(freedom::uncontrolled(&case));
         found.extend(stability::stiff_gains(&case));
+        found.extend(contact::contacts(&case));
     }
     found.extend(torque_floor::feed_forward_impulses(experiment));
     found.extend(limits::of_postures(&case, &followed));

@@ -5,7 +5,7 @@ use crate::references::reference::CartesianReference;
 use crate::tasks::axes::{AxisMode, required};
 use crate::tasks::cartesian_parameters::CartesianParameters;
 use crate::tasks::cartesian_target::AxisSettings;
-use crate::tasks::force_parameters::FORCE_DAMPING_PER_S;
+use crate::tasks::force_parameters::default_force_damping;
 use crate::tasks::gains::AxisGains;
 use crate::tasks::impedance::Impedance;
 use nalgebra::Vector6;
@@ -92,8 +92,9 @@ impl AxisFeedback {
         for (axis, mode) in modes.into_iter().enumerate() {
             let given = damping.and_then(|damping| damping.get(axis)).map(NonNegative::get);
             feedback.compliant_damping[axis] = given.unwrap_or(COMPLIANT_DAMPING_PER_S);
-            let of_force = parameters.force.as_ref().and_then(|force| force.damping_of(axis));
-            feedback.force_damping[axis] = of_force.unwrap_or(FORCE_DAMPING_PER_S);
+            let force = parameters.force.as_ref();
+            feedback.force_damping[axis] =
+                force.map_or_else(|| default_force_damping(period_s), |force| force.damping(axis, period_s));
             feedback.damping[axis] = feedback.damping_without_reference(axis, mode);
             if let (true, Some(damping)) = (compliant[axis], &damping) {
                 required(damping, axis).map_err(at("compliant_damping_per_s"))?;

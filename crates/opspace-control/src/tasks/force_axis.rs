@@ -14,7 +14,7 @@
 
 use crate::tasks::axes::AxisMode;
 use crate::tasks::force_parameters::{
-    COMPLIANT_GAIN, ContactParameters, FORCE_GAIN, ForceParameters, INTEGRAL_PER_S, interpolated,
+    COMPLIANT_GAIN, ContactParameters, ForceParameters, INTEGRAL_PER_S, interpolated,
 };
 use crate::tasks::force_passivity::ForcePassivity;
 use opspace_backend::quantity::{Fraction, NonNegative};
@@ -90,7 +90,7 @@ impl ForceAxis {
             profile: force.profile_n.of(axis).to_vec(),
             ramp_s: force.ramp_s.get(),
             feed_forward: force.feed_forward.get(axis).map_or(1.0, Fraction::get),
-            gains: [gain.unwrap_or(COMPLIANT_GAIN), gain.unwrap_or(FORCE_GAIN)],
+            gains: [gain.unwrap_or(COMPLIANT_GAIN), force.force_gain(axis, period_s)],
             integral_step: value(&force.integral_per_s).map_or(INTEGRAL_PER_S, NonNegative::get) * period_s,
             integral_limit: value(&force.integral_limit).map(NonNegative::get).or((!force
                 .profile_n

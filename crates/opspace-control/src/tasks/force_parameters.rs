@@ -33,7 +33,7 @@ pub struct ForceParameters {
     /// Fraction of the target that is commanded in open loop; 1 if absent.
     #[serde(default = "whole_target")]
     pub feed_forward: PerAxis<Fraction>,
-    /// Gain of the force error; 1 on force axes and 2 on compliant ones if absent.
+    /// Gain of the force error; if absent 2 on compliant axes, and on force axes 1, or 2 ms per control period if that is less.
     #[serde(default)]
     pub gain: Option<PerAxis<NonNegative>>,
     /// Integral gain of a force axis, 1/s: fraction of the force error that is added to the force per second; 20 if
@@ -44,8 +44,8 @@ pub struct ForceParameters {
     /// the target if absent.
     #[serde(default)]
     pub integral_limit: Option<PerAxis<NonNegative>>,
-    /// Damping of a force axis (acceleration per velocity), 1/s; 120 if absent. It keeps stiff contact stable: see the rule in
-    /// the documentation of tasks.
+    /// Damping of a force axis (acceleration per velocity), 1/s; if absent 120, or 0.6 per control period if that is less. It
+    /// keeps stiff contact stable: see the rule in the documentation of tasks.
     #[serde(default)]
     pub damping_per_s: Option<PerAxis<NonNegative>>,
     /// −3 dB frequency of the low-pass filter of the sensed force, Hz; 100 if absent.
@@ -55,6 +55,9 @@ pub struct ForceParameters {
     /// frame slides; 0 if absent. Stiff contact along such an axis is unstable with it.
     #[serde(default)]
     pub sensed_compensation: Option<PerAxis<Fraction>>,
+    /// Surface on which the stability of the contact is examined before a run; that of the simulated environment if absent.
+    #[serde(default)]
+    pub surface: Option<SurfaceParameters>,
     /// Approach of force axes until contact is made; without it, force control begins at once.
     #[serde(default)]
     pub contact: Option<ContactParameters>,
@@ -77,6 +80,18 @@ pub struct ForceProfiles {
     /// Times (s) and forces (N) along the third task axis.
     #[serde(default)]
     pub z: Vec<[f64; 2]>,
+}
+
+/// Surface that a force axis will touch.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct SurfaceParameters {
+    /// Stiffness along the axis, N/m.
+    pub stiffness_n_per_m: Positive,
+    /// Damping along the axis, Ns/m; 0 if absent.
+    #[serde(default = "undamped")]
+    pub damping_ns_per_m: NonNegative,
 }
 
 /// Approach of a force axis with a target: it moves against the desired force until the environment is touched, and again when
@@ -140,6 +155,10 @@ impl Default for PassivityParameters {
     }
 }
 
+const fn undamped() -> NonNegative {
+    NonNegative::literal(0.0)
+}
+
 const fn no_target() -> PerAxis<f64> {
     PerAxis::All(0.0)
 }
@@ -191,14 +210,23 @@ const fn default_recovery() -> Positive {
 /// Default gain of the force error on compliant axes.
 pub(crate) const COMPLIANT_GAIN: f64 = 2.0;
 
-/// Default gain of the force error on force axes.
-pub(crate) const FORCE_GAIN: f64 = 1.0;
+/// Largest default gain of the force error on force axes, and its product with the control period, s: the stable gain
+/// falls with the delay of the loop.
+const FORCE_GAIN: f64 = 1.0;
+const FORCE_GAIN_PERIOD_S: f64 = 0.002;
 
 /// Default integral gain of force axes, 1/s.
 pub(crate) const INTEGRAL_PER_S: f64 = 20.0;
 
-/// Default damping of force axes, 1/s.
-pub(crate) const FORCE_DAMPING_PER_S: f64 = 120.0;
+/// Largest default damping of force axes, 1/s, and its product with the control period: beyond, the delay of the loop
+/// turns damping into its opposite.
+const FORCE_DAMPING_PER_S: f64 = 120.0;
+const FORCE_DAMPING_PER_PERIOD: f64 = 0.6;
+
+/// Default damping of force axes with a control period of `period_s` (s), 1/s.
+pub(crate) fn default_force_damping(period_s: f64) -> f64 {
+    f64::min(FORCE_DAMPING_PER_S, FORCE_DAMPING_PER_PERIOD / period_s)
+}
 
 impl ForceParameters {
     /// Returns the feedback of a sensor, by name, without a target force and with the other defaults of files.
@@ -217,6 +245,7 @@ impl ForceParameters {
             damping_per_s: None,
             filter_hz: default_filter_hz(),
             sensed_compensation: None,
+            surface: None,
             contact: None,
             passivity: PassivityParameters::default(),
         }
@@ -242,9 +271,18 @@ impl ForceParameters {
         of_profile.fold(self.target_of(axis).abs(), f64::max)
     }
 
-    /// Damping of a force axis, 1/s; `None` if the file gives values to other axes only.
-    pub(crate) fn damping_of(&self, axis: usize) -> Option<f64> {
-        self.damping_per_s.map_or(Some(FORCE_DAMPING_PER_S), |damping| Some(damping.get(axis)?.get()))
+    /// Damping of a force axis with a control period of `period_s` (s), 1/s.
+    #[must_use]
+    pub fn damping(&self, axis: usize, period_s: f64) -> f64 {
+        let given = self.damping_per_s.and_then(|damping| damping.get(axis));
+        given.map_or_else(|| default_force_damping(period_s), NonNegative::get)
+    }
+
+    /// Gain of the force error on a force axis with a control period of `period_s` (s).
+    #[must_use]
+    pub fn force_gain(&self, axis: usize, period_s: f64) -> f64 {
+        let given = self.gain.and_then(|gain| gain.get(axis));
+        given.map_or_else(|| f64::min(FORCE_GAIN, FORCE_GAIN_PERIOD_S / period_s), NonNegative::get)
     }
 
     /// Checks the profiles. `key` is the path of the parameters in the file.

@@ -20,7 +20,7 @@ use std::fmt;
 pub const TOLERANCE: f64 = 0.01;
 
 /// Metrics of which a smaller value is better.
-const SMALLER: [&str; 23] = [
+const SMALLER: [&str; 24] = [
     "position_rms_m",
     "position_max_m",
     "orientation_rms_rad",
@@ -28,6 +28,7 @@ const SMALLER: [&str; 23] = [
     "joint_rms_rad",
     "force_rms_n",
     "force_hold_rms_n",
+    "force_moving_rms_n",
     "force_settle_s",
     "contact_peak_n",
     "contact_losses",

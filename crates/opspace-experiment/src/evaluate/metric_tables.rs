@@ -176,6 +176,9 @@ pub struct Contact {
     /// Error of the force while the references of the motion axes rest, rms, N.
     #[serde(default)]
     pub force_hold_rms_n: Option<f64>,
+    /// Error of the force while the references of the motion axes move, rms, N.
+    #[serde(default)]
+    pub force_moving_rms_n: Option<f64>,
     /// Time from the first contact until the error has been below 1 N for half a second, s.
     #[serde(default)]
     pub force_settle_s: Option<f64>,

@@ -181,6 +181,10 @@ pub enum Measure {
     JointRms,
     /// Error of the contact force on force axes, rms.
     ForceRms,
+    /// Error of the contact force while the references rest, rms.
+    ForceHold,
+    /// Error of the contact force while the references move, rms.
+    ForceMoving,
     /// Force of the simulated hand, rms.
     HandForce,
     /// Displacement of the simulated hand's frame, rms.
@@ -257,6 +261,12 @@ impl Measure {
             }
             Self::JointRms => Row("joint error rms", "mrad", 1e3, |s| s.metrics.joint_rms_rad),
             Self::ForceRms => Row("force error rms", "N", 1.0, |s| s.metrics.contact.force_rms_n),
+            Self::ForceHold => {
+                Row("force error rms at rest", "N", 1.0, |s| s.metrics.contact.force_hold_rms_n)
+            }
+            Self::ForceMoving => {
+                Row("force error rms in motion", "N", 1.0, |s| s.metrics.contact.force_moving_rms_n)
+            }
             Self::HandForce => Row("operator force rms", "N", 1.0, |s| s.metrics.hand_force_rms_n),
             Self::HandMotion => Row("hand motion rms", "mm", 1e3, |s| s.metrics.hand_motion_rms_m),
             Self::TorqueErrorServo => Row("torque error servo", "%", 1e2, |s| s.metrics.torque_error_servo),
@@ -426,7 +436,8 @@ pub fn task_table(summary: &Summary) -> Table {
         row("position error", "m", task.pose.position_rms_m, task.pose.position_max_m);
         row("orientation error", "rad", task.pose.orientation_rms_rad, task.pose.orientation_max_rad);
         row("force error", "N", task.contact.force_rms_n, None);
-        row("force error while the reference rests", "N", task.contact.force_hold_rms_n, None);
+        row("force error, reference at rest", "N", task.contact.force_hold_rms_n, None);
+        row("force error, reference in motion", "N", task.contact.force_moving_rms_n, None);
         row("contact peak (first second of contact)", "N", None, task.contact.contact_peak_n);
         row("compliant motion", "m", task.compliance.compliant_motion_rms_m, None);
         let slack = &task.slack;

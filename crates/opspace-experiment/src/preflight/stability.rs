@@ -42,7 +42,7 @@ use super::case::PreflightCase;
 use super::diagnostic::{Diagnostic, short};
 use nalgebra::{Complex, Matrix6xX};
 use opspace_backend::{CommandKind, Setpoints};
-use opspace_control::{JointTask, RowGains, Task, TaskParameters};
+use opspace_control::{AXIS_NAMES, AxisMode, JointTask, RowGains, Task, TaskParameters};
 use opspace_transformer::{ProfileParameters, ServoGains, ServoLaw, ServoParameters};
 use std::f64::consts::{PI, TAU};
 
@@ -177,9 +177,16 @@ fn row_followers<'a>(case: &'a PreflightCase<'_>, stack: usize, task: &dyn Task)
                 let quantity = "frequency_rad_per_s";
                 (quantity, law.stiffness.sqrt(), vec![kind, "gains", quantity])
             }
-            (false, TaskParameters::Cartesian(_)) if law.damping > 0.0 => {
-                let quantity = "compliant_damping_per_s";
-                (quantity, law.damping, vec![kind, quantity])
+            (false, TaskParameters::Cartesian(cartesian)) if law.damping > 0.0 => {
+                let in_force = cartesian.axes.with_mode(AxisMode::Force);
+                let is_force =
+                    AXIS_NAMES.iter().zip(in_force).any(|(name, force)| force && *name == names[row]);
+                let (quantity, keys) = if is_force {
+                    ("force.damping_per_s", vec![kind, "force", "damping_per_s"])
+                } else {
+                    ("compliant_damping_per_s", vec![kind, "compliant_damping_per_s"])
+                };
+                (quantity, law.damping, keys)
             }
             (false, TaskParameters::Registered(_)) if law.damping > 0.0 => {
                 ("damping in 1/s", law.damping, vec![kind])

@@ -353,6 +353,64 @@ fn unstable_gains_are_reported() {
     );
 }
 
+/// Changes that let the hand press on a surface along x, with a gain.
+fn pressing(gain: &str) -> [(&'static str, String); 2] {
+    [
+        ("x = \"motion\"", "x = \"force\"".to_owned()),
+        (
+            "frame = \"hand\"",
+            format!("frame = \"hand\"\nforce = {{ sensor = \"wrist\", target_n = {{ x = -20.0 }}, {gain} }}"),
+        ),
+    ]
+}
+
+/// A gain that is too high for a stated surface, or for a wall of the environment; the gain that is proposed has no
+/// diagnostic.
+#[test]
+fn contact_that_oscillates_is_found() {
+    let surface = "surface = { stiffness_n_per_m = 50000.0 }";
+    let wall = "\n[environment.board.wall]\nframe = 'hand'\npoint_m = [0.37, 0.0, 0.0]\nnormal = [-1.0, 0.0, 0.0]\n\
+                stiffness_n_per_m = 50000.0\ndamping_ns_per_m = 0.0\n";
+    for (stated, environment) in [(surface, ""), ("ramp_s = 0.1", wall)] {
+        let found = |gain: &str| {
+            let changes = pressing(&format!("{gain}, {stated}"));
+            let changes: Vec<(&str, &str)> = changes.iter().map(|(old, new)| (*old, new.as_str())).collect();
+            let text = format!("{HAND}{environment}");
+            diagnostics(&experiment(&text, &changes, RunOptions::default(), &[]))
+        };
+        let too_high = found("gain = 20.0");
+        assert_eq!(too_high.len(), 1, "{too_high:#?}");
+        assert_says(
+            &too_high[0],
+            "task.hand.cartesian.force.gain",
+            &["50000 N/m", "gain 20", "may oscillate", "passivity control", "set `gain` to at most"],
+        );
+        let proposed = too_high[0].help.split("at most ").nth(1).unwrap().split(' ').next().unwrap();
+        assert_eq!(found(&format!("gain = {proposed}")), [], "{proposed}");
+    }
+}
+
+/// An approach whose peak exceeds the torque limits; the speed that is proposed has no diagnostic.
+#[test]
+fn impact_that_the_joints_cannot_bear_is_found() {
+    let found = |speed: &str| {
+        let changes = pressing(&format!(
+            "contact = {{ approach_m_per_s = {speed} }}, surface = {{ stiffness_n_per_m = 100000.0, damping_ns_per_m = 500.0 }}"
+        ));
+        let changes: Vec<(&str, &str)> = changes.iter().map(|(old, new)| (*old, new.as_str())).collect();
+        diagnostics(&experiment(HAND, &changes, RunOptions::default(), &[]))
+    };
+    let too_fast = found("1.5");
+    assert_eq!(too_fast.len(), 1, "{too_fast:#?}");
+    assert_says(
+        &too_fast[0],
+        "task.hand.cartesian.force.contact",
+        &["at 1.5 m/s", "torque limit of", "approach"],
+    );
+    let proposed = too_fast[0].help.split("approach_m_per_s = ").nth(1).unwrap().split(' ').next().unwrap();
+    assert_eq!(found(proposed), [], "{proposed}");
+}
+
 /// Compared: limits with each other and with the start position.
 #[test]
 fn contradictory_limits_are_reported() {

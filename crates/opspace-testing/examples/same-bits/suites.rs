@@ -8,11 +8,12 @@ use serde::de::IgnoredAny;
 use std::path::{Path, PathBuf};
 
 /// Suites by file name in `tasks/suites/`.
-pub const SUITES: [&str; 10] = [
+pub const SUITES: [&str; 11] = [
     "paper",
     "features",
     "limits",
     "singularity",
+    "force",
     "rest",
     "collisions",
     "transformer",

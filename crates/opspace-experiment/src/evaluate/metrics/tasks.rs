@@ -279,6 +279,7 @@ fn force_target(axes: &TaskAxes, logged: Option<&[f64]>, made: Option<&[f64]>) -
 struct ContactForce {
     error_n: RmsMax,
     resting_n: RmsMax,
+    moving_n: RmsMax,
     touching: Mean,
     begin_s: Option<f64>,
     /// Time since which the error has been small, s.
@@ -327,9 +328,8 @@ impl ContactForce {
         if is_settled {
             if let Some(error_n) = error_n {
                 self.error_n.add(error_n);
-                if is_resting {
-                    self.resting_n.add(error_n);
-                }
+                let part = if is_resting { &mut self.resting_n } else { &mut self.moving_n };
+                part.add(error_n);
             }
             self.touching.add(f64::from(u8::from(touches)));
         }
@@ -343,6 +343,7 @@ impl ContactForce {
     fn finish(self, metrics: &mut TaskMetrics) {
         let contact = &mut metrics.contact;
         (contact.force_rms_n, contact.force_hold_rms_n) = (self.error_n.rms(), self.resting_n.rms());
+        contact.force_moving_rms_n = self.moving_n.rms();
         contact.force_settle_s = self.settled_s;
         contact.in_contact_fraction = self.touching.get();
         (contact.contact_begin_s, contact.contact_peak_n) = (self.begin_s, self.peak_n);
