@@ -269,7 +269,7 @@ fn force_sensor_reads_the_load_beyond_it() {
     let centre = Vector3::new(0.02, -0.01, 0.06);
     let setup = |load: &str| {
         let mut setup = arm_with_contact(
-            "[pushes]\nframe = 'hand'\npush = [{ at_s = 0.2, duration_s = 0.06, force_n = [120.0, 30.0, 60.0] }]",
+            "[pushes]\nframe = 'hand'\npush = [{ at_s = 0.2, duration_s = 0.2, force_n = [120.0, 30.0, 60.0] }]",
         );
         let quality = setup.simulated.force_sensor.get_mut("wrist").expect("the wrist");
         let text = "bandwidth_hz = 5000.0\nnoise_n = 0.0\nnoise_nm = 0.0\nbias_n = 0.0\nbias_nm = 0.0";
@@ -297,7 +297,7 @@ fn force_sensor_reads_the_load_beyond_it() {
     }
     let weight = Vector3::new(0.0, 0.0, -0.5 * 9.81);
     assert!((loads[190] - weight).norm() < 1e-3, "{}", loads[190]);
-    let mut largest = 0.0_f64;
+    let (mut largest, mut error) = (0.0_f64, 0.0_f64);
     for k in 5..places.len() - 5 {
         // Mean acceleration over ten milliseconds, and the mean of the readings there.
         let [before, now, after] = [k - 5, k, k + 5].map(|k| places[k]);
@@ -305,10 +305,11 @@ fn force_sensor_reads_the_load_beyond_it() {
         let share = |j: i32| (5 - j.abs()) as f64 / 25.0;
         let mean: Vector3<f64> = (-4..=4).map(|j| loads[(k as i32 + j) as usize] * share(j)).sum();
         let inertia = mean - weight;
-        assert!((inertia + acceleration * 0.5).norm() < 0.05, "{inertia} at {k}");
+        error = error.max((inertia + acceleration * 0.5).norm());
         largest = largest.max(inertia.norm());
     }
-    assert!(largest > 0.5, "the load accelerated: {largest} N");
+    // Each reading is the mean over a fifth of a millisecond, the acceleration that of all of it.
+    assert!(largest > 0.5 && error < 0.1 * largest, "{largest} N, with an error of {error} N");
 }
 
 /// Compared: the noise of torque and force measurements with and without another random source.
