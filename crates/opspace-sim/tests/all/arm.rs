@@ -501,6 +501,37 @@ fn contradictory_parameters_are_refused_by_name() {
         let key = ["environment", "table", "edge", "toward"].map(str::to_owned).to_vec();
         assert_eq!(error.key(), Key::Task(key));
     }
+    let surface = "point_m = [0.0, 0.0, 0.0]\nstiffness_n_per_m = 1.0\ndamping_ns_per_m = 0.0";
+    let hole = format!("[hole]\nnormal = [0.0, 0.0, 1.0]\nradius_m = 0.01\ndepth_m = 0.02\n{surface}");
+    let drawer = "[drawer]\ntravel_m = 0.2\nmass_kg = 1.0\ndirection";
+    let hold = "[spring]\nstiffness_n_per_m = 1.0\ndamping_ns_per_m = 0.0\nmotion";
+    for (text, key, words) in [
+        (format!("[cylinder]\naxis = [0.0, 0.0, 0.0]\nradius_m = 0.1\n{surface}"), "axis", "no length"),
+        (format!("{hole}\nclearance_m = 0.01"), "clearance_m", "radius of the hole, 0.01 m"),
+        (format!("{hole}\nclearance_m = 1e-4\nchamfer_m = 0.02"), "chamfer_m", "depth of the hole, 0.02 m"),
+        ("[mass]\nmass_kg = 1.0\nfrequency_hz = 1001.0".to_owned(), "frequency_hz", "1000 Hz"),
+        ("[mass]\nmass_kg = 1.0\nput_on_s = 2.0\ntaken_off_s = 2.0".to_owned(), "taken_off_s", "before"),
+        (format!("{drawer} = [0.0, 0.0, 0.0]"), "direction", "no length"),
+        (format!("{drawer} = [1.0, 0.0, 0.0]\nopening_m = 0.3"), "opening_m", "the travel, 0.2 m"),
+        (format!("{drawer} = [1.0, 0.0, 0.0]\ngrip_stiffness_n_per_m = 1e8"), "mass_kg", "at least"),
+        (
+            format!("{hold} = {{ still = {{}} }}\nreleased = [{{ at_s = 2.0, until_s = 1.0 }}]"),
+            "released",
+            "after",
+        ),
+        (
+            format!("{hold}.scripted.tremor = {{ rms_m = 1e-3, from_hz = 9.0, to_hz = 8.0 }}"),
+            "motion.scripted.tremor",
+            "below from_hz",
+        ),
+    ] {
+        // The frame is the first key of the table.
+        let text = text.replacen("]\n", "]\nframe = 'hand'\n", 1);
+        let error = refused(&|s| s.environment = vec![("thing".to_owned(), object(&text))]);
+        assert!(error.to_string().contains(words), "{error}");
+        let path = ["environment", "thing"].into_iter().chain(key.split('.'));
+        assert_eq!(error.key(), Key::Task(path.map(str::to_owned).collect()));
+    }
     let lost = wall.replace("'hand'", "'hnad'");
     let lost = refused(&|s| s.environment = vec![("table".to_owned(), object(&lost))]);
     assert!(lost.to_string().contains("hnad"), "{lost}");
