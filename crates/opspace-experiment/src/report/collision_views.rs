@@ -144,14 +144,15 @@ pub(super) fn caption(moments: &[CollisionMoment]) -> String {
     }
     let part = Part::around(moments);
     let is_drawn = |shape: &PlacedShape| VIEWS.iter().any(|view| view.outline(&shape.shape, &part).len() > 2);
-    let is_seen = |object: &PlacedObject| {
-        VIEWS
-            .iter()
-            .any(|view| object.shape.outline(view.axes, view.depth.0, &part.corners(view.axes)).len() > 2)
+    // A hole is seen with its plane or without.
+    let is_seen = |name: &str| {
+        let mut parts = objects().filter(|object| object.name == name);
+        parts.any(|object| VIEWS.iter().any(|view| view.outline_of_object(object, &part).len() > 2))
     };
-    let hidden: Vec<&str> = (shapes().filter(|shape| !is_drawn(shape)).map(|shape| shape.name.as_str()))
-        .chain(objects().filter(|object| !is_seen(object)).map(|object| object.name.as_str()))
+    let mut hidden: Vec<&str> = (shapes().filter(|shape| !is_drawn(shape)).map(|shape| shape.name.as_str()))
+        .chain(objects().map(|object| object.name.as_str()).filter(|name| !is_seen(name)))
         .collect();
+    hidden.dedup();
     if !hidden.is_empty() {
         text += &format!(" In no view: {}.", hidden.join(", "));
     }
@@ -279,6 +280,15 @@ impl View {
         }
     }
 
+    /// Outline of an object of the environment within the view, m, as [`outline`](Self::outline).
+    fn outline_of_object(&self, object: &PlacedObject, part: &Part) -> Vec<Vector2<f64>> {
+        // A projection alone does not show that an object is far away.
+        if Bounds(object.shape.nearest_box(&part.center)).intersection(part.bounds()).is_none() {
+            return Vec::new();
+        }
+        object.shape.outline(self.axes, self.depth.0, &part.corners(self.axes))
+    }
+
     /// Place of a shape on the line of sight; shapes with larger ones are in front.
     fn nearness(&self, shape: &CollisionShape) -> f64 {
         let (axis, side) = self.depth;
@@ -324,12 +334,16 @@ impl View {
         part: &Part,
         place: impl Fn(&Vector2<f64>) -> (f64, f64),
     ) -> Drawn {
-        let frame = part.corners(self.axes);
-        for (i, PlacedObject { name, shape }) in moment.environment.iter().enumerate() {
-            let outline = shape.outline(self.axes, self.depth.0, &frame).iter().map(&place).collect();
-            // A hole has the name of its plane.
-            let is_named = moment.environment[..i].iter().all(|other| other.name != *name);
-            draw(chart, outline, Role::Environment, is_named.then_some(name.as_str()))?;
+        let mut named = None;
+        for object in &moment.environment {
+            let outline: Vec<(f64, f64)> = self.outline_of_object(object, part).iter().map(&place).collect();
+            if outline.len() < 3 {
+                continue;
+            }
+            // A hole in a plane that is seen has the name of the plane.
+            let label = (named != Some(&object.name)).then_some(object.name.as_str());
+            named = Some(&object.name);
+            draw(chart, outline, Role::Environment, label)?;
         }
         Ok(())
     }

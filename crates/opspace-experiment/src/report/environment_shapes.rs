@@ -12,6 +12,8 @@ use std::f64::consts::TAU;
 const EDGE_ON: f64 = 1e-6;
 /// Number of corners with which a circle is drawn.
 const CORNERS: usize = 40;
+/// Thickness of a wall that is in a view at least, m.
+const WALL_M: f64 = 0.05;
 /// Radius with which the slide of a drawer is drawn, m.
 const SLIDE_RADIUS_M: f64 = 0.006;
 
@@ -116,7 +118,8 @@ impl EnvironmentShape {
         match self {
             Self::Plane { below, .. } => {
                 let above_m = below.normal.dot(point) - below.offset_m;
-                [point - below.normal * above_m; 2]
+                let [near, far] = [0.0, WALL_M].map(|thickness| point - below.normal * (above_m + thickness));
+                [near.inf(&far), near.sup(&far)]
             }
             Self::Cylinder { point_m, axis, radius_m } => {
                 let center = point_m + axis * axis.dot(&(point - point_m));
