@@ -48,7 +48,7 @@ fn refused(file: &str, old: &str, new: &str, line: Option<&str>, words: &[&str])
 fn friction_observer_without_force_sensor_is_refused() {
     let folder = scratch();
     let task = read(project("tasks/panda-reach.toml"))
-        .replace("../robots/panda", project("robots/panda").to_str().unwrap())
+        .replace("../robots/panda", &project("robots/panda"))
         .replace("gain = 0.8 }", "gain = 0.8, observer_rad_per_s = 60.0 }");
     fs::write(folder.path().join("task.toml"), &task).unwrap();
     let number = task.lines().position(|line| line.contains("observer_rad_per_s")).unwrap() + 1;
