@@ -48,7 +48,7 @@ fn refused(file: &str, old: &str, new: &str, line: Option<&str>, words: &[&str])
 fn friction_observer_without_force_sensor_is_refused() {
     let folder = scratch();
     let task = read(project("tasks/panda-reach.toml"))
-        .replace("../robots/panda", project("robots/panda").to_str().unwrap())
+        .replace("../robots/panda", &project("robots/panda"))
         .replace("gain = 0.8 }", "gain = 0.8, observer_rad_per_s = 60.0 }");
     fs::write(folder.path().join("task.toml"), &task).unwrap();
     let number = task.lines().position(|line| line.contains("observer_rad_per_s")).unwrap() + 1;
@@ -88,6 +88,16 @@ refused! {
     unknown_environment_frame_is_refused: "task.toml",
         "[environment.operator.spring]\nframe = \"hand\"" => "[environment.operator.spring]\nframe = \"fist\"",
         Some("\"fist\""), ["no frame 'fist'", "forearm"];
+    peg_without_a_radius_is_refused: "task.toml", "[environment.operator.spring]" =>
+        "[environment.bore.hole]\nframe = \"hand\"\npoint_m = [0.4, 0.0, 0.0]\nnormal = [0.0, 0.0, 1.0]\nradius_m = 0.01\n\
+         clearance_m = 0.02\ndepth_m = 0.02\nstiffness_n_per_m = 1e4\ndamping_ns_per_m = 0.0\n\n[environment.operator.spring]",
+        Some("clearance_m = 0.02"), ["radius of the hole, 0.01 m"];
+    edge_along_the_normal_is_refused: "task.toml", "[environment.operator.spring]" =>
+        "[environment.table.wall]\nframe = \"hand\"\npoint_m = [0.4, 0.0, 0.0]\nnormal = [0.0, 0.0, 1.0]\n\
+         edge = { toward = [0.0, 0.0, 1.0], at_m = 0.3 }\nstiffness_n_per_m = 1e4\ndamping_ns_per_m = 0.0\n\n[environment.operator.spring]",
+        Some("edge = {"), ["direction along the wall"];
+    unknown_kind_of_object_is_refused: "task.toml", "[environment.operator.spring]" => "[environment.operator.sping]",
+        Some("sping"), ["`sping`", "did you mean `spring`?"];
     too_few_gains_are_refused: "task.toml", "gain = [1.0, 0.15, 0.15]" => "gain = [1.0, 0.15]", Some("gain = ["), ["3", "2"];
     too_many_gains_are_refused: "task.toml", "gain = [1.0, 0.15, 0.15]" => "gain = [1, 1, 1, 1]", Some("gain = ["), ["3", "4"];
     gain_of_unknown_axis_is_refused: "task.toml",

@@ -85,7 +85,7 @@ pub const REFERENCE: &str = "reference";
 pub const REFERENCE_VELOCITY: &str = "reference_velocity";
 /// Orientation of the reference of a task, unit quaternion w, x, y, z.
 pub const REFERENCE_ORIENTATION: &str = "reference_orientation";
-/// Position of the controlled frame (3; m).
+/// Position of the controlled frame; true position of a mass of the environment (3; m).
 pub const POSITION: &str = "position";
 /// Velocity of the controlled frame (3; m/s) or of the task coordinate.
 pub const VELOCITY: &str = "velocity";
@@ -99,6 +99,10 @@ pub const ERROR: &str = "error";
 pub const FORCE: &str = "force";
 /// True normal force of an environment object with friction, N.
 pub const NORMAL_FORCE: &str = "normal_force";
+/// Depth of a peg in a hole of the environment, m; 0 outside.
+pub const DEPTH: &str = "depth";
+/// Opening of a drawer of the environment, m.
+pub const OPENING: &str = "opening";
 /// True friction of an environment object on the robot, world axes (3; N).
 pub const FRICTION_FORCE: &str = "friction_force";
 /// Wrench sensed by a task, which acts ON the robot (6; N, Nm).

@@ -10,6 +10,7 @@ use crate::gear::{ElasticGear, GearConfig, MAX_STEPS};
 use crate::motor::{AngleTorque, Motor};
 use crate::parameters::{EncoderSide, SimulatedParameters};
 use crate::random::{RngStream, generator};
+use crate::sensor_load::SensorLoad;
 use crate::timing::{Clock, Timing};
 use nalgebra::{DMatrix, DVector, Vector3};
 use opspace_backend::quantity::NonNegative;
@@ -166,7 +167,7 @@ impl ArmConfig {
                 _ => {}
             }
             object
-                .check()
+                .check(self.simulated.physics_hz.get())
                 .map_err(|mistake| SimulationError::EnvironmentObject { object: name.clone(), mistake })?;
         }
         Ok(())
@@ -444,19 +445,23 @@ impl ArmConfig {
                 let frame = model.frame_id(parameters.frame()).ok()?;
                 let home = frame_placement(model, &data, frame).translation;
                 let random = generator(self.seed, RngStream::EnvironmentObject(index));
-                Some((frame, EnvironmentObject::new(parameters, home, random)))
+                Some((frame, EnvironmentObject::new(parameters, home, self.model.gravity(), random)))
             })
             .collect()
     }
 
     /// Returns the force sensors, each with its frame.
-    pub(crate) fn force_sensors(&self, period_s: f64) -> Vec<(FrameId, SimulatedForceSensor)> {
+    pub(crate) fn force_sensors(&self, model: &Model, period_s: f64) -> Vec<(FrameId, SimulatedForceSensor)> {
         (self.capabilities.force_sensors.iter().zip(0..))
             .filter_map(|(sensor, index)| {
                 let quality = self.simulated.force_sensor.get(&sensor.name)?;
                 let random = generator(self.seed, RngStream::ForceSensor(index));
                 let frame = self.model.frame_id(&sensor.frame).ok()?;
-                Some((frame, SimulatedForceSensor::new(quality, period_s, random)))
+                let sensor = SimulatedForceSensor::new(quality, period_s, random);
+                // The sensor bears the weight of a load also if the robot compensates that of the arm.
+                let model = || model.clone().with_gravity(self.model.gravity());
+                let load = quality.load.as_ref().map(|load| SensorLoad::new(load, model(), frame, period_s));
+                Some((frame, sensor.with_load(load)))
             })
             .collect()
     }

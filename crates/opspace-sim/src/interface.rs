@@ -100,7 +100,7 @@ impl ArmInterface {
             next_sample: 0,
             late: 0,
             drives,
-            sensors: config.force_sensors(timing.servo_period_s),
+            sensors: config.force_sensors(model, timing.servo_period_s),
             current: CurrentSensor::new(config, motor_start),
             timing,
         };
@@ -232,7 +232,10 @@ impl ArmInterface {
     pub fn end_servo_period(&mut self, plant: &mut dyn Plant) {
         self.current.end_tick();
         for (frame, sensor) in &mut self.sensors {
-            sensor.follow(&plant.contact_wrench(PlantFrame { arm: self.index, frame: *frame }));
+            let contacts = plant.contact_wrench(PlantFrame { arm: self.index, frame: *frame });
+            let [q, dq] = [plant.q(), plant.dq()].map(|all| &all[self.joints.clone()]);
+            let load = sensor.load(q, dq);
+            sensor.follow(&(contacts + load));
         }
     }
 }

@@ -75,6 +75,7 @@ pub mod plant;
 pub mod plant_arms;
 pub mod random;
 pub mod rigid;
+mod sensor_load;
 mod setpoint_check;
 pub mod simulation;
 mod sines;

@@ -234,6 +234,28 @@ pub struct ForceSensorParameters {
     pub bias_n: NonNegative,
     /// Largest constant error of each moment component, Nm.
     pub bias_nm: NonNegative,
+    /// Largest rate at which the error of each force component grows, N/s.
+    #[serde(default)]
+    pub drift_n_per_s: NonNegative,
+    /// Largest rate at which the error of each moment component grows, Nm/s.
+    #[serde(default)]
+    pub drift_nm_per_s: NonNegative,
+    /// Part of the arm beyond the sensor, whose weight and inertia it reads; none if absent. The part is one that the
+    /// model or a payload has there: this table adds no mass to the arm.
+    #[serde(default)]
+    pub load: Option<SensorLoadParameters>,
+}
+
+/// Part of the arm beyond a force sensor, a point mass.
+#[derive(Clone, Debug, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct SensorLoadParameters {
+    /// Mass, kg.
+    pub mass_kg: Positive,
+    /// Centre of mass in the axes of the sensor, m.
+    #[serde(deserialize_with = "exactly")]
+    pub centre_m: [f64; 3],
 }
 
 /// Ratios of true to nominal values.

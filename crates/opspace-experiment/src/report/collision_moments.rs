@@ -1,15 +1,19 @@
-//! Collision geometry at a few moments of a run, from the joint positions in its log.
+//! Arm, collision geometry and environment at a few moments of a run, from the joint positions in its log.
 
 use crate::evaluate::metrics::run_log::Run;
+use crate::report::environment_shapes::{PlacedObject, environment_shapes};
 use crate::run::experiment::Experiment;
 use nalgebra::Vector3;
 use opspace_backend::signal_names::Q;
 use opspace_model::collision::{
-    CollisionData, CollisionModel, CollisionShape, Holder, Proximity, collision_distances,
+    Capsule, CollisionData, CollisionModel, CollisionShape, Holder, Proximity, collision_distances,
 };
-use opspace_model::{Data, Model, forward_kinematics};
+use opspace_model::{Data, Frame, Model, forward_kinematics, frame_placement};
 
-/// Arm and obstacles at a moment of a run, in world axes.
+/// Radius of the lines that stand for links without collision geometry, m.
+const LINE_RADIUS_M: f64 = 0.008;
+
+/// Arm, obstacles and environment at a moment of a run, in world axes.
 #[derive(Clone, Debug)]
 pub struct CollisionMoment {
     /// Name: start, least distance, end.
@@ -20,6 +24,10 @@ pub struct CollisionMoment {
     pub shapes: Vec<PlacedShape>,
     /// Closest of the pairs that are kept apart; `None` if there are none.
     pub closest: Option<ClosestPair>,
+    /// Objects of the environment that have a shape.
+    pub environment: Vec<PlacedObject>,
+    /// True if the robot has no collision geometry, and its links are drawn as lines.
+    pub is_sketch: bool,
 }
 
 /// Capsule of the arm, or obstacle, in world axes.
@@ -56,9 +64,10 @@ struct Row {
 /// First, closest and last row of control while segments of a log arrive.
 pub(super) struct CollisionMoments<'a> {
     model: &'a Model,
-    geometry: &'a CollisionModel,
+    /// Collision geometry with its distances; `None` for a robot without.
+    geometry: Option<(&'a CollisionModel, CollisionData)>,
+    environment: Vec<PlacedObject>,
     data: Data,
-    distances: CollisionData,
     start: Option<Row>,
     /// Row with the smallest distance, and this distance, m.
     least: Option<(Row, f64)>,
@@ -66,15 +75,19 @@ pub(super) struct CollisionMoments<'a> {
 }
 
 impl<'a> CollisionMoments<'a> {
-    /// Returns `None` if the experiment keeps no distances.
+    /// Returns `None` if the experiment keeps no distances and has no environment that can be drawn.
     pub(super) fn new(experiment: &'a Experiment) -> Option<Self> {
-        let geometry = &experiment.kept_distances()?.limits.geometry;
+        let geometry = experiment.kept_distances().map(|kept| &kept.limits.geometry);
+        let environment = environment_shapes(experiment);
+        if geometry.is_none() && environment.is_empty() {
+            return None;
+        }
         let model = &experiment.robot().model;
         Some(Self {
             model,
-            geometry,
+            geometry: geometry.map(|geometry| (geometry, CollisionData::new(geometry))),
+            environment,
             data: Data::new(model),
-            distances: CollisionData::new(geometry),
             start: None,
             least: None,
             end: None,
@@ -105,9 +118,10 @@ impl<'a> CollisionMoments<'a> {
 
     /// Returns the closest pair at joint positions, with its index, if it is within a distance.
     fn closest(&mut self, q: &[f64], within_m: f64) -> Option<(usize, Proximity)> {
+        let (geometry, distances) = self.geometry.as_mut()?;
         forward_kinematics(self.model, &mut self.data, q);
-        collision_distances(self.geometry, self.model, &self.data, within_m, &mut self.distances);
-        let near = self.distances.near().map(|(pair, proximity)| (pair, *proximity));
+        collision_distances(geometry, self.model, &self.data, within_m, distances);
+        let near = distances.near().map(|(pair, proximity)| (pair, *proximity));
         near.min_by(|(_, a), (_, b)| a.distance_m.total_cmp(&b.distance_m))
     }
 
@@ -131,7 +145,18 @@ impl<'a> CollisionMoments<'a> {
 
     fn moment(&mut self, name: &str, row: &Row) -> CollisionMoment {
         let closest = self.closest(&row.q, f64::INFINITY);
-        let geometry = self.geometry;
+        let moment = CollisionMoment {
+            name: name.to_owned(),
+            time_s: row.time_s,
+            shapes: Vec::new(),
+            closest: None,
+            environment: self.environment.clone(),
+            is_sketch: self.geometry.is_none(),
+        };
+        let Some((geometry, _)) = &self.geometry else {
+            forward_kinematics(self.model, &mut self.data, &row.q);
+            return CollisionMoment { shapes: sketch(self.model, &self.data), ..moment };
+        };
         let shapes = geometry.objects().iter().map(|object| PlacedShape {
             name: object.name.clone(),
             is_obstacle: object.holder == Holder::World,
@@ -144,14 +169,40 @@ impl<'a> CollisionMoments<'a> {
             },
         });
         CollisionMoment {
-            name: name.to_owned(),
-            time_s: row.time_s,
             shapes: shapes.collect(),
             closest: closest.map(|(pair, proximity)| ClosestPair {
                 shapes: [geometry.pairs()[pair].a, geometry.pairs()[pair].b],
                 distance_m: proximity.distance_m,
                 points_m: [proximity.point_a_m, proximity.point_b_m],
             }),
+            ..moment
         }
     }
+}
+
+/// Links as thin capsules: from the joint of each body to the joints of its children, and to its other frames.
+fn sketch(model: &Model, data: &Data) -> Vec<PlacedShape> {
+    let place = |name: &str| model.frame_id(name).ok().map(|id| frame_placement(model, data, id).translation);
+    // The first frame of a body is that of the link behind its joint; the first of the base is that of the root link.
+    let joint_of = |body: Option<usize>| model.frames().iter().find(|frame| frame.body == body);
+    let line = |name: &str, from: Option<&Frame>, to: &str| {
+        let [start_m, end_m] = [place(&from?.name)?, place(to)?];
+        let is_point = (end_m - start_m).norm() < LINE_RADIUS_M;
+        let capsule = Capsule { start_m, end_m, radius_m: LINE_RADIUS_M };
+        (!is_point).then(|| PlacedShape {
+            name: name.to_owned(),
+            is_obstacle: false,
+            shape: CollisionShape::Capsule(capsule),
+        })
+    };
+    let frames = model.frames().iter().filter_map(|frame| {
+        let own = joint_of(frame.body)?;
+        let from = if own.name == frame.name {
+            joint_of(model.bodies().get(frame.body?)?.parent)
+        } else {
+            Some(own)
+        };
+        line(&frame.name, from, &frame.name)
+    });
+    frames.collect()
 }

@@ -1,8 +1,10 @@
-//! Views of collision geometry as inline SVG: arm and obstacles from three sides, at each moment of a run.
+//! Views of arm, obstacles and environment as inline SVG, from three sides, at each moment of a run.
 
 use crate::evaluate::table::format_short;
 use crate::report::collision_moments::{ClosestPair, CollisionMoment, PlacedShape};
+use crate::report::environment_shapes::{EnvironmentShape, PlacedObject};
 use crate::report::figure::{Axis, Chart, Drawn, INK, PALETTE, canvas, chart, escape, printable, px, text};
+use crate::report::polygon::{cut, on, within};
 use nalgebra::{Vector2, Vector3};
 use opspace_model::collision::{Capsule, CollisionShape, HalfSpace};
 use plotters::prelude::*;
@@ -51,11 +53,16 @@ enum Role {
     Arm,
     Obstacle,
     Closest,
+    Environment,
 }
 
 impl Role {
-    const ALL: [(Self, &str); 3] =
-        [(Self::Arm, "arm"), (Self::Obstacle, "obstacle"), (Self::Closest, "closest pair")];
+    const ALL: [(Self, &str); 4] = [
+        (Self::Arm, "arm"),
+        (Self::Obstacle, "obstacle"),
+        (Self::Closest, "closest pair"),
+        (Self::Environment, "environment"),
+    ];
 
     fn of(moment: &CollisionMoment, shape: usize) -> Self {
         match &moment.closest {
@@ -70,6 +77,7 @@ impl Role {
             Self::Arm => PALETTE[0].0,
             Self::Obstacle => PALETTE[2].0,
             Self::Closest => PALETTE[1].0,
+            Self::Environment => PALETTE[3].0,
         }
     }
 }
@@ -78,7 +86,10 @@ impl Role {
 pub(super) fn views(moments: &[CollisionMoment]) -> String {
     let part = Part::around(moments);
     let is_used = |role: Role| {
-        moments.iter().any(|moment| (0..moment.shapes.len()).any(|shape| Role::of(moment, shape) == role))
+        moments.iter().any(|moment| match role {
+            Role::Environment => !moment.environment.is_empty(),
+            _ => (0..moment.shapes.len()).any(|shape| Role::of(moment, shape) == role),
+        })
     };
     let mut html = String::from("<p class=\"legend\">");
     for (role, name) in Role::ALL.into_iter().filter(|(role, _)| is_used(*role)) {
@@ -103,20 +114,45 @@ pub(super) fn views(moments: &[CollisionMoment]) -> String {
     html
 }
 
+/// Title of the views.
+pub(super) fn title(moments: &[CollisionMoment]) -> &'static str {
+    if moments.iter().any(|moment| moment.is_sketch) { "Arm and environment" } else { "Collision geometry" }
+}
+
 /// Caption of the views.
 pub(super) fn caption(moments: &[CollisionMoment]) -> String {
-    let mut text =
-        "Capsules of the arm, and obstacles, at the measured joint positions: parallel projections of equal \
-                    scale, in world axes. A line joins the closest points of the pairs that are kept apart."
-            .to_owned();
     let shapes = || moments.first().into_iter().flat_map(|moment| &moment.shapes);
+    let objects = || moments.first().into_iter().flat_map(|moment| &moment.environment);
+    let contents = if moments.iter().any(|moment| moment.is_sketch) {
+        "Links as lines between joints and frames, and the objects of the environment"
+    } else if objects().next().is_some() {
+        "Capsules of the arm, obstacles, and the objects of the environment"
+    } else {
+        "Capsules of the arm, and obstacles"
+    };
+    let mut text = format!(
+        "{contents}, at the measured joint positions: parallel projections of equal scale, in world axes."
+    );
+    if moments.iter().any(|moment| moment.closest.is_some()) {
+        text += " A line joins the closest points of the pairs that are kept apart.";
+    }
+    if objects().any(|object| matches!(object.shape, EnvironmentShape::Plane { .. })) {
+        text += " Walls are drawn where they are seen edge-on, and their edges also from above.";
+    }
     if shapes().any(|shape| matches!(shape.shape, CollisionShape::HalfSpace(_))) {
         text += " Half-spaces are drawn where their plane is seen edge-on.";
     }
     let part = Part::around(moments);
     let is_drawn = |shape: &PlacedShape| VIEWS.iter().any(|view| view.outline(&shape.shape, &part).len() > 2);
-    let hidden: Vec<&str> =
-        shapes().filter(|shape| !is_drawn(shape)).map(|shape| shape.name.as_str()).collect();
+    // A hole is seen with its plane or without.
+    let is_seen = |name: &str| {
+        let mut parts = objects().filter(|object| object.name == name);
+        parts.any(|object| VIEWS.iter().any(|view| view.outline_of_object(object, &part).len() > 2))
+    };
+    let mut hidden: Vec<&str> = (shapes().filter(|shape| !is_drawn(shape)).map(|shape| shape.name.as_str()))
+        .chain(objects().map(|object| object.name.as_str()).filter(|name| !is_seen(name)))
+        .collect();
+    hidden.dedup();
     if !hidden.is_empty() {
         text += &format!(" In no view: {}.", hidden.join(", "));
     }
@@ -194,7 +230,11 @@ impl Part {
                 }
             })
         });
-        let whole = obstacles.fold(arm, Bounds::union);
+        let objects = moments
+            .iter()
+            .flat_map(|moment| &moment.environment)
+            .filter_map(|object| near.intersection(Bounds(object.shape.nearest_box(&arm.center()))));
+        let whole = obstacles.chain(objects).fold(arm, Bounds::union);
         Self { center: whole.center(), side_m: (1.0 + 2.0 * PADDING) * whole.size().amax().max(1e-3) }
     }
 
@@ -208,27 +248,6 @@ impl Part {
         let [low, high] = self.bounds().0.map(|corner| on(axes, &corner));
         [low, Vector2::new(high.x, low.y), high, Vector2::new(low.x, high.y)]
     }
-}
-
-/// Projection of a vector on two axes.
-fn on(axes: [usize; 2], point: &Vector3<f64>) -> Vector2<f64> {
-    Vector2::new(point[axes[0]], point[axes[1]])
-}
-
-/// Part of a convex polygon in which normal ∙ x ≤ offset (Sutherland and Hodgman, 1974).
-fn cut(polygon: &[Vector2<f64>], normal: &Vector2<f64>, offset: f64) -> Vec<Vector2<f64>> {
-    let mut kept = Vec::new();
-    for (i, corner) in polygon.iter().enumerate() {
-        let next = &polygon[(i + 1) % polygon.len()];
-        let [beyond, next_beyond] = [corner, next].map(|point| normal.dot(point) - offset);
-        if beyond <= 0.0 {
-            kept.push(*corner);
-        }
-        if (beyond <= 0.0) != (next_beyond <= 0.0) {
-            kept.push(corner.lerp(next, beyond / (beyond - next_beyond)));
-        }
-    }
-    kept
 }
 
 impl View {
@@ -256,14 +275,18 @@ impl View {
                 };
                 let whole: Vec<Vector2<f64>> =
                     half(end, along - FRAC_PI_2).chain(half(start, along + FRAC_PI_2)).collect();
-                let sides = (0..4).map(|i| {
-                    let along = frame[(i + 1) % 4] - frame[i];
-                    let outward = Vector2::new(along.y, -along.x);
-                    (outward, outward.dot(&frame[i]))
-                });
-                sides.fold(whole, |polygon, (outward, offset)| cut(&polygon, &outward, offset))
+                within(whole, &frame)
             }
         }
+    }
+
+    /// Outline of an object of the environment within the view, m, as [`outline`](Self::outline).
+    fn outline_of_object(&self, object: &PlacedObject, part: &Part) -> Vec<Vector2<f64>> {
+        // A projection alone does not show that an object is far away.
+        if Bounds(object.shape.nearest_box(&part.center)).intersection(part.bounds()).is_none() {
+            return Vec::new();
+        }
+        object.shape.outline(self.axes, self.depth.0, &part.corners(self.axes))
     }
 
     /// Place of a shape on the line of sight; shapes with larger ones are in front.
@@ -285,6 +308,7 @@ impl View {
             });
             let place = |point: &Vector2<f64>| (x.place(point.x), y.place(point.y));
             let mut chart = chart(root, self.name, LEFT, &x, &y)?;
+            self.draw_environment(&mut chart, moment, part, place)?;
             let mut order: Vec<usize> = (0..moment.shapes.len()).collect();
             order.sort_by(|a, b| {
                 let [a, b] = [*a, *b].map(|shape| self.nearness(&moment.shapes[shape].shape));
@@ -292,25 +316,36 @@ impl View {
             });
             for shape in order {
                 let PlacedShape { name, is_obstacle, shape: placed } = &moment.shapes[shape];
-                let mut outline: Vec<(f64, f64)> = self.outline(placed, part).iter().map(place).collect();
-                if outline.len() < 3 {
-                    continue;
-                }
-                let middle = outline.iter().fold((0.0, 0.0), |sum, point| (sum.0 + point.0, sum.1 + point.1));
-                let middle = (middle.0 / outline.len() as f64, middle.1 / outline.len() as f64);
+                let outline: Vec<(f64, f64)> = self.outline(placed, part).iter().map(place).collect();
                 let role = Role::of(moment, shape);
-                let color = role.color();
-                chart.draw_series([Polygon::new(outline.clone(), color.mix(OPACITY).filled())])?;
-                outline.push(outline[0]);
-                chart.draw_series([PathElement::new(outline, color.stroke_width(6))])?;
                 // The names of the closest pair are above the views, and its line would cross them.
-                if *is_obstacle && role != Role::Closest {
-                    let style = text(11, FontStyle::Italic).pos(Pos::new(HPos::Center, VPos::Center));
-                    chart.draw_series([Text::new(printable(name), middle, style)])?;
-                }
+                let label = (*is_obstacle && role != Role::Closest).then_some(name.as_str());
+                draw(&mut chart, outline, role, label)?;
             }
             self.draw_closest(&mut chart, moment, place)
         })
+    }
+
+    /// Draws the objects of the environment, behind all else.
+    fn draw_environment(
+        &self,
+        chart: &mut Chart<'_>,
+        moment: &CollisionMoment,
+        part: &Part,
+        place: impl Fn(&Vector2<f64>) -> (f64, f64),
+    ) -> Drawn {
+        let mut named = None;
+        for object in &moment.environment {
+            let outline: Vec<(f64, f64)> = self.outline_of_object(object, part).iter().map(&place).collect();
+            if outline.len() < 3 {
+                continue;
+            }
+            // A hole in a plane that is seen has the name of the plane.
+            let label = (named != Some(&object.name)).then_some(object.name.as_str());
+            named = Some(&object.name);
+            draw(chart, outline, Role::Environment, label)?;
+        }
+        Ok(())
     }
 
     /// Draws the line between the closest points, if a pair is kept apart.
@@ -326,4 +361,22 @@ impl View {
         chart.draw_series([a, b].map(|at| Circle::new(at, px(3), INK.filled())))?;
         Ok(())
     }
+}
+
+/// Draws an outline and its label; nothing if it has no corners.
+fn draw(chart: &mut Chart<'_>, mut outline: Vec<(f64, f64)>, role: Role, label: Option<&str>) -> Drawn {
+    if outline.len() < 3 {
+        return Ok(());
+    }
+    let middle = outline.iter().fold((0.0, 0.0), |sum, point| (sum.0 + point.0, sum.1 + point.1));
+    let middle = (middle.0 / outline.len() as f64, middle.1 / outline.len() as f64);
+    let color = role.color();
+    chart.draw_series([Polygon::new(outline.clone(), color.mix(OPACITY).filled())])?;
+    outline.push(outline[0]);
+    chart.draw_series([PathElement::new(outline, color.stroke_width(6))])?;
+    if let Some(name) = label {
+        let style = text(11, FontStyle::Italic).pos(Pos::new(HPos::Center, VPos::Center));
+        chart.draw_series([Text::new(printable(name), middle, style)])?;
+    }
+    Ok(())
 }

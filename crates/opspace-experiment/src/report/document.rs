@@ -4,6 +4,7 @@ use crate::evaluate::notes::{joint_notes, notes, task_notes};
 use crate::evaluate::results::{Measure, group, joint_table, table, task_table};
 use crate::evaluate::table::Table;
 use crate::report::comparisons::{comparisons, overlays, sweeps};
+pub use crate::report::environment_shapes::{EnvironmentShape, PlacedObject};
 use crate::report::html::Page;
 pub use crate::report::run_section::{ClosestPair, CollisionMoment, PlacedShape, RunSection};
 use crate::run::summary::Summary;

@@ -8,7 +8,7 @@ use plotters::style::RGBColor;
 
 use crate::evaluate::table::{Cell, Table};
 use crate::report::collision_moments::CollisionMoment;
-use crate::report::collision_views::{caption, views};
+use crate::report::collision_views::{caption, title, views};
 use crate::report::figure::{Comparison, Figure, INK, PALETTE, escape};
 
 /// Page under construction; blocks appear in the order in which they are added.
@@ -114,16 +114,17 @@ impl Page {
         self.drawing(&comparison.svg(), &comparison.title, &comparison.caption)
     }
 
-    /// Adds the collision geometry at some moments of a run as one numbered figure; nothing if there are none.
+    /// Adds arm, collision geometry and environment at some moments of a run as one numbered figure; nothing if there are none.
     pub fn collisions(mut self, moments: &[CollisionMoment]) -> Self {
         if moments.is_empty() {
             return self;
         }
         self.figures += 1;
         let html = format!(
-            "<figure class=\"views\">\n{}<figcaption><b>Figure {}. Collision geometry.</b> {}</figcaption>\n</figure>",
+            "<figure class=\"views\">\n{}<figcaption><b>Figure {}. {}.</b> {}</figcaption>\n</figure>",
             views(moments),
             self.figures,
+            title(moments),
             escape(&caption(moments))
         );
         self.block(&html)

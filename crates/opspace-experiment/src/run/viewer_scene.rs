@@ -23,6 +23,9 @@ impl Experiment {
             EnvironmentObjectParameters::Wall(wall) => {
                 Some(Wall { name: name.clone(), point_m: wall.point_m, normal: wall.normal })
             }
+            EnvironmentObjectParameters::Hole(hole) => {
+                Some(Wall { name: name.clone(), point_m: hole.point_m, normal: hole.normal })
+            }
             _ => None,
         };
         let links = self.robot().capsules().iter().map(|capsule| SceneCapsule {

@@ -7,7 +7,9 @@ use nalgebra::Vector3;
 use opspace_backend::CommandKind;
 use opspace_backend::signal_names::{LEAST_DISTANCE, PHASE, Q, TICK_CHANNEL};
 use opspace_experiment::evaluate::results::MEASURES;
-use opspace_experiment::report::document::{ClosestPair, CollisionMoment, PlacedShape, page};
+use opspace_experiment::report::document::{
+    ClosestPair, CollisionMoment, EnvironmentShape, PlacedObject, PlacedShape, page,
+};
 use opspace_experiment::report::html::Page;
 use opspace_loop::Phase;
 use opspace_model::collision::{
@@ -118,7 +120,14 @@ fn moment() -> CollisionMoment {
     ];
     let points_m = [Vector3::from(CENTERS[0]), Vector3::from(CENTERS[1])];
     let closest = Some(ClosestPair { shapes: [0, 4], distance_m: -0.0123, points_m });
-    CollisionMoment { name: "start".to_owned(), time_s: 0.5, shapes, closest }
+    CollisionMoment {
+        name: "start".to_owned(),
+        time_s: 0.5,
+        shapes,
+        closest,
+        environment: Vec::new(),
+        is_sketch: false,
+    }
 }
 
 /// Compared: distances between the centres of two spheres on the canvas with those of their projections, in the unit of a
@@ -190,4 +199,112 @@ fn views_say_what_they_show() {
         assert!(html.contains(&format!("</svg> {name}</span>")), "{name}");
     }
     assert_eq!(Page::new("t").collisions(&[]).render(), Page::new("t").render());
+}
+
+/// Returns the extent of each polygon of a view in metres: left, right, bottom, top, relative to the corner of the view. The
+/// view is as large as its largest polygon, a wall that fills it.
+fn extents(html: &str, view: usize) -> Vec<[f64; 4]> {
+    let document = xml(html);
+    let row = document.descendants().find(|node| node.attribute("class") == Some("row")).unwrap();
+    let view = row.children().filter(|node| node.tag_name().name() == "svg").nth(view).unwrap();
+    let polygons = view.descendants().filter(|node| node.tag_name().name() == "polygon");
+    polygons
+        .map(|polygon| {
+            let points = points(&polygon);
+            let of = |pick: fn(&(f64, f64)) -> f64| {
+                let values = || points.iter().map(pick);
+                (values().fold(f64::INFINITY, f64::min), values().fold(f64::NEG_INFINITY, f64::max))
+            };
+            let ((left, right), (top, bottom)) = (of(|point| point.0), of(|point| point.1));
+            [left, right, -bottom, -top]
+        })
+        .collect()
+}
+
+/// Compared: the outlines of a table with an edge, a cylinder, and a hole in a second table, and their sizes, in the unit of a
+/// sphere on the canvas.
+#[test]
+fn environment_is_drawn_to_scale() {
+    let plane = |offset_m, edge| EnvironmentShape::Plane {
+        below: HalfSpace { normal: Vector3::z(), offset_m },
+        edge,
+    };
+    let object = |shape| PlacedObject { name: "thing".to_owned(), shape };
+    let drawn = |environment: Vec<PlacedObject>| {
+        let shapes = vec![shape("link", false, sphere([0.0, 0.0, 0.5], 0.5))];
+        let moment = CollisionMoment {
+            name: "start".to_owned(),
+            time_s: 0.0,
+            shapes,
+            closest: None,
+            environment,
+            is_sketch: true,
+        };
+        Page::new("t").collisions(&[moment]).render()
+    };
+    let near = |a: f64, b: f64| assert!((a - b).abs() < 2.0 * PIXELS, "{a} for {b}");
+    // Left, right, bottom and top of a polygon, m from the corner of the box around the sphere of 1 m.
+    let within = |polygon: [f64; 4], link: [f64; 4], expected: [f64; 4]| {
+        let per_m = link[1] - link[0];
+        for (i, corner) in [link[0], link[0], link[2], link[2]].into_iter().enumerate() {
+            near(polygon[i], corner + expected[i] * per_m);
+        }
+    };
+    // The table ends at x = 0.25 m: three quarters of the sphere, seen from the side, and from above.
+    let edge = HalfSpace { normal: Vector3::x(), offset_m: 0.25 };
+    let html = drawn(vec![object(plane(0.1, Some(edge)))]);
+    for view in 0..3 {
+        assert_eq!(extents(&html, view).len(), 2, "view {view}");
+    }
+    let [table, link] = extents(&html, 0)[..] else { panic!("two polygons") };
+    let per_m = link[1] - link[0];
+    near(table[1], link[0] + 0.75 * per_m);
+    near(table[3], link[2] + 0.1 * per_m);
+    let [table, link] = extents(&html, 2)[..] else { panic!("two polygons") };
+    near(table[1], link[0] + 0.75 * per_m);
+    // Along its axis a cylinder is a circle, across it a strip.
+    let cylinder = EnvironmentShape::Cylinder {
+        point_m: Vector3::new(0.1, 7.0, 0.6),
+        axis: Vector3::y(),
+        radius_m: 0.2,
+    };
+    let html = drawn(vec![object(cylinder)]);
+    let [circle, link] = extents(&html, 0)[..] else { panic!("two polygons") };
+    within(circle, link, [0.4, 0.8, 0.4, 0.8]);
+    let [strip, link] = extents(&html, 2)[..] else { panic!("two polygons") };
+    near(strip[0], link[0] + 0.4 * per_m);
+    near(strip[1], link[0] + 0.8 * per_m);
+    assert!(strip[2] < link[2] && strip[3] > link[3], "without ends");
+    // A hole of 0.1 m radius and 0.3 m depth.
+    let rod = EnvironmentShape::Rod { ends_m: [Vector3::z() * 0.4, Vector3::z() * 0.1], radius_m: 0.1 };
+    let html = drawn(vec![object(plane(0.4, None)), object(rod)]);
+    let [_, hole, link] = extents(&html, 1)[..] else { panic!("three polygons") };
+    within(hole, link, [0.4, 0.6, 0.1, 0.4]);
+    assert_eq!(extents(&html, 2).len(), 2, "from above the hole alone");
+    assert!(html.contains("Arm and environment.</b>") && html.contains("</svg> environment</span>"));
+}
+
+/// Checks that a robot without `[collision]` is drawn with the walls of its environment, and its last line ends at the hand.
+#[test]
+fn arm_without_collision_geometry_is_drawn_with_its_environment() {
+    let experiment = load("press-wall", CommandKind::Torque, 0.4);
+    let ((rows, _), section) = shown(&experiment);
+    let names: Vec<&str> = section.collisions.iter().map(|moment| moment.name.as_str()).collect();
+    assert_eq!(names, ["start", "end"]);
+    let tick = rows.channel(TICK_CHANNEL).unwrap();
+    let phase = tick.signal(PHASE).unwrap();
+    let first = (0..tick.len()).find(|k| phase.row(*k)[0] != Phase::Rest.code()).unwrap();
+    let model = &experiment.robot().model;
+    let mut data = Data::new(model);
+    forward_kinematics(model, &mut data, tick.signal(Q).unwrap().row(first));
+    let hand = frame_placement(model, &data, model.frame_id("hand").unwrap()).translation;
+    let moment = &section.collisions[0];
+    assert!(moment.is_sketch && moment.closest.is_none());
+    let ends = moment.shapes.iter().map(|shape| match shape.shape {
+        CollisionShape::Capsule(capsule) => (capsule.end_m - hand).norm(),
+        CollisionShape::HalfSpace(_) => f64::INFINITY,
+    });
+    assert!(ends.fold(f64::INFINITY, f64::min) < ROUNDING_M, "{hand}");
+    let below = HalfSpace { normal: -Vector3::x(), offset_m: -0.37 };
+    assert_eq!(moment.environment[0].shape, EnvironmentShape::Plane { below, edge: None });
 }

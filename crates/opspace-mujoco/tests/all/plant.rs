@@ -2,9 +2,13 @@
 
 use crate::common::{mujoco, project};
 use nalgebra::Vector3;
+use opspace_backend::SignalRecorder;
 use opspace_experiment::{Files, RobotDefinition};
+use opspace_model::{Data, forward_kinematics, frame_placement};
+use opspace_sim::random::{RngStream, generator};
 use opspace_sim::{
-    ExternalForce, PhysicsEngine, Plant, PlantArm, PlantConfig, PlantCoupling, PlantFrame, Pull, RigidPlant,
+    EnvironmentObject, ExternalForce, PhysicsEngine, Plant, PlantArm, PlantConfig, PlantCoupling, PlantFrame,
+    Pull, RigidPlant,
 };
 
 /// Start of the arm, rad.
@@ -93,6 +97,61 @@ fn midpoint_steps_agree_with_runge_kutta_steps_of_mujoco() {
     let (apart, travel) = (difference(plant.q(), &other), difference(plant.q(), &START));
     println!("midpoint steps: {apart:.1e} rad from MuJoCo's Runge-Kutta steps after {travel:.2} rad");
     assert!(travel > 0.5 && apart < TOLERANCE_RAD, "{apart:e} rad");
+}
+
+/// Compared: the motion of an arm among objects with states of their own, on both plants, the forces of these objects and the
+/// states that they record.
+#[test]
+fn environment_acts_as_on_the_own_plant() {
+    const STEP_S: f64 = 5e-5;
+    let Some(mujoco) = mujoco(None) else { return };
+    let model = panda().model;
+    let flange = model.frame_id("flange").expect("a flange");
+    let mut data = Data::new(&model);
+    forward_kinematics(&model, &mut data, &START);
+    let at = frame_placement(&model, &data, flange).translation;
+    let texts = [
+        format!(
+            "[wall]\nframe = 'flange'\npoint_m = [{}, {}, {}]\nnormal = [0.0, 0.0, 1.0]\nstiffness_n_per_m = 5e3\n\
+             damping_ns_per_m = 20.0\nfriction = {{ coefficient = 0.3 }}",
+            at.x,
+            at.y,
+            at.z + 0.01
+        ),
+        "[mass]\nframe = 'flange'\nmass_kg = 0.5".to_owned(),
+        "[drawer]\nframe = 'flange'\ndirection = [0.0, 1.0, 0.0]\nmass_kg = 1.0\ntravel_m = 0.3\nopening_m = 0.1\n\
+         friction_n = 2.0"
+            .to_owned(),
+    ];
+    let config = || {
+        let mut arm = PlantArm::new(model.clone(), START.to_vec());
+        arm.contacts = texts
+            .iter()
+            .map(|text| {
+                let parameters = toml::from_str(text).expect("an object");
+                let random = generator(1, RngStream::EnvironmentObject(0));
+                (flange, EnvironmentObject::new(&parameters, at, model.gravity(), random))
+            })
+            .collect();
+        PlantConfig { arms: vec![arm], couplings: Vec::new(), step_s: STEP_S }
+    };
+    let moved = |mut plant: Box<dyn Plant>| {
+        let q = positions_after(&mut *plant, STEP_S, 0.3);
+        let forces = [0, 1, 2].map(|contact| plant.contact_force(0, contact));
+        let mut row = vec![0.0; 8];
+        let mut out = SignalRecorder::sampling(&mut row);
+        for contact in 0..3 {
+            plant.environment_object(0, contact).expect("an object").record("thing", &mut out);
+        }
+        (q, forces, row)
+    };
+    let own = moved(Box::new(RigidPlant::new(config())));
+    let other = moved(mujoco.build(config()).expect("a plant"));
+    assert!(difference(&own.0, &other.0) < TOLERANCE_RAD && difference(&own.0, &START) > 0.01);
+    for (own, other) in own.1.iter().zip(&other.1) {
+        assert!((own - other).norm() < TOLERANCE_N && own.norm() > LEAST_N, "{own} {other}");
+    }
+    assert!(difference(&own.2, &other.2) < TOLERANCE_N, "{:?} {:?}", own.2, other.2);
 }
 
 /// Compared: the motion of two coupled arms of which one is pulled, on both plants, and the forces that the plants

@@ -52,7 +52,7 @@ pub(super) struct SurfaceContact {
 
 /// Bristle between a point and its anchor on a surface.
 #[derive(Clone, Debug)]
-struct Bristle {
+pub(super) struct Bristle {
     coefficient: f64,
     stiffness: f64,
     damping: f64,
@@ -71,12 +71,12 @@ impl SurfaceContact {
         Self {
             stiffness: stiffness.get(),
             damping: damping.get(),
-            bristle: friction.map(|friction| Bristle {
-                coefficient: friction.coefficient.get(),
-                stiffness: friction.stiffness_n_per_m.unwrap_or(stiffness).get(),
-                damping: friction.damping_ns_per_m.unwrap_or(damping).get(),
-                last: None,
-                force: Vector3::zeros(),
+            bristle: friction.map(|friction| {
+                Bristle::new(
+                    friction.coefficient.get(),
+                    friction.stiffness_n_per_m.unwrap_or(stiffness).get(),
+                    friction.damping_ns_per_m.unwrap_or(damping).get(),
+                )
             }),
             normal_force: 0.0,
         }
@@ -124,8 +124,14 @@ impl SurfaceContact {
 }
 
 impl Bristle {
+    /// Returns the bristle of a point without contact: coefficient of friction, stiffness (N/m, above zero) and damping
+    /// (Ns/m).
+    pub fn new(coefficient: f64, stiffness: f64, damping: f64) -> Self {
+        Self { coefficient, stiffness, damping, last: None, force: Vector3::zeros() }
+    }
+
     /// Advances by a step of `dt` (s), and returns the friction on the point under the normal force `push` (N).
-    fn drag(&mut self, dt: f64, x: &Vector3<f64>, normal: &Vector3<f64>, push: f64) -> Vector3<f64> {
+    pub fn drag(&mut self, dt: f64, x: &Vector3<f64>, normal: &Vector3<f64>, push: f64) -> Vector3<f64> {
         let along = |vector: Vector3<f64>| vector - normal * normal.dot(&vector);
         let [before, motion] = match self.last {
             Some([deflection, position]) => [along(deflection), along(x - position)],

@@ -17,3 +17,11 @@ impl Mistake {
         Self { key, message: message.into() }
     }
 }
+
+/// Checks that a direction has a length.
+pub(super) fn check_length(key: &'static str, direction: [f64; 3]) -> Result<(), Mistake> {
+    if direction.iter().all(|component| *component == 0.0) {
+        return Err(Mistake::new(key, "the direction has no length"));
+    }
+    Ok(())
+}

@@ -1,5 +1,6 @@
 //! Operator who holds a frame of the robot by a spring: `[environment.NAME.spring]`.
 
+use crate::environment::mistake::Mistake;
 use crate::sines::{SINES, Sines};
 use nalgebra::Vector3;
 use opspace_backend::quantity::{NonNegative, Positive, exactly};
@@ -7,7 +8,7 @@ use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 #[cfg(feature = "schema")]
 use schemars::JsonSchema;
-use serde::Deserialize;
+use serde::{Deserialize, Deserializer};
 use std::f64::consts::TAU;
 
 /// Spring and damper between frame and operator: `F = gain ∘ [K (x_operator − x) + B (ẋ_operator − ẋ)]`. The operator
@@ -28,8 +29,32 @@ pub struct SpringParameters {
     /// World axes for which its force and the frame's motion are reported.
     #[serde(default = "all_axes")]
     pub report: Vec<WorldAxis>,
+    /// Point at which the operator is at the start, in world coordinates, m; the frame's initial position if absent.
+    #[serde(default, deserialize_with = "point")]
+    pub point_m: Option<[f64; 3]>,
+    /// Times during which the operator lets go of the frame. Without `point_m`, the operator then takes hold of it where it
+    /// is; with `point_m`, its motion remains about that point.
+    #[serde(default)]
+    pub released: Vec<ReleaseParameters>,
     /// Motion of the operator.
     pub motion: OperatorMotion,
+}
+
+/// Time during which an operator does not hold the frame.
+#[derive(Clone, Copy, Debug, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct ReleaseParameters {
+    /// Beginning, in s after the controller's start.
+    pub at_s: NonNegative,
+    /// End, in s after the controller's start; never if absent.
+    #[serde(default)]
+    pub until_s: Option<Positive>,
+}
+
+/// Reads an optional point.
+fn point<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<[f64; 3]>, D::Error> {
+    exactly(deserializer).map(Some)
 }
 
 const fn everywhere() -> [NonNegative; 3] {
@@ -63,6 +88,35 @@ pub enum OperatorMotion {
     Still {},
     /// Band-limited random motion: 24 sines per axis, of random frequency, phase and amplitude.
     Random(RandomMotion),
+    /// Reaches at given times, and tremor.
+    Scripted(ScriptedMotion),
+}
+
+/// Reaches at given times, with tremor.
+#[derive(Clone, Debug, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct ScriptedMotion {
+    /// Minimum-jerk motions, which add up; the operator stays where they end.
+    #[serde(default)]
+    pub reach: Vec<ReachParameters>,
+    /// Random motion in addition; none if absent.
+    #[serde(default)]
+    pub tremor: Option<RandomMotion>,
+}
+
+/// Minimum-jerk motion from rest to rest.
+#[derive(Clone, Debug, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct ReachParameters {
+    /// Beginning, in s after the controller's start.
+    pub at_s: NonNegative,
+    /// Duration, s.
+    pub duration_s: Positive,
+    /// Displacement in world axes, m.
+    #[serde(deserialize_with = "exactly")]
+    pub by_m: [f64; 3],
 }
 
 /// Band-limited random motion.
@@ -92,8 +146,31 @@ pub struct Spring {
     damping: Vector3<f64>,
     home: Vector3<f64>,
     ramp_s: f64,
-    /// Random motion along each axis, m; no sines for an operator who does not move.
+    /// Random motion along each axis, m; no sines for an operator who does not move at random.
     sines: Box<[Sines; 3]>,
+    reaches: Vec<ReachParameters>,
+    released: Vec<ReleaseParameters>,
+    /// True if `home` is a given point.
+    is_at_point: bool,
+    /// True if the operator did not hold the frame in the last step.
+    is_released: bool,
+}
+
+impl SpringParameters {
+    pub(super) fn check(&self) -> Result<(), Mistake> {
+        let ends_early = |release: &ReleaseParameters| {
+            release.until_s.is_some_and(|until| until.get() <= release.at_s.get())
+        };
+        if self.released.iter().any(ends_early) {
+            return Err(Mistake::new("released", "until_s must be after at_s"));
+        }
+        if let OperatorMotion::Scripted(ScriptedMotion { tremor: Some(tremor), .. }) = &self.motion
+            && tremor.to_hz < tremor.from_hz
+        {
+            return Err(Mistake::new("motion.scripted.tremor", "to_hz is below from_hz"));
+        }
+        Ok(())
+    }
 }
 
 /// Returns the minimum-jerk ramp s = 10u³ − 15u⁴ + 6u⁵ with u = t/duration, from 0 to 1, and its rate (1/s).
@@ -112,23 +189,40 @@ fn minimum_jerk(t: f64, duration: f64) -> (f64, f64) {
 impl Spring {
     pub(super) fn new(p: &SpringParameters, home: Vector3<f64>, mut random: ChaCha8Rng) -> Self {
         let gain = Vector3::from(p.gain.map(NonNegative::get));
-        let (ramp_s, sines) = match &p.motion {
-            OperatorMotion::Still {} => (1.0, Default::default()),
-            OperatorMotion::Random(motion) => {
+        let (tremor, reaches) = match &p.motion {
+            OperatorMotion::Still {} => (None, Vec::new()),
+            OperatorMotion::Random(motion) => (Some(motion), Vec::new()),
+            OperatorMotion::Scripted(motion) => (motion.tremor.as_ref(), motion.reach.clone()),
+        };
+        let (ramp_s, sines) = match tremor {
+            None => (1.0, Default::default()),
+            Some(motion) => {
                 (motion.ramp_s.get(), Box::new(std::array::from_fn(|_| motion.draw(&mut random))))
             }
         };
         Self {
             stiffness: gain * p.stiffness_n_per_m.get(),
             damping: gain * p.damping_ns_per_m.get(),
-            home,
+            home: p.point_m.map_or(home, Vector3::from),
             ramp_s,
             sines,
+            reaches,
+            released: p.released.clone(),
+            is_at_point: p.point_m.is_some(),
+            is_released: false,
         }
     }
 
     pub(super) fn force(&mut self, t: f64, x: &Vector3<f64>, v: &Vector3<f64>) -> Vector3<f64> {
         let (offset, speed) = self.motion(t);
+        if self.released.iter().any(|release| release.contains(t)) {
+            self.is_released = true;
+            return Vector3::zeros();
+        }
+        if self.is_released && !self.is_at_point {
+            self.home = x - offset;
+        }
+        self.is_released = false;
         self.stiffness.component_mul(&(self.home + offset - x)) + self.damping.component_mul(&(speed - v))
     }
 
@@ -144,7 +238,19 @@ impl Spring {
                 speed[axis] = ds * p + s * dp;
             }
         }
+        for reach in &self.reaches {
+            let (s, ds) = minimum_jerk(t - reach.at_s.get(), reach.duration_s.get());
+            let by = Vector3::from(reach.by_m);
+            offset += by * s;
+            speed += by * ds;
+        }
         (offset, speed)
+    }
+}
+
+impl ReleaseParameters {
+    fn contains(&self, t: f64) -> bool {
+        t >= self.at_s.get() && self.until_s.is_none_or(|until| t < until.get())
     }
 }
 

@@ -1,7 +1,7 @@
 //! Stiff plane, which may end at an edge: `[environment.NAME.wall]`.
 
 use crate::environment::contact::{self, SurfaceContact, SurfaceFrictionParameters, direction};
-use crate::environment::mistake::Mistake;
+use crate::environment::mistake::{Mistake, check_length};
 use nalgebra::Vector3;
 use opspace_backend::SignalRecorder;
 use opspace_backend::quantity::{NonNegative, Positive, exactly};
@@ -72,9 +72,7 @@ struct Edge {
 impl WallParameters {
     pub(super) fn check(&self) -> Result<(), Mistake> {
         let Some(edge) = &self.edge else { return Ok(()) };
-        if Vector3::from(edge.toward).amax() == 0.0 {
-            return Err(Mistake::new("edge.toward", "the direction has no length"));
-        }
+        check_length("edge.toward", edge.toward)?;
         if direction(edge.toward).cross(&direction(self.normal)).norm() < LEAST_SINE {
             return Err(Mistake::new(
                 "edge.toward",

@@ -2,7 +2,9 @@
 
 use crate::common::{START, arm, object, parsed, read, servo_rows, setup, try_read};
 use nalgebra::{DVector, Vector3};
-use opspace_backend::{Backend, Command, CommandKind, GravityCompensation, Measured, Sample, TruthRow};
+use opspace_backend::{
+    Backend, Command, CommandKind, GravityCompensation, GroundTruth, Measured, Sample, TruthRow,
+};
 use opspace_model::{Data, Model, frame_placement, kinematics, potential_energy};
 use opspace_sim::{ArmConfig, Key, SimulatedArm, SimulationError, fault};
 use std::f64::consts::TAU;
@@ -227,6 +229,89 @@ fn force_sensor_reads_contact_in_sensor_axes() {
     assert!(angular.norm() < 1e-9, "a force at the sensor has no moment");
 }
 
+/// Compared: reading, true force and position of a mass that is put on after 0.1 s, and its weight; and the rows of the
+/// channel `truth`.
+#[test]
+fn mass_weighs_on_arm_and_sensor() {
+    let setup = arm_with_contact("[mass]\nframe = 'hand'\nmass_kg = 0.4\nput_on_s = 0.1");
+    let (model, hand) = (setup.model.clone(), setup.model.frame_id("hand").expect("the hand"));
+    let mut arm = arm(setup);
+    let names: Vec<String> = arm.layouts().truth.signals.iter().map(|signal| signal.name.clone()).collect();
+    assert_eq!(names, ["q", "dq", "push.force", "push.position"]);
+    let mut forces = Vec::new();
+    let mut sample = read(&mut arm);
+    for _ in 0..2000 {
+        arm.visit(&mut |row| {
+            if let TruthRow::State { time_s, row } = row {
+                forces.push((time_s, row[8..14].to_vec()));
+            }
+        });
+        sample = read(&mut arm);
+    }
+    let mut data = Data::new(&model);
+    kinematics(&model, &mut data, arm.true_q().as_slice(), &[0.0; 4]);
+    let at = frame_placement(&model, &data, hand);
+    let felt = at.rotation * Vector3::from_column_slice(&sample.wrenches[0][..3]);
+    assert!((felt - Vector3::new(0.0, 0.0, -0.4 * 9.81)).norm() < 0.01, "{felt}");
+    let (_, last) = forces.last().expect("rows");
+    assert!((last[2] + 0.4 * 9.81).abs() < 0.01, "{last:?}");
+    // By hand: the spring of 100 Hz stretches by g/ω² = 0.025 mm.
+    assert!((last[5] - at.translation.z + 9.81 / (TAU * 100.0).powi(2)).abs() < 1e-5, "{last:?}");
+    let before = forces.iter().filter(|(time_s, _)| *time_s < 0.1);
+    assert!(before.clone().count() > 10);
+    before.for_each(|(_, row)| assert!(row[..3] == [0.0; 3] && row[3].is_nan(), "{row:?}"));
+}
+
+/// Compared: readings of a sensor with a load beyond it, and those of a sensor without one: at rest they differ by weight and
+/// moment of the load; while the arm is pushed, by mass times gravity minus acceleration.
+#[test]
+fn force_sensor_reads_the_load_beyond_it() {
+    let centre = Vector3::new(0.02, -0.01, 0.06);
+    let setup = |load: &str| {
+        let mut setup = arm_with_contact(
+            "[pushes]\nframe = 'hand'\npush = [{ at_s = 0.2, duration_s = 0.2, force_n = [120.0, 30.0, 60.0] }]",
+        );
+        let quality = setup.simulated.force_sensor.get_mut("wrist").expect("the wrist");
+        let text = "bandwidth_hz = 5000.0\nnoise_n = 0.0\nnoise_nm = 0.0\nbias_n = 0.0\nbias_nm = 0.0";
+        *quality = parsed(&format!("{text}\n{load}"));
+        setup
+    };
+    let plain = setup("");
+    let (model, hand) = (plain.model.clone(), plain.model.frame_id("hand").expect("the hand"));
+    let mut without = arm(plain);
+    let mut with = arm(setup("load = { mass_kg = 0.5, centre_m = [0.02, -0.01, 0.06] }"));
+    let mut data = Data::new(&model);
+    // Velocity of the load in the world, by differences of its position, at each sample.
+    let mut places = Vec::new();
+    let mut loads = Vec::new();
+    for _ in 0..500 {
+        let [a, b] = [read(&mut with), read(&mut without)].map(|sample| sample.wrenches[0]);
+        assert_eq!(with.true_q(), without.true_q(), "the load is part of the arm already");
+        kinematics(&model, &mut data, with.true_q().as_slice(), &[0.0; 4]);
+        let at = frame_placement(&model, &data, hand);
+        let part = |i: usize| Vector3::from_fn(|k, _| a[i + k] - b[i + k]);
+        let (force, moment) = (part(0), part(3));
+        assert!((moment - centre.cross(&force)).norm() < 1e-9, "{moment}");
+        places.push(at.translation + at.rotation * centre);
+        loads.push(at.rotation * force);
+    }
+    let weight = Vector3::new(0.0, 0.0, -0.5 * 9.81);
+    assert!((loads[190] - weight).norm() < 1e-3, "{}", loads[190]);
+    let (mut largest, mut error) = (0.0_f64, 0.0_f64);
+    for k in 5..places.len() - 5 {
+        // Mean acceleration over ten milliseconds, and the mean of the readings there.
+        let [before, now, after] = [k - 5, k, k + 5].map(|k| places[k]);
+        let acceleration = (after - now * 2.0 + before) / (0.005 * 0.005);
+        let share = |j: i32| (5 - j.abs()) as f64 / 25.0;
+        let mean: Vector3<f64> = (-4..=4).map(|j| loads[(k as i32 + j) as usize] * share(j)).sum();
+        let inertia = mean - weight;
+        error = error.max((inertia + acceleration * 0.5).norm());
+        largest = largest.max(inertia.norm());
+    }
+    // Each reading is the mean over a fifth of a millisecond, the acceleration that of all of it.
+    assert!(largest > 0.5 && error < 0.1 * largest, "{largest} N, with an error of {error} N");
+}
+
 /// Compared: the noise of torque and force measurements with and without another random source.
 #[test]
 fn environment_does_not_change_measurement_noise() {
@@ -415,6 +500,37 @@ fn contradictory_parameters_are_refused_by_name() {
         assert!(error.to_string().contains(words), "{error}");
         let key = ["environment", "table", "edge", "toward"].map(str::to_owned).to_vec();
         assert_eq!(error.key(), Key::Task(key));
+    }
+    let surface = "point_m = [0.0, 0.0, 0.0]\nstiffness_n_per_m = 1.0\ndamping_ns_per_m = 0.0";
+    let hole = format!("[hole]\nnormal = [0.0, 0.0, 1.0]\nradius_m = 0.01\ndepth_m = 0.02\n{surface}");
+    let drawer = "[drawer]\ntravel_m = 0.2\nmass_kg = 1.0\ndirection";
+    let hold = "[spring]\nstiffness_n_per_m = 1.0\ndamping_ns_per_m = 0.0\nmotion";
+    for (text, key, words) in [
+        (format!("[cylinder]\naxis = [0.0, 0.0, 0.0]\nradius_m = 0.1\n{surface}"), "axis", "no length"),
+        (format!("{hole}\nclearance_m = 0.01"), "clearance_m", "radius of the hole, 0.01 m"),
+        (format!("{hole}\nclearance_m = 1e-4\nchamfer_m = 0.02"), "chamfer_m", "depth of the hole, 0.02 m"),
+        ("[mass]\nmass_kg = 1.0\nfrequency_hz = 1001.0".to_owned(), "frequency_hz", "1000 Hz"),
+        ("[mass]\nmass_kg = 1.0\nput_on_s = 2.0\ntaken_off_s = 2.0".to_owned(), "taken_off_s", "before"),
+        (format!("{drawer} = [0.0, 0.0, 0.0]"), "direction", "no length"),
+        (format!("{drawer} = [1.0, 0.0, 0.0]\nopening_m = 0.3"), "opening_m", "the travel, 0.2 m"),
+        (format!("{drawer} = [1.0, 0.0, 0.0]\ngrip_stiffness_n_per_m = 1e8"), "mass_kg", "at least"),
+        (
+            format!("{hold} = {{ still = {{}} }}\nreleased = [{{ at_s = 2.0, until_s = 1.0 }}]"),
+            "released",
+            "after",
+        ),
+        (
+            format!("{hold}.scripted.tremor = {{ rms_m = 1e-3, from_hz = 9.0, to_hz = 8.0 }}"),
+            "motion.scripted.tremor",
+            "below from_hz",
+        ),
+    ] {
+        // The frame is the first key of the table.
+        let text = text.replacen("]\n", "]\nframe = 'hand'\n", 1);
+        let error = refused(&|s| s.environment = vec![("thing".to_owned(), object(&text))]);
+        assert!(error.to_string().contains(words), "{error}");
+        let path = ["environment", "thing"].into_iter().chain(key.split('.'));
+        assert_eq!(error.key(), Key::Task(path.map(str::to_owned).collect()));
     }
     let lost = wall.replace("'hand'", "'hnad'");
     let lost = refused(&|s| s.environment = vec![("table".to_owned(), object(&lost))]);

@@ -12,6 +12,8 @@ use std::f64::consts::TAU;
 /// Duration of a step of the plant, s.
 const STEP_S: f64 = 5e-5;
 
+const GRAVITY: Vector3<f64> = Vector3::new(0.0, 0.0, -9.81);
+
 const HOME: Vector3<f64> = Vector3::new(0.3, -0.1, -0.2);
 
 /// Returns the offset of an operator's hand over time: the force of a spring of 1 N/m without damping on a frame at
@@ -26,8 +28,12 @@ fn offset_of_hand(stream: u32) -> impl FnMut(f64) -> Vector3<f64> {
         motion.random = { rms_m = 0.04, from_hz = 0.1, to_hz = 0.7, ramp_s = 1.0 }
         "#,
     );
-    let mut hand =
-        EnvironmentObject::new(&parameters, HOME, generator(5, RngStream::EnvironmentObject(stream)));
+    let mut hand = EnvironmentObject::new(
+        &parameters,
+        HOME,
+        GRAVITY,
+        generator(5, RngStream::EnvironmentObject(stream)),
+    );
     move |t| hand.force(t, STEP_S, &HOME, &Vector3::zeros())
 }
 
@@ -91,6 +97,7 @@ fn operator_starts_at_rest_and_pulls_the_frame() {
     let mut still = EnvironmentObject::new(
         &object(&text("still = {}")),
         HOME,
+        GRAVITY,
         generator(1, RngStream::EnvironmentObject(0)),
     );
     let force =
@@ -99,12 +106,17 @@ fn operator_starts_at_rest_and_pulls_the_frame() {
     assert!((force - Vector3::new(-3.5, -0.5, 0.0)).norm() < 1e-12, "{force}");
     // The damper acts relative to the hand's velocity, the derivative of its offset.
     let random = "random = { rms_m = 0.04, from_hz = 0.1, to_hz = 0.7, ramp_s = 1.0 }";
-    let mut moving =
-        EnvironmentObject::new(&object(&text(random)), HOME, generator(1, RngStream::EnvironmentObject(0)));
+    let mut moving = EnvironmentObject::new(
+        &object(&text(random)),
+        HOME,
+        GRAVITY,
+        generator(1, RngStream::EnvironmentObject(0)),
+    );
     let mut at = |t: f64| moving.force(t, STEP_S, &HOME, &Vector3::zeros()).x;
     let mut spring_only = EnvironmentObject::new(
         &object(&text(random).replace("damping_ns_per_m = 15.0", "damping_ns_per_m = 0.0")),
         HOME,
+        GRAVITY,
         generator(1, RngStream::EnvironmentObject(0)),
     );
     let mut offset = |t: f64| spring_only.force(t, STEP_S, &HOME, &Vector3::zeros()).x / 200.0;
@@ -127,7 +139,8 @@ fn push_is_half_a_sine() {
     let parameters = object(
         "[pushes]\nframe = 'hand'\npush = [{ at_s = 1.0, duration_s = 0.5, force_n = [10.0, -4.0, 0.0] }]",
     );
-    let mut push = EnvironmentObject::new(&parameters, HOME, generator(1, RngStream::EnvironmentObject(0)));
+    let mut push =
+        EnvironmentObject::new(&parameters, HOME, GRAVITY, generator(1, RngStream::EnvironmentObject(0)));
     let mut force = |t: f64| push.force(t, STEP_S, &HOME, &Vector3::zeros());
     assert_eq!(force(0.999), Vector3::zeros());
     assert_eq!(force(1.501), Vector3::zeros());
@@ -150,7 +163,8 @@ fn wall_pushes_and_never_pulls() {
         damping_ns_per_m = 50.0
         "#,
     );
-    let mut wall = EnvironmentObject::new(&parameters, HOME, generator(1, RngStream::EnvironmentObject(0)));
+    let mut wall =
+        EnvironmentObject::new(&parameters, HOME, GRAVITY, generator(1, RngStream::EnvironmentObject(0)));
     let mut force =
         |x: f64, v: f64| wall.force(0.0, STEP_S, &Vector3::new(x, 0.2, -0.3), &Vector3::new(v, 1.0, -1.0));
     for v in [-3.0, -0.1, 0.0, 0.1, 3.0] {
@@ -210,4 +224,26 @@ fn force_sensor_has_constant_bias_and_white_noise() {
     let rms = (noisy.iter().map(|f| f * f).sum::<f64>() / 4000.0).sqrt();
     // Tolerance: four standard deviations of the estimate.
     assert!((rms / 0.5 - 1.0).abs() < 4.0 / (2.0 * 4000.0_f64).sqrt(), "{rms}");
+}
+
+/// Compared: the readings of a sensor with drift, and a straight line within the configured rate; noise and bias are those of
+/// a sensor without drift.
+#[test]
+fn force_sensor_drifts_at_a_constant_rate() {
+    let text = "bandwidth_hz = 100.0\nnoise_n = 0.0\nnoise_nm = 0.0\nbias_n = 1.0\nbias_nm = 1.0";
+    let new =
+        |text: &str| SimulatedForceSensor::new(&parsed(text), 1e-3, generator(3, RngStream::ForceSensor(0)));
+    let (mut still, mut drifting) = (new(text), new(&format!("{text}\ndrift_n_per_s = 0.2")));
+    let mut errors = Vec::new();
+    for _ in 0..3 {
+        for _ in 0..1000 {
+            still.follow(&Force::zero());
+            drifting.follow(&Force::zero());
+        }
+        let (a, b) = (drifting.read(), still.read());
+        assert_eq!(a.angular, b.angular, "no drift of moments");
+        errors.push(a.linear - b.linear);
+    }
+    assert!((errors[1] - errors[0] * 2.0).norm() < 1e-9 && (errors[2] - errors[0] * 3.0).norm() < 1e-9);
+    assert!(errors[0].amax() <= 0.2 && errors[0].norm() > 1e-3, "{} N after 1 s", errors[0]);
 }

@@ -1,9 +1,11 @@
 //! Tests of simulated arms: drives, bus, environment, energy.
 
 mod arm;
+mod bodies;
 mod bus;
 mod common;
 mod contacts;
+
 mod drives;
 mod energy;
 mod environment;
