@@ -6,6 +6,7 @@ mod cli;
 mod cli_common;
 mod common;
 mod dropout;
+mod estimated_force;
 mod exactness;
 mod experiments;
 mod files;

@@ -78,6 +78,10 @@ pub const TASK_SET: &str = "task_set";
 pub const RAW: &str = "raw";
 /// Tared reading of a force sensor, in world axes (6; N, Nm).
 pub const WRENCH: &str = "wrench";
+/// Components of a wrench.
+pub const WRENCH_AXES: [&str; 6] = ["fx", "fy", "fz", "mx", "my", "mz"];
+/// Torques that the motors, gravity and friction do not explain, from which a force is estimated (n; Nm).
+pub const RESIDUAL: &str = "residual";
 
 /// Reference of a task: position (3; m), coordinate, or joint positions.
 pub const REFERENCE: &str = "reference";

@@ -25,6 +25,7 @@
 mod boundary;
 mod case;
 mod collisions;
+mod detectable_force;
 mod diagnostic;
 mod freedom;
 mod gear_resonance;
@@ -46,6 +47,7 @@ mod variation;
 
 use crate::run::experiment::{ControllerKind, Experiment};
 use case::PreflightCase;
+pub use detectable_force::DetectableForce;
 pub use diagnostic::Diagnostic;
 pub use freedom::SingularPostures;
 pub use gear_resonance::GearResonance;
@@ -100,6 +102,13 @@ pub fn singular_postures(experiment: &Experiment) -> Vec<SingularPostures> {
 pub fn gear_resonances(experiment: &Experiment) -> Vec<GearResonance> {
     let case = PreflightCase::new(experiment);
     case.map_or_else(Vec::new, |case| gear_resonance::gear_resonances_of(&case))
+}
+
+/// Computes the smallest forces that the robot's estimated force sensors can show, at the start.
+#[must_use]
+pub fn detectable_forces(experiment: &Experiment) -> Vec<DetectableForce> {
+    let case = PreflightCase::new(experiment);
+    case.map_or_else(Vec::new, |case| detectable_force::detectable_forces_of(&case))
 }
 
 /// Lists the tasks that lack information for [`diagnostics`]; their diagnostics are incomplete.

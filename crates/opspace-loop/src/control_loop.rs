@@ -127,7 +127,10 @@ impl ControlLoop {
         let LoopConfig { model, capabilities, controller, transformer, safety, .. } = config;
         let (n, period_s) = (model.n(), capabilities.period_s);
         let nan = DVector::from_element(n, f64::NAN);
-        let estimator = StateEstimator::new(&model, &capabilities, &config.estimator, &safety)?;
+        let estimator = {
+            let forces = config.estimated_forces.len();
+            StateEstimator::new(&model, &capabilities, &config.estimator, &safety, forces)?
+        };
         let guard = Guard::new(
             capabilities.command,
             &model,
@@ -346,7 +349,7 @@ impl ControlLoop {
         self.controller.observe_while_held(&self.state.input(targets));
         self.friction.reset();
         if let Some(external) = &mut self.external_torque {
-            external.reset();
+            external.reset(self.state.estimator.measurement_mut());
         }
         self.command.fill(f64::NAN);
         self.torque_desired.fill(f64::NAN);
@@ -407,8 +410,8 @@ impl ControlLoop {
     fn observe_external_torque(&mut self) {
         let State { model, data, estimator, .. } = &mut self.state;
         if let Some(external) = &mut self.external_torque {
-            let (measurement, missed) = (estimator.measurement(), estimator.missed());
-            external.update(model, data, measurement, &self.torque_desired, missed);
+            let missed = estimator.missed();
+            external.update(model, data, estimator.measurement_mut(), &self.torque_desired, missed);
         }
     }
 

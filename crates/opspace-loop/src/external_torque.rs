@@ -1,12 +1,15 @@
-//! Observers of torques that no model of the arm predicts: friction that the compensation leaves.
+//! Observers of torques that no model of the arm predicts: friction that the compensation leaves, and contact.
 
 use crate::driving_torque::DrivingTorque;
+use crate::estimated_force::EstimatedForce;
 use crate::loop_config::LoopConfig;
 use nalgebra::{DVector, Matrix6xX, Vector6};
-use opspace_backend::signal_names::FRICTION_OBSERVER;
+use opspace_backend::signal_names::{FRICTION_OBSERVER, RESIDUAL, WRENCH, WRENCH_AXES};
 use opspace_backend::{Observable, SignalRecorder};
 use opspace_control::Measurement;
-use opspace_model::{Data, FrameId, JointUnits, Model, UnknownFrame, frame_jacobian, generalized_momentum};
+use opspace_model::{
+    Data, Force, FrameId, JointUnits, Model, UnknownFrame, frame_jacobian, generalized_momentum,
+};
 use opspace_transformer::FrictionObserver;
 
 /// Observers of external torques, for a loop that has at least one. Allocates only when it is created.
@@ -23,6 +26,7 @@ pub(crate) struct ExternalTorque {
     compensation: DVector<f64>,
     known: DVector<f64>,
     friction: Option<FrictionObserver>,
+    forces: Vec<EstimatedForce>,
 }
 
 impl ExternalTorque {
@@ -31,8 +35,8 @@ impl ExternalTorque {
     /// # Errors
     /// If a force sensor is on a frame that the model does not have.
     pub(crate) fn new(config: &LoopConfig) -> Result<Option<Self>, UnknownFrame> {
-        let LoopConfig { model, capabilities, friction_observer, .. } = config;
-        if friction_observer.is_none() {
+        let LoopConfig { model, capabilities, friction_observer, estimated_forces, .. } = config;
+        if friction_observer.is_none() && estimated_forces.is_empty() {
             return Ok(None);
         }
         let n = model.n();
@@ -49,22 +53,26 @@ impl ExternalTorque {
             compensation: zero.clone(),
             known: zero,
             friction: friction_observer.clone(),
+            forces: estimated_forces.clone(),
         }))
     }
 
     /// Updates the observers with a sample, `missed` cycles after the previous one. `commanded` are the torques of the last
-    /// command (n; Nm, N).
+    /// command (n; Nm, N). Writes the estimated forces into the measurement, after those of the sensors.
     pub(crate) fn update(
         &mut self,
         model: &Model,
         data: &mut Data,
-        measurement: &Measurement,
+        measurement: &mut Measurement,
         commanded: &DVector<f64>,
         missed: u64,
     ) {
         generalized_momentum(model, data);
         let elapsed_s = missed.saturating_add(1) as f64 * self.period_s;
         let driving = self.driving.update(data, measurement, commanded);
+        for force in &mut self.forces {
+            force.update(model, data, elapsed_s, driving, &mut self.known);
+        }
         self.sensed.fill(0.0);
         for (&frame, wrench) in self.sensor_frames.iter().zip(&measurement.wrenches) {
             frame_jacobian(model, data, frame, &mut self.jacobian);
@@ -78,6 +86,12 @@ impl ExternalTorque {
             self.known -= &self.compensation;
             friction.update(elapsed_s, &data.momentum, &self.known);
         }
+        self.write_forces(measurement);
+    }
+
+    fn write_forces(&self, measurement: &mut Measurement) {
+        let estimated = measurement.wrenches[self.sensor_frames.len()..].iter_mut();
+        estimated.zip(&self.forces).for_each(|(wrench, force)| *wrench = force.force());
     }
 
     /// Adds the observed friction to the compensation n̂ of this cycle (n; Nm, N).
@@ -88,8 +102,10 @@ impl ExternalTorque {
         }
     }
 
-    /// Starts all observers anew.
-    pub(crate) fn reset(&mut self) {
+    /// Starts all observers anew; the estimated forces in the measurement are zero.
+    pub(crate) fn reset(&mut self, measurement: &mut Measurement) {
+        self.forces.iter_mut().for_each(EstimatedForce::reset);
+        self.write_forces(measurement);
         if let Some(friction) = &mut self.friction {
             friction.reset();
         }
@@ -100,6 +116,17 @@ impl Observable for ExternalTorque {
     fn record(&self, out: &mut SignalRecorder<'_>) {
         if let Some(friction) = &self.friction {
             out.signal(FRICTION_OBSERVER, &self.units.torque, &self.joints, friction.torque().as_slice());
+        }
+        for force in &self.forces {
+            let Force { linear, angular } = force.force();
+            let wrench = [linear.x, linear.y, linear.z, angular.x, angular.y, angular.z];
+            out.signal((&force.name, WRENCH), "N,Nm", &WRENCH_AXES, &wrench);
+            out.signal(
+                (&force.name, RESIDUAL),
+                &self.units.torque,
+                &self.joints,
+                force.residual().as_slice(),
+            );
         }
     }
 }

@@ -54,6 +54,7 @@
 pub mod control_loop;
 pub mod drive;
 mod driving_torque;
+pub mod estimated_force;
 mod external_torque;
 pub mod fault;
 mod guard;
@@ -70,6 +71,7 @@ pub mod watchdog;
 
 pub use control_loop::{ControlLoop, Step};
 pub use drive::{Driven, drive, drive_together};
+pub use estimated_force::{EstimatedForce, EstimatedForceParameters};
 pub use fault::Fault;
 pub use link::{ChannelParameters, Link, LinkError};
 pub use loop_config::{LoopConfig, LoopError};

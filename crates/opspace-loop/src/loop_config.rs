@@ -1,5 +1,6 @@
 //! Parts of a control loop, and checks that they are compatible.
 
+use crate::estimated_force::EstimatedForce;
 use crate::safety::SafetyParameters;
 use opspace_backend::{Capabilities, CommandKind};
 use opspace_control::Controller;
@@ -29,6 +30,9 @@ pub struct LoopConfig {
     /// Observer of the friction that the compensation leaves, if any. It needs a force sensor: otherwise it would oppose all
     /// contact.
     pub friction_observer: Option<FrictionObserver>,
+    /// Estimated forces, which follow those of the force sensors in the measurement. Without measured motor torque they need
+    /// a controller that commands torques.
+    pub estimated_forces: Vec<EstimatedForce>,
     /// Time from a sample until the torque of its command acts, s. Observers of external torques use it if motor torques are
     /// not measured.
     pub command_delay_s: f64,
@@ -50,6 +54,7 @@ impl LoopConfig {
             torque_limits: model.joints().iter().map(|joint| joint.limits.effort).collect(),
             friction: FrictionCompensation::none(model.n()),
             friction_observer: None,
+            estimated_forces: Vec::new(),
             command_delay_s: 0.0,
             transformer: Box::new(Identity),
             servo_gains: Vec::new(),
@@ -103,6 +108,10 @@ impl LoopConfig {
             return Err(LoopError::NoForceSensor);
         }
         let gives = controller.command_kind();
+        let knows_torques = gives == CommandKind::Torque || capabilities.measures_motor_torque;
+        if !self.estimated_forces.is_empty() && !knows_torques {
+            return Err(LoopError::UnknownTorques);
+        }
         if gives != CommandKind::Torque && gives != takes {
             return Err(LoopError::Kind { part: "controller", gives, takes });
         }
@@ -131,6 +140,11 @@ pub enum LoopError {
     /// Friction observer on a robot without a force sensor.
     #[error("the friction observer needs a force sensor: without one it would oppose all contact")]
     NoForceSensor,
+    /// Estimated forces on a robot whose motor torques are neither measured nor commanded.
+    #[error(
+        "forces cannot be estimated: the robot does not measure motor current, and the controller commands no torques"
+    )]
+    UnknownTorques,
     /// Array that does not have one value per joint.
     #[error("{what} has {found} values; the model has {joints} joints")]
     Length {

@@ -20,7 +20,7 @@ use std::fmt;
 pub const TOLERANCE: f64 = 0.01;
 
 /// Metrics of which a smaller value is better.
-const SMALLER: [&str; 23] = [
+const SMALLER: [&str; 24] = [
     "position_rms_m",
     "position_max_m",
     "orientation_rms_rad",
@@ -33,6 +33,7 @@ const SMALLER: [&str; 23] = [
     "contact_losses",
     "late_contact_losses",
     "hand_force_rms_n",
+    "estimate_rms_n",
     "torque_error_servo",
     "torque_error_interval",
     "torque_error_tick",

@@ -17,11 +17,11 @@ use opspace_control::{
     ControlContext, ControlError, Controller, InverseKinematicsController, LimitParameters,
     OperationalSpaceController, Reason, ServoLead, TaskParameters, TaskSet, TaskSetParameters,
 };
-use opspace_loop::{ControlLoop, LoopConfig, LoopError};
+use opspace_loop::{ControlLoop, EstimatedForce, LoopConfig, LoopError};
 use opspace_model::{Limits, Placement};
 use opspace_sim::{ArmConfig, Key, PhysicsEngine, PlantError, Scene, SimulatedArm, SimulationError};
 use opspace_transformer::{
-    FrictionCompensation, FrictionObserver, ProfileParameters, ServoGains, TransformerKind,
+    FrictionCompensation, FrictionObserver, JointParameters, ProfileParameters, ServoGains, TransformerKind,
 };
 #[cfg(feature = "schema")]
 use schemars::JsonSchema;
@@ -441,6 +441,7 @@ impl Experiment {
             servo_gains: self.servo_gains()?,
             setpoint_limits: self.setpoint_limits(),
             estimator: self.profile.estimator.clone(),
+            estimated_forces: self.estimated_forces(&joints),
             friction_observer: friction.observer_rad_per_s.map(|corner_rad_per_s| {
                 FrictionObserver::new(joints.len(), corner_rad_per_s, friction.observer_limit_nm)
             }),
@@ -449,6 +450,14 @@ impl Experiment {
             torque_limits: self.robot.torque_limits(),
             safety: self.robot.file.safety.clone(),
         })
+    }
+
+    fn estimated_forces(&self, joints: &[JointParameters]) -> Vec<EstimatedForce> {
+        let RobotDefinition { file, sensors, .. } = &self.robot;
+        let frames = sensors[file.force_sensor.len()..].iter().map(|(_, frame)| *frame);
+        let estimated = file.estimated_force.iter().zip(frames);
+        let friction = || joints.iter().map(|joint| &joint.friction);
+        estimated.map(|((name, force), frame)| EstimatedForce::new(name, frame, force, friction())).collect()
     }
 
     /// Command interface of the robot in this experiment.
