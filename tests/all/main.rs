@@ -4,6 +4,7 @@ mod acceptance;
 mod allocation;
 mod cli;
 mod cli_common;
+mod collision_detection;
 mod common;
 mod dropout;
 mod estimated_force;

@@ -52,6 +52,12 @@ pub const TORQUE_DESIRED: &str = "torque_desired";
 pub const TORQUE_SATURATED: &str = "torque_saturated";
 /// Torques of the friction observer (n; Nm).
 pub const FRICTION_OBSERVER: &str = "friction_observer";
+/// Torques that are compared with the thresholds of a collision (n; Nm).
+pub const COLLISION_TORQUE: &str = "collision_torque";
+/// Thresholds of a collision (n; Nm).
+pub const COLLISION_THRESHOLD: &str = "collision_threshold";
+/// 1 since a collision was detected.
+pub const COLLISION_DETECTED: &str = "collision_detected";
 /// Setpoints of a position-controlled robot (n; rad).
 pub const Q_DESIRED: &str = "q_desired";
 /// Setpoints of a velocity-controlled robot (n; rad/s).

@@ -111,6 +111,16 @@ pub fn detectable_forces(experiment: &Experiment) -> Vec<DetectableForce> {
     case.map_or_else(Vec::new, |case| detectable_force::detectable_forces_of(&case))
 }
 
+/// Thresholds of the collision detection at rest at the start, with the names of the joints (Nm, N); empty without one.
+#[must_use]
+pub fn collision_thresholds(experiment: &Experiment) -> Vec<(String, f64)> {
+    let Some((detector, case)) = experiment.collision_detector().zip(PreflightCase::new(experiment)) else {
+        return Vec::new();
+    };
+    let thresholds = detector.thresholds_at_rest(case.data.gravity.as_slice());
+    case.model.joints().iter().map(|joint| joint.name.clone()).zip(thresholds).collect()
+}
+
 /// Lists the tasks that lack information for [`diagnostics`]; their diagnostics are incomplete.
 #[must_use]
 pub fn not_checked(experiment: &Experiment) -> Vec<Diagnostic> {

@@ -51,6 +51,7 @@
 
 #![forbid(unsafe_code)]
 
+pub mod collision_detector;
 pub mod control_loop;
 pub mod drive;
 mod driving_torque;
@@ -69,6 +70,9 @@ pub mod target_stream;
 pub mod timeline;
 pub mod watchdog;
 
+pub use collision_detector::{
+    CollisionDetectionParameters, CollisionDetector, CollisionReaction, ExpectedContact,
+};
 pub use control_loop::{ControlLoop, Step};
 pub use drive::{Driven, drive, drive_together};
 pub use estimated_force::{EstimatedForce, EstimatedForceParameters};

@@ -10,7 +10,7 @@ use crate::files::tool::{self, ToolFile};
 use opspace_backend::quantity::Positive;
 use opspace_backend::{Capabilities, CommandKind, Measured, Setting};
 use opspace_control::JointLimits;
-use opspace_loop::{EstimatedForceParameters, SafetyParameters};
+use opspace_loop::{CollisionDetectionParameters, EstimatedForceParameters, SafetyParameters};
 use opspace_model::collision::{CapsuleWarning, LinkCapsule};
 use opspace_model::{FrameId, Model, ParsedUrdf, UrdfOptions, UrdfWarning};
 use opspace_sim::SimulatedParameters;
@@ -52,6 +52,9 @@ pub struct RobotFile {
     /// Distances that are kept between links and from the obstacles of a task; none if absent.
     #[serde(default)]
     pub collision: Option<CollisionFile>,
+    /// Detection of collisions from the torques of the motors; none if absent.
+    #[serde(default)]
+    pub collision_detection: Option<CollisionDetectionParameters>,
     /// Safety parameters: torque ramp, rest before the start, limit margin, missed cycles and watchdog.
     #[serde(default)]
     pub safety: SafetyParameters,

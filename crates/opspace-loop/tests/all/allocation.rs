@@ -7,7 +7,7 @@ use crate::common::cases::{Case, DURATION_S, cases};
 use crate::common::{self, KINDS, PERIOD_S, capabilities, config, gravity_controller, model, parsed};
 use opspace_backend::quantity::Positive;
 use opspace_backend::{CommandKind, DeviceFault, Layout, Sample, Sink, TICK};
-use opspace_loop::{ControlLoop, EstimatedForce, LoopConfig, Phase, Run};
+use opspace_loop::{CollisionDetector, ControlLoop, EstimatedForce, LoopConfig, Phase, Run};
 use opspace_testing::allocation::allocations;
 use opspace_transformer::{FrictionObserver, FrictionParameters};
 use std::sync::atomic::AtomicBool;
@@ -56,6 +56,7 @@ fn check(case: &Case, kind: CommandKind) -> Seen {
     let (force, friction) = (parsed("frame = 'fore'"), [friction(), friction()]);
     let parts = LoopConfig {
         friction_observer: Some(FrictionObserver::new(2, Positive::literal(60.0), Positive::literal(6.0))),
+        collision: Some(CollisionDetector::new(&parsed("noise_of_limit = 1e3"), &friction, &[40.0, 20.0])),
         estimated_forces: vec![EstimatedForce::new("force", fore, &force, friction.iter())],
         ..config(capabilities(kind), gravity_controller(3.0))
     };
