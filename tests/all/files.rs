@@ -71,6 +71,12 @@ macro_rules! refused {
 refused! {
     mistyped_key_is_refused: "task.toml", "settle_s = " => "setle_s = ", Some("setle_s"),
         ["unknown key `setle_s`", "did you mean `settle_s`?", "allowed here"];
+    estimated_force_with_the_name_of_a_sensor_is_refused: "robot.toml",
+        "[force_sensor.wrist]" => "[estimated_force.wrist]\nframe = \"hand\"\n[force_sensor.wrist]",
+        Some("[estimated_force.wrist]"), ["'wrist' is also the name of a force sensor", "another name"];
+    estimated_force_on_an_unknown_frame_is_refused: "robot.toml",
+        "[force_sensor.wrist]" => "[estimated_force.motors]\nframe = \"hnad\"\n[force_sensor.wrist]",
+        Some("frame = \"hnad\""), ["the robot has no frame 'hnad'", "did you mean 'hand'?"];
     mistyped_task_key_is_refused: "task.toml", "damping_ratio = 1.0" => "damping_rato = 1.0", Some("damping_rato"),
         ["unknown key `damping_rato`", "did you mean `damping_ratio`?"];
     mistyped_kind_is_refused: "task.toml", "[task.hand.cartesian]" => "[task.hand.cartesan]", Some("cartesan"),

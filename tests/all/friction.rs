@@ -99,7 +99,7 @@ fn friction_observer_takes_the_error_of_wrong_friction() {
         let friction = format!("friction={friction}");
         let errors = ["", "friction_compensation.observer_rad_per_s=60"].map(|observer| {
             let friction = format!("true_over_nominal.{friction}");
-            let robot = common::robot(&[&format!("simulated.{friction}")]);
+            let robot = common::robot(&[&format!("robot.simulated.{friction}")]);
             let settings: Vec<&str> = [observer].into_iter().filter(|setting| !setting.is_empty()).collect();
             let task = common::task("cartesian-tracking", &settings);
             let options = RunOptions { backend, duration_s: Some(4.0), ..common::torque(profile) };

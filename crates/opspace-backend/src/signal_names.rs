@@ -52,6 +52,12 @@ pub const TORQUE_DESIRED: &str = "torque_desired";
 pub const TORQUE_SATURATED: &str = "torque_saturated";
 /// Torques of the friction observer (n; Nm).
 pub const FRICTION_OBSERVER: &str = "friction_observer";
+/// Torques that are compared with the thresholds of a collision (n; Nm).
+pub const COLLISION_TORQUE: &str = "collision_torque";
+/// Thresholds of a collision (n; Nm).
+pub const COLLISION_THRESHOLD: &str = "collision_threshold";
+/// 1 since a collision was detected.
+pub const COLLISION_DETECTED: &str = "collision_detected";
 /// Setpoints of a position-controlled robot (n; rad).
 pub const Q_DESIRED: &str = "q_desired";
 /// Setpoints of a velocity-controlled robot (n; rad/s).
@@ -78,6 +84,10 @@ pub const TASK_SET: &str = "task_set";
 pub const RAW: &str = "raw";
 /// Tared reading of a force sensor, in world axes (6; N, Nm).
 pub const WRENCH: &str = "wrench";
+/// Components of a wrench.
+pub const WRENCH_AXES: [&str; 6] = ["fx", "fy", "fz", "mx", "my", "mz"];
+/// Torques that the motors, gravity and friction do not explain, from which a force is estimated (n; Nm).
+pub const RESIDUAL: &str = "residual";
 
 /// Reference of a task: position (3; m), coordinate, or joint positions.
 pub const REFERENCE: &str = "reference";

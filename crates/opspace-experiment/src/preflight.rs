@@ -27,6 +27,7 @@ mod boundary;
 mod case;
 mod collisions;
 mod contact;
+mod detectable_force;
 mod diagnostic;
 mod freedom;
 mod gear_resonance;
@@ -48,6 +49,7 @@ mod variation;
 
 use crate::run::experiment::{ControllerKind, Experiment};
 use case::PreflightCase;
+pub use detectable_force::DetectableForce;
 pub use diagnostic::Diagnostic;
 pub use freedom::SingularPostures;
 pub use gear_resonance::GearResonance;
@@ -103,6 +105,23 @@ pub fn singular_postures(experiment: &Experiment) -> Vec<SingularPostures> {
 pub fn gear_resonances(experiment: &Experiment) -> Vec<GearResonance> {
     let case = PreflightCase::new(experiment);
     case.map_or_else(Vec::new, |case| gear_resonance::gear_resonances_of(&case))
+}
+
+/// Computes the smallest forces that the robot's estimated force sensors can show, at the start.
+#[must_use]
+pub fn detectable_forces(experiment: &Experiment) -> Vec<DetectableForce> {
+    let case = PreflightCase::new(experiment);
+    case.map_or_else(Vec::new, |case| detectable_force::detectable_forces_of(&case))
+}
+
+/// Thresholds of the collision detection at rest at the start, with the names of the joints (Nm, N); empty without one.
+#[must_use]
+pub fn collision_thresholds(experiment: &Experiment) -> Vec<(String, f64)> {
+    let Some((detector, case)) = experiment.collision_detector().zip(PreflightCase::new(experiment)) else {
+        return Vec::new();
+    };
+    let thresholds = detector.thresholds_at_rest(case.data.gravity.as_slice());
+    case.model.joints().iter().map(|joint| joint.name.clone()).zip(thresholds).collect()
 }
 
 /// Lists the tasks that lack information for [`diagnostics`]; their diagnostics are incomplete.

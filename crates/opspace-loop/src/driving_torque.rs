@@ -16,6 +16,8 @@ pub(crate) struct DrivingTorque {
     commanded: DVector<f64>,
     /// Cᵀ q̇ − g at the last sample (n; Nm, N).
     rates: DVector<f64>,
+    /// Mean torques of the motors since the last sample (n; Nm, N).
+    motor: DVector<f64>,
     mean: DVector<f64>,
 }
 
@@ -28,30 +30,35 @@ impl DrivingTorque {
             compensates_gravity: capabilities.gravity_compensated_by == GravityCompensation::Controller,
             commanded: DVector::from_element(n, f64::NAN),
             rates: zero.clone(),
+            motor: zero.clone(),
             mean: zero,
         }
     }
 
     /// Computes the mean since the last sample; `commanded` are the torques of the last command (n; Nm, N). After a hold the
     /// first mean has no meaning: there was no command.
-    pub(crate) fn update(
-        &mut self,
-        data: &Data,
-        measurement: &Measurement,
-        commanded: &DVector<f64>,
-    ) -> &DVector<f64> {
+    pub(crate) fn update(&mut self, data: &Data, measurement: &Measurement, commanded: &DVector<f64>) {
         for (i, &last) in commanded.iter().enumerate() {
             let before = if self.commanded[i].is_finite() { self.commanded[i] } else { last };
-            let motor = match &measurement.motor_torque {
+            self.motor[i] = match &measurement.motor_torque {
                 Some(measured) => measured[i],
                 None => last + self.delay * (before - last),
             };
             let gravity = if self.compensates_gravity { data.gravity[i] } else { 0.0 };
             let rate = data.kinetic_energy_gradient[i] - gravity;
-            self.mean[i] = motor + 0.5 * (self.rates[i] + rate);
+            self.mean[i] = self.motor[i] + 0.5 * (self.rates[i] + rate);
             self.rates[i] = rate;
         }
         self.commanded.copy_from(commanded);
+    }
+
+    /// Mean since the last sample (n; Nm, N).
+    pub(crate) fn mean(&self) -> &DVector<f64> {
         &self.mean
+    }
+
+    /// Mean torques of the motors since the last sample (n; Nm, N).
+    pub(crate) fn motor(&self) -> &DVector<f64> {
+        &self.motor
     }
 }

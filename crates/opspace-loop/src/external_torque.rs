@@ -1,12 +1,19 @@
-//! Observers of torques that no model of the arm predicts: friction that the compensation leaves.
+//! Observers of torques that no model of the arm predicts: friction that the compensation leaves, and contact.
 
+use crate::collision_detector::{Collision, CollisionDetector, CollisionReaction, ExpectedContact};
 use crate::driving_torque::DrivingTorque;
+use crate::estimated_force::EstimatedForce;
 use crate::loop_config::LoopConfig;
 use nalgebra::{DVector, Matrix6xX, Vector6};
-use opspace_backend::signal_names::FRICTION_OBSERVER;
+use opspace_backend::signal_names::{
+    COLLISION_DETECTED, COLLISION_THRESHOLD, COLLISION_TORQUE, FRICTION_OBSERVER, RESIDUAL, WRENCH,
+    WRENCH_AXES,
+};
 use opspace_backend::{Observable, SignalRecorder};
 use opspace_control::Measurement;
-use opspace_model::{Data, FrameId, JointUnits, Model, UnknownFrame, frame_jacobian, generalized_momentum};
+use opspace_model::{
+    Data, Force, FrameId, JointUnits, Model, UnknownFrame, frame_jacobian, generalized_momentum,
+};
 use opspace_transformer::FrictionObserver;
 
 /// Observers of external torques, for a loop that has at least one. Allocates only when it is created.
@@ -23,6 +30,10 @@ pub(crate) struct ExternalTorque {
     compensation: DVector<f64>,
     known: DVector<f64>,
     friction: Option<FrictionObserver>,
+    forces: Vec<EstimatedForce>,
+    collision: Option<CollisionDetector>,
+    /// True since a collision.
+    has_collided: bool,
 }
 
 impl ExternalTorque {
@@ -31,8 +42,8 @@ impl ExternalTorque {
     /// # Errors
     /// If a force sensor is on a frame that the model does not have.
     pub(crate) fn new(config: &LoopConfig) -> Result<Option<Self>, UnknownFrame> {
-        let LoopConfig { model, capabilities, friction_observer, .. } = config;
-        if friction_observer.is_none() {
+        let LoopConfig { model, capabilities, friction_observer, estimated_forces, collision, .. } = config;
+        if friction_observer.is_none() && estimated_forces.is_empty() && collision.is_none() {
             return Ok(None);
         }
         let n = model.n();
@@ -49,22 +60,30 @@ impl ExternalTorque {
             compensation: zero.clone(),
             known: zero,
             friction: friction_observer.clone(),
+            forces: estimated_forces.clone(),
+            collision: collision.clone(),
+            has_collided: false,
         }))
     }
 
     /// Updates the observers with a sample, `missed` cycles after the previous one. `commanded` are the torques of the last
-    /// command (n; Nm, N).
+    /// command (n; Nm, N). Writes the estimated forces into the measurement, after those of the sensors.
+    /// Returns the first collision.
     pub(crate) fn update(
         &mut self,
         model: &Model,
         data: &mut Data,
-        measurement: &Measurement,
+        measurement: &mut Measurement,
         commanded: &DVector<f64>,
         missed: u64,
-    ) {
+    ) -> Option<Collision> {
         generalized_momentum(model, data);
         let elapsed_s = missed.saturating_add(1) as f64 * self.period_s;
-        let driving = self.driving.update(data, measurement, commanded);
+        self.driving.update(data, measurement, commanded);
+        let driving = self.driving.mean();
+        for force in &mut self.forces {
+            force.update(model, data, elapsed_s, driving, &mut self.known);
+        }
         self.sensed.fill(0.0);
         for (&frame, wrench) in self.sensor_frames.iter().zip(&measurement.wrenches) {
             frame_jacobian(model, data, frame, &mut self.jacobian);
@@ -78,18 +97,49 @@ impl ExternalTorque {
             self.known -= &self.compensation;
             friction.update(elapsed_s, &data.momentum, &self.known);
         }
+        self.write_forces(measurement);
+        let detector = self.collision.as_mut()?;
+        self.known.copy_from(driving);
+        if detector.expected == ExpectedContact::Sensed {
+            self.known += &self.sensed;
+        }
+        let found = detector.update(data, elapsed_s, self.driving.motor(), &mut self.known);
+        let is_new = !self.has_collided;
+        self.has_collided |= found.is_some();
+        found.filter(|_| is_new)
+    }
+
+    /// Reaction to a collision.
+    pub(crate) fn reaction(&self) -> Option<CollisionReaction> {
+        self.collision.as_ref().map(|detector| detector.reaction)
+    }
+
+    /// True since a collision to which the robot reacts by compliance.
+    pub(crate) fn is_compliant(&self) -> bool {
+        self.has_collided && self.reaction() == Some(CollisionReaction::Compliant)
+    }
+
+    fn write_forces(&self, measurement: &mut Measurement) {
+        let estimated = measurement.wrenches[self.sensor_frames.len()..].iter_mut();
+        estimated.zip(&self.forces).for_each(|(wrench, force)| *wrench = force.force());
     }
 
     /// Adds the observed friction to the compensation n̂ of this cycle (n; Nm, N).
     pub(crate) fn compensate(&mut self, compensation: &mut DVector<f64>) {
         self.compensation.copy_from(compensation);
-        if let Some(friction) = &self.friction {
+        // After a collision it would oppose whoever pushes the robot away.
+        if let Some(friction) = self.friction.as_ref().filter(|_| !self.is_compliant()) {
             *compensation += friction.torque();
         }
     }
 
-    /// Starts all observers anew.
-    pub(crate) fn reset(&mut self) {
+    /// Starts all observers anew; the estimated forces in the measurement are zero.
+    pub(crate) fn reset(&mut self, measurement: &mut Measurement) {
+        self.forces.iter_mut().for_each(EstimatedForce::reset);
+        if let Some(detector) = &mut self.collision {
+            detector.reset();
+        }
+        self.write_forces(measurement);
         if let Some(friction) = &mut self.friction {
             friction.reset();
         }
@@ -100,6 +150,23 @@ impl Observable for ExternalTorque {
     fn record(&self, out: &mut SignalRecorder<'_>) {
         if let Some(friction) = &self.friction {
             out.signal(FRICTION_OBSERVER, &self.units.torque, &self.joints, friction.torque().as_slice());
+        }
+        if let Some(detector) = &self.collision {
+            let (joints, unit) = (&self.joints, &self.units.torque);
+            out.signal(COLLISION_TORQUE, unit, joints, detector.residual().as_slice());
+            out.signal(COLLISION_THRESHOLD, unit, joints, detector.threshold().as_slice());
+            out.scalar(COLLISION_DETECTED, "1", f64::from(u8::from(self.has_collided)));
+        }
+        for force in &self.forces {
+            let Force { linear, angular } = force.force();
+            let wrench = [linear.x, linear.y, linear.z, angular.x, angular.y, angular.z];
+            out.signal((&force.name, WRENCH), "N,Nm", &WRENCH_AXES, &wrench);
+            out.signal(
+                (&force.name, RESIDUAL),
+                &self.units.torque,
+                &self.joints,
+                force.residual().as_slice(),
+            );
         }
     }
 }

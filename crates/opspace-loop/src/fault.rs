@@ -129,6 +129,16 @@ pub enum Fault {
         /// Age of the target, s.
         age_s: f64,
     },
+    /// The robot has collided with something.
+    #[error("joint {joint}: an external torque of {torque} Nm shows a collision, threshold {threshold}")]
+    Collision {
+        /// Joint index.
+        joint: usize,
+        /// External torque, Nm or N.
+        torque: f64,
+        /// Threshold, Nm or N.
+        threshold: f64,
+    },
     /// A part of the control loop panicked: a task, a controller or a backend of the user.
     #[error(
         "the control loop panicked; the message was printed to standard error, and the log ends before the panic"
@@ -157,6 +167,7 @@ impl Fault {
             Self::Device(_) => DEVICE_CODE,
             Self::StaleTarget { .. } => 18,
             Self::Panicked => 19,
+            Self::Collision { .. } => 20,
         }
     }
 
@@ -173,7 +184,8 @@ impl Fault {
             | Self::HoldFailed { joint, .. }
             | Self::PositionJump { joint, .. }
             | Self::TorqueDeviation { joint, .. }
-            | Self::ExcessPower { joint, .. } => joint,
+            | Self::ExcessPower { joint, .. }
+            | Self::Collision { joint, .. } => joint,
             _ => return text,
         };
         text.replacen(&format!("joint {joint}"), &format!("joint '{}'", model.joints()[joint].name), 1)

@@ -51,9 +51,11 @@
 
 #![forbid(unsafe_code)]
 
+pub mod collision_detector;
 pub mod control_loop;
 pub mod drive;
 mod driving_torque;
+pub mod estimated_force;
 mod external_torque;
 pub mod fault;
 mod guard;
@@ -68,8 +70,12 @@ pub mod target_stream;
 pub mod timeline;
 pub mod watchdog;
 
+pub use collision_detector::{
+    CollisionDetectionParameters, CollisionDetector, CollisionReaction, ExpectedContact,
+};
 pub use control_loop::{ControlLoop, Step};
 pub use drive::{Driven, drive, drive_together};
+pub use estimated_force::{EstimatedForce, EstimatedForceParameters};
 pub use fault::Fault;
 pub use link::{ChannelParameters, Link, LinkError};
 pub use loop_config::{LoopConfig, LoopError};

@@ -1,5 +1,7 @@
 //! Parts of a control loop, and checks that they are compatible.
 
+use crate::collision_detector::{CollisionDetector, CollisionReaction};
+use crate::estimated_force::EstimatedForce;
 use crate::safety::SafetyParameters;
 use opspace_backend::{Capabilities, CommandKind};
 use opspace_control::Controller;
@@ -29,6 +31,11 @@ pub struct LoopConfig {
     /// Observer of the friction that the compensation leaves, if any. It needs a force sensor: otherwise it would oppose all
     /// contact.
     pub friction_observer: Option<FrictionObserver>,
+    /// Estimated forces, which follow those of the force sensors in the measurement. Without measured motor torque they need
+    /// a controller that commands torques.
+    pub estimated_forces: Vec<EstimatedForce>,
+    /// Detector of collisions, if any. Like estimated forces it needs the torques of the motors.
+    pub collision: Option<CollisionDetector>,
     /// Time from a sample until the torque of its command acts, s. Observers of external torques use it if motor torques are
     /// not measured.
     pub command_delay_s: f64,
@@ -50,6 +57,8 @@ impl LoopConfig {
             torque_limits: model.joints().iter().map(|joint| joint.limits.effort).collect(),
             friction: FrictionCompensation::none(model.n()),
             friction_observer: None,
+            estimated_forces: Vec::new(),
+            collision: None,
             command_delay_s: 0.0,
             transformer: Box::new(Identity),
             servo_gains: Vec::new(),
@@ -103,6 +112,15 @@ impl LoopConfig {
             return Err(LoopError::NoForceSensor);
         }
         let gives = controller.command_kind();
+        let knows_torques = gives == CommandKind::Torque || capabilities.measures_motor_torque;
+        let needs_torques = !self.estimated_forces.is_empty() || self.collision.is_some();
+        if needs_torques && !knows_torques {
+            return Err(LoopError::UnknownTorques);
+        }
+        let reaction = self.collision.as_ref().map(|detector| detector.reaction);
+        if reaction == Some(CollisionReaction::Compliant) && gives != CommandKind::Torque {
+            return Err(LoopError::NotCompliant);
+        }
         if gives != CommandKind::Torque && gives != takes {
             return Err(LoopError::Kind { part: "controller", gives, takes });
         }
@@ -131,6 +149,14 @@ pub enum LoopError {
     /// Friction observer on a robot without a force sensor.
     #[error("the friction observer needs a force sensor: without one it would oppose all contact")]
     NoForceSensor,
+    /// Estimated forces or collision detection on a robot whose motor torques are neither measured nor commanded.
+    #[error(
+        "external torques are unknown: the robot does not measure motor current, and the controller commands no torques"
+    )]
+    UnknownTorques,
+    /// Compliance after a collision with a controller that commands no torques.
+    #[error("the robot cannot react to a collision by compliance: its controller commands no torques")]
+    NotCompliant,
     /// Array that does not have one value per joint.
     #[error("{what} has {found} values; the model has {joints} joints")]
     Length {

@@ -6,13 +6,12 @@ use crate::supervisor::{SampleGap, Supervisor};
 use nalgebra::Vector3;
 use opspace_backend::signal_names::{
     DEVICE_LIMITED, DQ, DQ_MEASURED, JOINT_TORQUE, MISSED_CYCLES, MOTOR_TORQUE, Q, RAW, STATUS, WRENCH,
+    WRENCH_AXES,
 };
 use opspace_backend::{Capabilities, Observable, Sample, SignalRecorder};
 use opspace_control::Measurement;
 use opspace_model::{Data, Force, FrameId, JointUnits, Model, UnknownFrame, frame_placement, update};
 use opspace_transformer::{EstimatorParameters, Transformer, VelocityEstimator, VelocitySource};
-
-const WRENCH_AXES: [&str; 6] = ["fx", "fy", "fz", "mx", "my", "mz"];
 
 /// State estimator: velocity estimate, model update, tared force sensors in world axes, and supervision.
 pub(crate) struct StateEstimator {
@@ -34,7 +33,8 @@ pub(crate) struct StateEstimator {
 }
 
 impl StateEstimator {
-    /// Returns an estimator for a robot with these capabilities.
+    /// Returns an estimator for a robot with these capabilities. Its measurement has place for `estimated_forces` after the
+    /// wrenches of the sensors.
     ///
     /// # Errors
     /// If a force sensor is on a frame that the model does not have.
@@ -43,10 +43,12 @@ impl StateEstimator {
         capabilities: &Capabilities,
         estimator: &EstimatorParameters,
         safety: &SafetyParameters,
+        estimated_forces: usize,
     ) -> Result<Self, UnknownFrame> {
         let n = model.n();
         let sensors = &capabilities.force_sensors;
-        let mut measurement = Measurement::new(n, sensors.len(), capabilities.measures_motor_torque);
+        let mut measurement =
+            Measurement::new(n, sensors.len() + estimated_forces, capabilities.measures_motor_torque);
         // Unknown until the first sample: a stop before it must not send a setpoint.
         measurement.q.fill(f64::NAN);
         let sensor_frames: Result<Vec<FrameId>, _> =
@@ -76,6 +78,11 @@ impl StateEstimator {
     /// Measurement of the last [`observe`](Self::observe); before the first one its positions are NaN.
     pub(crate) fn measurement(&self) -> &Measurement {
         &self.measurement
+    }
+
+    /// Measurement of the last cycle, into which estimated forces are written.
+    pub(crate) fn measurement_mut(&mut self) -> &mut Measurement {
+        &mut self.measurement
     }
 
     /// Number of interface cycles missed before the last sample.

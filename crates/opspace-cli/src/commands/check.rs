@@ -10,8 +10,8 @@ use crate::outputs::check_outputs;
 use opspace_experiment::files::origin::Kind;
 use opspace_experiment::files::robot::load_urdf;
 use opspace_experiment::preflight::{
-    GainMargin, GearResonance, ServoLoop, SingularPostures, gain_margin, gear_resonances, not_checked,
-    singular_postures,
+    DetectableForce, GainMargin, GearResonance, ServoLoop, SingularPostures, collision_thresholds,
+    detectable_forces, gain_margin, gear_resonances, not_checked, singular_postures,
 };
 use opspace_experiment::run::collision::KeptDistances;
 use opspace_experiment::{
@@ -21,6 +21,7 @@ use opspace_experiment::{
 use opspace_model::collision::DropReason;
 use opspace_model::{Model, UrdfOptions, UrdfWarning, model_warnings};
 use serde_json::{Value, json};
+use std::collections::BTreeMap;
 use std::collections::HashSet;
 use std::path::Path;
 
@@ -32,10 +33,23 @@ pub fn check(args: &CheckArgs, extensions: &Extensions, console: Console) -> Out
         let checked = check_one(path, extensions, console);
         files.push(as_json(path, &checked));
         match checked {
-            Ok(Checked { what, margin, gears, strength, singular, distances, found, skipped }) => {
+            Ok(Checked {
+                what,
+                margin,
+                gears,
+                forces,
+                thresholds,
+                strength,
+                singular,
+                distances,
+                found,
+                skipped,
+            }) => {
                 text += &format!("{}: {what}\n", path.display());
                 margin.iter().for_each(|margin| text += &format!("  {margin}\n"));
                 gears.iter().for_each(|gear| text += &format!("  {gear}\n"));
+                forces.iter().for_each(|force| text += &format!("  {force}\n"));
+                text += &thresholds_text(&thresholds);
                 strength.iter().for_each(|strength| text += &strength.text());
                 singular.iter().for_each(|singular| text += &format!("  {singular}\n"));
                 distances.iter().for_each(|distances| text += &pairs_text(distances));
@@ -57,6 +71,10 @@ struct Checked {
     margin: Option<GainMargin>,
     /// Frequencies of the joints whose gear stiffness is declared.
     gears: Vec<GearResonance>,
+    /// Smallest forces of the estimated force sensors.
+    forces: Vec<DetectableForce>,
+    /// Thresholds of the collision detection at the start, Nm (N).
+    thresholds: Vec<(String, f64)>,
     /// Margins and errors of the transformer, if torques pass through one.
     strength: Option<Strength>,
     /// Nearly singular postures of each task.
@@ -74,6 +92,8 @@ impl Checked {
             what,
             margin: None,
             gears: Vec::new(),
+            forces: Vec::new(),
+            thresholds: Vec::new(),
             strength: None,
             singular: Vec::new(),
             distances: None,
@@ -172,7 +192,20 @@ fn check_one(path: &Path, extensions: &Extensions, console: Console) -> Result<C
             let singular = singular_postures(&experiment);
             let distances = experiment.kept_distances().cloned();
             let gears = gear_resonances(&experiment);
-            Ok(Checked { what, margin, gears, strength, singular, distances, found, skipped })
+            let forces = detectable_forces(&experiment);
+            let thresholds = collision_thresholds(&experiment);
+            Ok(Checked {
+                what,
+                margin,
+                gears,
+                forces,
+                thresholds,
+                strength,
+                singular,
+                distances,
+                found,
+                skipped,
+            })
         }
         Some(Kind::Robot) => robot(),
         // A folder denotes a robot.
@@ -224,6 +257,23 @@ fn pairs_text(distances: &KeptDistances) -> String {
     )
 }
 
+fn thresholds_text(thresholds: &[(String, f64)]) -> String {
+    if thresholds.is_empty() {
+        return String::new();
+    }
+    let list: Vec<String> = thresholds.iter().map(|(joint, nm)| format!("{joint} {nm:.2}")).collect();
+    format!("  external torques above these are collisions, at rest at the start, Nm: {}\n", list.join(", "))
+}
+
+fn force_as_json(force: &DetectableForce) -> Value {
+    json!({
+        "sensor": force.sensor,
+        "at_rest_n": force.at_rest_n,
+        "moving_n": force.moving_n,
+        "noise_n": force.noise_n,
+    })
+}
+
 fn pairs_json(distances: &KeptDistances) -> Value {
     let dropped = distances.dropped.iter();
     json!({
@@ -246,7 +296,18 @@ fn as_json(path: &Path, checked: &Result<Checked, FileError>) -> Value {
         })
     };
     match checked {
-        Ok(Checked { what, margin, gears, strength, singular, distances, found, skipped }) => {
+        Ok(Checked {
+            what,
+            margin,
+            gears,
+            forces,
+            thresholds,
+            strength,
+            singular,
+            distances,
+            found,
+            skipped,
+        }) => {
             let [findings, not_checked] =
                 [found, skipped].map(|list| list.iter().map(told).collect::<Vec<Value>>());
             let margin_of = |servo_loop: ServoLoop| {
@@ -261,6 +322,8 @@ fn as_json(path: &Path, checked: &Result<Checked, FileError>) -> Value {
                 "position_gain_margin": margin_of(ServoLoop::Position),
                 "velocity_gain_margin": margin_of(ServoLoop::Velocity),
                 "gears": gears.iter().map(gear_as_json).collect::<Vec<Value>>(),
+                "estimated_forces": forces.iter().map(force_as_json).collect::<Vec<Value>>(),
+                "collision_thresholds_nm": thresholds.iter().cloned().collect::<BTreeMap<_, _>>(),
                 "transformer": strength.as_ref().map(Strength::json),
                 "singular_postures": singular.iter().map(singular_as_json).collect::<Vec<Value>>(),
                 "kept_distances": distances.as_ref().map(pairs_json),

@@ -34,6 +34,7 @@ const SMALLER: [&str; 24] = [
     "contact_losses",
     "late_contact_losses",
     "hand_force_rms_n",
+    "estimate_rms_n",
     "torque_error_servo",
     "torque_error_interval",
     "torque_error_tick",

@@ -23,6 +23,8 @@ pub struct Metrics {
     pub slack: Slack,
     /// True force of the simulated hand over the axes that it reports, rms, N.
     pub hand_force_rms_n: Option<f64>,
+    /// Error of the estimated force, norm of all components, rms over time, N; of several, the largest.
+    pub estimate_rms_n: Option<f64>,
     /// Displacement of the simulated hand's frame from the start over the axes that the hand reports, rms, m.
     pub hand_motion_rms_m: Option<f64>,
     /// Error of the motor torque at servo rate, relative to the desired torque.

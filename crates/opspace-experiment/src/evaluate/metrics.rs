@@ -7,6 +7,7 @@
 mod chatter;
 mod cycles;
 mod escapes;
+mod estimates;
 mod hand;
 mod holds;
 mod interruptions;
@@ -31,6 +32,7 @@ use crate::evaluate::unreached::UnreachedGoal;
 use crate::run::experiment::Experiment;
 use cycles::Cycles;
 use escapes::Escapes;
+use estimates::Estimates;
 use hand::Hand;
 use interruptions::Interruptions;
 use joints::JointTorques;
@@ -72,6 +74,7 @@ pub(crate) struct Evaluator<'a> {
     joint_torques: JointTorques,
     cycles: Cycles,
     hand: Option<Hand>,
+    estimates: Estimates,
     held_joints: HeldJoints,
     unreached: UnreachedGoals<'a>,
     escapes: Escapes,
@@ -99,6 +102,7 @@ impl<'a> Evaluator<'a> {
             joint_torques: JointTorques::new(experiment),
             cycles: Cycles::new(experiment),
             hand: Hand::new(experiment),
+            estimates: Estimates::new(experiment),
             held_joints: HeldJoints::new(experiment),
             unreached: UnreachedGoals::new(experiment),
             escapes: Escapes::default(),
@@ -122,6 +126,7 @@ impl<'a> Evaluator<'a> {
         self.cycles.add(&run);
         self.unreached.add(&run);
         self.escapes.add(&run);
+        self.estimates.add(&run);
         if let Some(hand) = &mut self.hand {
             hand.add(&run);
         }
@@ -139,6 +144,7 @@ impl<'a> Evaluator<'a> {
             by_priority.filter_map(|(name, _)| tasks.get(name)).for_each(|task| metrics.add_task(task));
             joints.values().for_each(|joint| metrics.add_joint(joint));
             self.cycles.finish(metrics);
+            self.estimates.finish(metrics);
             if let Some(hand) = self.hand {
                 hand.finish(metrics);
             }

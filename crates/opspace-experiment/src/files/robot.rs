@@ -10,7 +10,7 @@ use crate::files::tool::{self, ToolFile};
 use opspace_backend::quantity::Positive;
 use opspace_backend::{Capabilities, CommandKind, Measured, Setting};
 use opspace_control::JointLimits;
-use opspace_loop::SafetyParameters;
+use opspace_loop::{CollisionDetectionParameters, EstimatedForceParameters, SafetyParameters};
 use opspace_model::collision::{CapsuleWarning, LinkCapsule};
 use opspace_model::{FrameId, Model, ParsedUrdf, UrdfOptions, UrdfWarning};
 use opspace_sim::SimulatedParameters;
@@ -43,12 +43,18 @@ pub struct RobotFile {
     /// Force sensors, by name.
     #[serde(default)]
     pub force_sensor: BTreeMap<String, ForceSensorFile>,
+    /// Forces that are estimated from the torques of the motors, by name: tasks use them like those of force sensors.
+    #[serde(default)]
+    pub estimated_force: BTreeMap<String, EstimatedForceParameters>,
     /// Tools and loads mounted on the robot, by name: a gripper, a screwdriver, a load.
     #[serde(default)]
     pub tool: BTreeMap<String, ToolFile>,
     /// Distances that are kept between links and from the obstacles of a task; none if absent.
     #[serde(default)]
     pub collision: Option<CollisionFile>,
+    /// Detection of collisions from the torques of the motors; none if absent.
+    #[serde(default)]
+    pub collision_detection: Option<CollisionDetectionParameters>,
     /// Safety parameters: torque ramp, rest before the start, limit margin, missed cycles and watchdog.
     #[serde(default)]
     pub safety: SafetyParameters,
@@ -84,7 +90,7 @@ pub struct RobotDefinition {
     pub model: Model,
     /// Warnings about the URDF.
     pub warnings: Vec<UrdfWarning>,
-    /// Force sensors, sorted by name.
+    /// Force sensors, sorted by name, and after them the estimated forces, sorted by name.
     pub sensors: Vec<(String, FrameId)>,
     /// Capsules of the links, if the robot file has `[collision]`.
     pub(crate) capsules: Option<RobotCapsules>,
@@ -155,7 +161,8 @@ impl RobotDefinition {
         }
         check_values(&source, &file, &model)?;
         tool::mount(&source, &mut model, &file.tool)?;
-        let sensors = force_sensors(&source, &model, &file.force_sensor)?;
+        let mut sensors = force_sensors(&source, &model, &file.force_sensor)?;
+        sensors.extend(estimated_forces(&source, &model, &file)?);
         let model = model.with_rotor_inertia(&rotors);
         let capsules = match &file.collision {
             Some(collision) => Some(robot_capsules(&source, &model, collision, &urdf, generated)?),
@@ -475,6 +482,28 @@ fn joints_of<'a, T>(
         values.push(value);
     }
     Ok(values)
+}
+
+fn estimated_forces(
+    source: &Source,
+    model: &Model,
+    file: &RobotFile,
+) -> Result<Vec<(String, FrameId)>, FileError> {
+    let mut found = Vec::new();
+    for (name, estimated) in &file.estimated_force {
+        if file.force_sensor.contains_key(name) {
+            let message = format!("'{name}' is also the name of a force sensor");
+            let help = Some("give one of the two another name".to_owned());
+            return Err(FileError::at_key(source, ["estimated_force", name.as_str()], message, help));
+        }
+        let frame = model.frame_id(&estimated.frame).map_err(|unknown| {
+            let key = ["estimated_force", name.as_str(), "frame"];
+            let help = choices(&unknown.name, &unknown.known);
+            FileError::at_key(source, key, format!("the robot has no frame '{}'", unknown.name), Some(help))
+        })?;
+        found.push((name.clone(), frame));
+    }
+    Ok(found)
 }
 
 fn force_sensors(

@@ -17,11 +17,11 @@ use opspace_control::{
     ControlContext, ControlError, Controller, InverseKinematicsController, LimitParameters,
     OperationalSpaceController, Reason, ServoLead, TaskParameters, TaskSet, TaskSetParameters,
 };
-use opspace_loop::{ControlLoop, LoopConfig, LoopError};
+use opspace_loop::{CollisionDetector, ControlLoop, EstimatedForce, LoopConfig, LoopError};
 use opspace_model::{Limits, Placement};
 use opspace_sim::{ArmConfig, Key, PhysicsEngine, PlantError, Scene, SimulatedArm, SimulationError};
 use opspace_transformer::{
-    FrictionCompensation, FrictionObserver, ProfileParameters, ServoGains, TransformerKind,
+    FrictionCompensation, FrictionObserver, JointParameters, ProfileParameters, ServoGains, TransformerKind,
 };
 #[cfg(feature = "schema")]
 use schemars::JsonSchema;
@@ -441,6 +441,8 @@ impl Experiment {
             servo_gains: self.servo_gains()?,
             setpoint_limits: self.setpoint_limits(),
             estimator: self.profile.estimator.clone(),
+            estimated_forces: self.estimated_forces(&joints),
+            collision: self.collision_detector(),
             friction_observer: friction.observer_rad_per_s.map(|corner_rad_per_s| {
                 FrictionObserver::new(joints.len(), corner_rad_per_s, friction.observer_limit_nm)
             }),
@@ -449,6 +451,21 @@ impl Experiment {
             torque_limits: self.robot.torque_limits(),
             safety: self.robot.file.safety.clone(),
         })
+    }
+
+    /// Detector of collisions that robot.toml asks for.
+    pub(crate) fn collision_detector(&self) -> Option<CollisionDetector> {
+        let parameters = self.robot.file.collision_detection.as_ref()?;
+        let friction: Vec<_> = self.robot.joints().into_iter().map(|joint| joint.friction).collect();
+        Some(CollisionDetector::new(parameters, &friction, &self.robot.torque_limits()))
+    }
+
+    fn estimated_forces(&self, joints: &[JointParameters]) -> Vec<EstimatedForce> {
+        let RobotDefinition { file, sensors, .. } = &self.robot;
+        let frames = sensors[file.force_sensor.len()..].iter().map(|(_, frame)| *frame);
+        let estimated = file.estimated_force.iter().zip(frames);
+        let friction = || joints.iter().map(|joint| &joint.friction);
+        estimated.map(|((name, force), frame)| EstimatedForce::new(name, frame, force, friction())).collect()
     }
 
     /// Command interface of the robot in this experiment.

@@ -4,12 +4,12 @@
 //! Compared: the allocator's count before and after each call, for this thread only.
 
 use crate::common::cases::{Case, DURATION_S, cases};
-use crate::common::{self, KINDS, PERIOD_S, capabilities, config, gravity_controller};
+use crate::common::{self, KINDS, PERIOD_S, capabilities, config, gravity_controller, model, parsed};
 use opspace_backend::quantity::Positive;
 use opspace_backend::{CommandKind, DeviceFault, Layout, Sample, Sink, TICK};
-use opspace_loop::{ControlLoop, LoopConfig, Phase, Run};
+use opspace_loop::{CollisionDetector, ControlLoop, EstimatedForce, LoopConfig, Phase, Run};
 use opspace_testing::allocation::allocations;
-use opspace_transformer::FrictionObserver;
+use opspace_transformer::{FrictionObserver, FrictionParameters};
 use std::sync::atomic::AtomicBool;
 
 /// Sink that keeps the phases and device faults of the rows.
@@ -40,6 +40,10 @@ impl Sink for Seen {
     }
 }
 
+fn friction() -> FrictionParameters {
+    parsed("coulomb_nm = 1.0\nstatic_nm = 1.0\nstribeck_rad_per_s = 0.1\nviscous_nms_per_rad = 0.5")
+}
+
 /// Device fault with a borrowed text.
 fn device_fault() -> DeviceFault {
     DeviceFault::new(7, "the drive is too hot")
@@ -48,8 +52,12 @@ fn device_fault() -> DeviceFault {
 /// Checks that no cycle of a run allocates.
 fn check(case: &Case, kind: CommandKind) -> Seen {
     let stop_request = AtomicBool::new(false);
+    let fore = model().frame_id("fore").expect("a link");
+    let (force, friction) = (parsed("frame = 'fore'"), [friction(), friction()]);
     let parts = LoopConfig {
         friction_observer: Some(FrictionObserver::new(2, Positive::literal(60.0), Positive::literal(6.0))),
+        collision: Some(CollisionDetector::new(&parsed("noise_of_limit = 1e3"), &friction, &[40.0, 20.0])),
+        estimated_forces: vec![EstimatedForce::new("force", fore, &force, friction.iter())],
         ..config(capabilities(kind), gravity_controller(3.0))
     };
     let control = ControlLoop::new(parts).expect("parts that fit");

@@ -61,12 +61,12 @@ fn torque_that_friction_takes_is_added() {
 /// Compared: the observer's torques while the force sensor measures a force, and zero: the motors balance it.
 #[test]
 fn measured_contact_is_not_opposed() {
-    // A force of 8 N along the sensor's z axis at the elbow, 0.5 m from the shoulder; the upper arm is at 0.4 rad, the sensor
+    // A force of 6 N along the sensor's z axis at the elbow, 0.5 m from the shoulder; the upper arm is at 0.4 rad, the sensor
     // at -0.3 rad, so that its lever is 0.5 cos(0.7) m. A force upwards turns the shoulder in the direction of negative q.
-    let moment = 8.0 * 0.5 * f64::cos(0.7);
-    let balanced = added([moment, 0.0], 8.0, false);
+    let moment = 6.0 * 0.5 * f64::cos(0.7);
+    let balanced = added([moment, 0.0], 6.0, false);
     assert!(balanced.amax() < 1e-6, "{balanced}");
-    let unbalanced = added([0.0, 0.0], 8.0, false);
+    let unbalanced = added([0.0, 0.0], 6.0, false);
     assert!((unbalanced[0] + moment).abs() < 1e-6, "{unbalanced}, moment {moment}");
 }
 

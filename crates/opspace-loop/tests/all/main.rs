@@ -3,6 +3,7 @@
 mod allocation;
 mod borrowed;
 mod clock;
+mod collision_detector;
 mod common;
 mod device_fault;
 mod dropout;
