@@ -173,6 +173,22 @@ pub enum Reason {
     /// Force control without a sensor.
     #[error("a `force` axis needs a sensor and a target: force = {{ sensor = \"...\", target_n = ... }}")]
     ForceAxisUnsensed,
+    /// An admittance on an axis that is not a compliant or force axis of its kind.
+    #[error("axis {axis} accepts no such admittance: it is not a compliant or force axis of that kind")]
+    AdmittanceAxis {
+        /// The axis.
+        axis: &'static str,
+    },
+    /// A force axis without an admittance, for inverse kinematics.
+    #[error(
+        "inverse kinematics controls the force of axis {axis} by an admittance: give `{key}`, or use the controller `osc`"
+    )]
+    AdmittanceMissing {
+        /// The axis.
+        axis: &'static str,
+        /// The key.
+        key: &'static str,
+    },
     /// Motion axes without gains.
     #[error(
         "axes in motion need `gains` = {{ frequency_rad_per_s, damping_ratio }}, or `impedance` = \

@@ -1,5 +1,6 @@
 //! Tasks: the two traits, Cartesian tasks and joint tasks.
 
+pub mod admittance;
 pub mod axes;
 pub(crate) mod axis_feedback;
 pub mod cartesian;

@@ -71,9 +71,9 @@ const ALL_JOINTS: &str = "a task of all joints";
 /// Signals of the tasks that a controller records in the log.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum RecordedSignals {
-    /// References and motion.
+    /// References, motion and sensed forces.
     Motion,
-    /// References, motion and forces.
+    /// References, motion, sensed forces and task forces.
     Forces,
 }
 
@@ -289,7 +289,7 @@ fn slots<'a>(
     for hierarchy in hierarchies {
         for level in &hierarchy.levels {
             let groups: &[Group] = match recorded {
-                RecordedSignals::Motion => &[Group::Motion, Group::Target],
+                RecordedSignals::Motion => &[Group::Motion, Group::Sensed, Group::Target],
                 RecordedSignals::Forces => {
                     &[Group::Motion, Group::Force, Group::Slack, Group::Escape, Group::Sensed, Group::Target]
                 }

@@ -25,6 +25,7 @@ use crate::references::reference::{CartesianReference, Trajectory};
 use crate::references::streamed_pose::StreamedPose;
 use crate::references::target::Target;
 use crate::targets::AllowedInputs;
+use crate::tasks::admittance::Admittance;
 use crate::tasks::axes::{AXIS_NAMES, AxesFrame, AxisMode};
 use crate::tasks::axis_feedback::AxisFeedback;
 use crate::tasks::cartesian_parameters::{
@@ -66,6 +67,8 @@ pub struct CartesianTask {
     /// Speed limits, m/s and rad/s; infinite if there is none.
     speed_limits: [f64; 2],
     force: Option<ForceFeedback>,
+    /// Admittance of the compliant and force axes, for inverse kinematics.
+    admittance: Option<Admittance>,
     reference: CartesianReference,
     trajectory: Trajectory,
     /// Streamed reference, used instead of the trajectory.
@@ -165,6 +168,16 @@ impl CartesianTask {
                 Some(feedback)
             }
         };
+        let admittance = match &parameters.force {
+            Some(force) => Admittance::new(
+                [&force.admittance_ns_per_m, &force.admittance_nms_per_rad],
+                &force.admittance_limits,
+                parameters.force_axes(),
+                context.period_s,
+                &format!("{key}.force"),
+            )?,
+            None => None,
+        };
         let limit = |limit: Option<Positive>| limit.map_or(f64::INFINITY, Positive::get);
         let origin = Target::at_rest(Placement::identity());
         let axes = TaskAxes::new(controlled, axes_frame.at_rest(), active, length_m);
@@ -182,6 +195,7 @@ impl CartesianTask {
             feedback,
             speed_limits: [limit(parameters.speed_limit_m_per_s), limit(parameters.speed_limit_rad_per_s)],
             force,
+            admittance,
             reference: parameters.reference.clone(),
             trajectory: Trajectory::new(&parameters.reference),
             streamed: match &parameters.reference {
@@ -433,6 +447,21 @@ impl CartesianTask {
         }
     }
 
+    /// Returns the admittance and the force feedback of an axis that inverse kinematics moves with the force.
+    fn admitted(&self, axis: usize) -> Option<(&Admittance, &ForceFeedback)> {
+        let held = matches!(self.modes[axis], AxisMode::Compliant | AxisMode::Force);
+        let admittance = self.admittance.as_ref().filter(|admittance| held && admittance.is_given(axis))?;
+        Some((admittance, self.force.as_ref()?))
+    }
+
+    /// Returns the displacement of the pose `placement` from the measured one (m, rad; task axes).
+    fn lead(&self, axes: &Matrix3<f64>, placement: &Placement) -> Vector6<f64> {
+        let linear = axes.tr_mul(&(placement.translation - self.placement.translation));
+        let angular =
+            axes.tr_mul(&orientation::log(&(placement.rotation * self.placement.rotation.transpose())));
+        Vector6::new(linear.x, linear.y, linear.z, angular.x, angular.y, angular.z)
+    }
+
     /// Returns the speed along (`kind` 0) or about (`kind` 1) the motion axes, with its limit.
     fn speed_limit(&self, kind: usize, limit: f64) -> SpeedLimit {
         let counts = |axis: usize| axis / 3 == kind && self.modes[axis] == AxisMode::Motion;
@@ -511,6 +540,38 @@ impl Task for CartesianTask {
         axes.rows_of(&(velocity + error * gain_per_s))
     }
 
+    /// Axes with an admittance move with the force error; all others follow the reference.
+    fn kinematic_command(&self, model: &Model, data: &Data, gain_per_s: f64) -> Vector6<f64> {
+        if self.admittance.is_none() {
+            return self.kinematic_target(model, data, gain_per_s);
+        }
+        let axes = self.axes_at(model, data);
+        let placement = axes.controlled.placement(model, data);
+        let mut follows = [false; 6];
+        axes.axes().iter().for_each(|&axis| follows[axis] = self.admitted(axis).is_none());
+        let error = self.error_at(&axes.rotation, &placement, follows);
+        let mut velocity = axes.of_motion(&self.target.velocity) + error * gain_per_s;
+        let lead = self.lead(&axes.rotation, &placement);
+        for &axis in axes.axes() {
+            if let Some((admittance, force)) = self.admitted(axis) {
+                velocity[axis] = match force.approach_velocity(axis) {
+                    Some(approach) => admittance.bounded(axis, approach, lead[axis]),
+                    None => admittance.velocity(axis, force.error(axis), lead[axis]),
+                };
+            }
+        }
+        axes.rows_of(&velocity)
+    }
+
+    fn kinematic_infeasibility(&self) -> Option<ControlError> {
+        let in_force = |axis: &usize| self.modes[*axis] == AxisMode::Force && self.admitted(*axis).is_none();
+        let axis = (0..6).find(in_force)?;
+        let key = if axis < 3 { "admittance_ns_per_m" } else { "admittance_nms_per_rad" };
+        let task = self.rows_key.strip_suffix(".axes").unwrap_or(&self.rows_key);
+        let reason = Reason::AdmittanceMissing { axis: AXIS_NAMES[axis], key };
+        Some(ControlError::new(format!("{task}.force.{key}"), reason))
+    }
+
     fn acceleration(&self) -> Vector6<f64> {
         let wanted_velocity = self.axes.of_motion(&self.target.velocity);
         let wanted = self.axes.of_motion(&self.target.acceleration);
@@ -565,6 +626,17 @@ impl Task for CartesianTask {
     fn observe(&mut self, input: &TaskInput<'_>) {
         self.take_target(input);
         self.follow(&input.control);
+    }
+
+    fn observe_with_forces(&mut self, input: &TaskInput<'_>) {
+        self.observe(input);
+        let ControlInput { model, data, measurement, .. } = input.control;
+        if let Some(force) = &mut self.force {
+            let controlled = self.axes.controlled;
+            let axes = controlled.coordinates(model, data) * self.axes.rotation;
+            let point = controlled.point(model, data);
+            force.update_targets(model, data, measurement, &axes, &point, &self.velocity);
+        }
     }
 
     /// Replans a goal or streamed reference from the current pose at rest, blends from there into any other reference,

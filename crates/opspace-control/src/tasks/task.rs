@@ -84,6 +84,17 @@ pub trait Task: Any + Send {
     /// Velocity ẋ_d + gain (x_d − x) of the rows, with x at the state of `data` and x_d as of the last update.
     fn kinematic_target(&self, model: &Model, data: &Data, gain_per_s: f64) -> Vector6<f64>;
 
+    /// Velocity of the rows that inverse kinematics commands, with x at the state of `data`, which is that of the command:
+    /// [`kinematic_target`](Self::kinematic_target), except for rows that move with a sensed force.
+    fn kinematic_command(&self, model: &Model, data: &Data, gain_per_s: f64) -> Vector6<f64> {
+        self.kinematic_target(model, data, gain_per_s)
+    }
+
+    /// Returns an error if inverse kinematics cannot execute the task.
+    fn kinematic_infeasibility(&self) -> Option<ControlError> {
+        None
+    }
+
     /// Desired acceleration a* of the rows, computed by the last update.
     fn acceleration(&self) -> Vector6<f64>;
 
@@ -94,6 +105,11 @@ pub trait Task: Any + Send {
     /// `input.limited` is true.
     fn observe(&mut self, input: &TaskInput<'_>) {
         self.update(input);
+    }
+
+    /// Updates state, reference and sensed forces in a cycle of inverse kinematics; `input.limited` is true.
+    fn observe_with_forces(&mut self, input: &TaskInput<'_>) {
+        self.observe(input);
     }
 
     /// Inputs that can be streamed to the task; their names do not contain the task's name. They are constant, and
@@ -246,7 +262,7 @@ pub trait Task: Any + Send {
         }
     }
 
-    /// Records the quantities that the task senses; only for torque control.
+    /// Records the quantities that the task senses.
     fn record_sensed(&self, _out: &mut SignalRecorder<'_>) {}
 }
 

@@ -1,5 +1,6 @@
 //! Tasks, hierarchy, limits, references and controllers on small arms.
 
+mod admittance;
 mod allocation;
 mod collisions;
 mod common;
