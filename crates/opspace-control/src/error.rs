@@ -207,6 +207,18 @@ pub enum Reason {
     /// Both a damping ratio and a damping are given.
     #[error("`damping_ratio` and a damping are mutually exclusive: remove one")]
     DampingTwice,
+    /// A gain profile of an axis that is not in motion.
+    #[error("axis {axis} accepts no such profile: it is not a motion axis of that kind")]
+    GainProfileAxis {
+        /// The axis.
+        axis: &'static str,
+    },
+    /// Varying gains together with a desired inertia.
+    #[error(
+        "a `profile` or a `tank` needs the arm's own inertia: remove `inertia_kg` and `inertia_kg_m2`, or the profile and \
+         the tank"
+    )]
+    VaryingShapedInertia,
     /// A desired inertia without a force sensor.
     #[error("an inertia other than the arm's own needs the measured force: force = {{ sensor = \"...\" }}")]
     ShapedInertiaUnsensed,

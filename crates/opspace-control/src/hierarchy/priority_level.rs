@@ -232,6 +232,7 @@ impl PriorityLevel {
             if let Some(escape) = &self.escape {
                 escape.remove_force(&mut added);
             }
+            self.task.set_added_force(&added);
             force += added;
         }
         self.force = force;

@@ -52,6 +52,7 @@ enum Group {
     Force,
     Slack,
     Escape,
+    Gains,
     Sensed,
     Target,
     AllJoints,
@@ -260,6 +261,7 @@ impl Slot {
             (Group::Force, Some(level), _) => level.record_force(out),
             (Group::Slack, Some(level), _) => level.record_slack(out),
             (Group::Escape, Some(level), _) => level.record_escape(out),
+            (Group::Gains, Some(level), _) => level.task.record_gains(out),
             (Group::Sensed, Some(level), _) => level.task.record_sensed(out),
             (Group::Target, Some(level), _) => level.task.record_target(out),
             (Group::AllJoints, _, Some(task)) => task.record(out),
@@ -290,9 +292,15 @@ fn slots<'a>(
         for level in &hierarchy.levels {
             let groups: &[Group] = match recorded {
                 RecordedSignals::Motion => &[Group::Motion, Group::Sensed, Group::Target],
-                RecordedSignals::Forces => {
-                    &[Group::Motion, Group::Force, Group::Slack, Group::Escape, Group::Sensed, Group::Target]
-                }
+                RecordedSignals::Forces => &[
+                    Group::Motion,
+                    Group::Force,
+                    Group::Slack,
+                    Group::Escape,
+                    Group::Gains,
+                    Group::Sensed,
+                    Group::Target,
+                ],
             };
             groups.iter().for_each(|&group| add(level.name(), level.task.kind(), group, hierarchy));
         }

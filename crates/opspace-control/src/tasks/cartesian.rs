@@ -35,15 +35,17 @@ use crate::tasks::cartesian_target::{AxisSettings, inputs, settings};
 use crate::tasks::controlled_frame::ControlledFrame;
 use crate::tasks::force::ForceFeedback;
 use crate::tasks::gains::integrate;
+use crate::tasks::impedance::Impedance;
 use crate::tasks::singular_escape::SingularEscape;
 use crate::tasks::task::{RowGains, SpeedLimit, Task, TaskInput};
 use crate::tasks::task_axes::TaskAxes;
+use crate::tasks::varying_gains::VaryingGains;
 use crate::tasks::when_limited::{WhenLimited, axis_weights};
 use nalgebra::{Matrix3, Matrix6, Matrix6xX, Vector3, Vector6};
 use opspace_backend::quantity::Positive;
 use opspace_backend::signal_names::{
     ERROR, FORCE, MODES, ORIENTATION, POSITION, REFERENCE, REFERENCE_ORIENTATION, REFERENCE_VELOCITY, SLACK,
-    VELOCITY,
+    STIFFNESS, TANK, VELOCITY,
 };
 use opspace_backend::{Signal, SignalRecorder, signal_names};
 use opspace_model::{Data, Inversion, Model, Placement};
@@ -294,6 +296,9 @@ impl CartesianTask {
         if let (Some(force), Some(before)) = (&mut self.force, &before.force) {
             force.inherit_state(before);
         }
+        if let Some(impedance) = &mut self.feedback.impedance {
+            impedance.continue_from(before.feedback.impedance.as_ref(), input.measurement.time_s);
+        }
         self.follow(input);
     }
 
@@ -396,6 +401,11 @@ impl CartesianTask {
             self.set_axis(axis, mode, &settings[axis]);
         }
         let modes = self.modes;
+        if modes != before
+            && let Some(varying) = self.varying_mut()
+        {
+            varying.tank_mut().interrupt();
+        }
         let began = |axis: usize| modes[axis] == AxisMode::Motion && before[axis] != AxisMode::Motion;
         if (0..6).any(began) {
             self.follow(input);
@@ -445,6 +455,17 @@ impl CartesianTask {
             let point = controlled.point(model, data);
             force.update(model, data, measurement, &axes, &point, &self.velocity, hold);
         }
+    }
+
+    fn varying_mut(&mut self) -> Option<&mut VaryingGains> {
+        self.feedback.impedance.as_mut()?.varying_mut()
+    }
+
+    /// Sets the gains of this cycle, if they vary.
+    fn vary_gains(&mut self, time_s: f64) {
+        let Some(impedance) = &mut self.feedback.impedance else { return };
+        let in_motion = |axis: usize| self.modes[axis] == AxisMode::Motion;
+        impedance.vary(time_s, &Vector6::from_fn(|i, _| if in_motion(i) { self.error[i] } else { 0.0 }));
     }
 
     /// Returns the admittance and the force feedback of an axis that inverse kinematics moves with the force.
@@ -520,6 +541,7 @@ impl Task for CartesianTask {
     fn update(&mut self, input: &TaskInput<'_>) {
         self.observe(input);
         self.sense(&input.control, input.limited);
+        self.vary_gains(input.control.measurement.time_s);
     }
 
     fn bias(&self, model: &Model, data: &Data) -> Vector6<f64> {
@@ -620,6 +642,9 @@ impl Task for CartesianTask {
         let axes = self.axes_frame.rotation(model, data, controlled);
         self.begin(&Target::at_rest(self.home), &axes, input);
         self.start_force(input);
+        if let Some(varying) = self.varying_mut() {
+            varying.start(input.measurement.time_s);
+        }
         self.follow(input);
     }
 
@@ -653,6 +678,9 @@ impl Task for CartesianTask {
         }
         self.feedback.integral.fill(0.0);
         self.start_force(input);
+        if let Some(varying) = self.varying_mut() {
+            varying.tank_mut().interrupt();
+        }
         self.follow(input);
     }
 
@@ -673,6 +701,13 @@ impl Task for CartesianTask {
             || self.feedback.impedance.is_some()
             || self.streamed_force != Vector6::zeros();
         adds_force.then(|| self.added_force(task_inertia))
+    }
+
+    fn set_added_force(&mut self, force: &Vector6<f64>) {
+        let force = self.axes.force_of_rows(force);
+        if let Some(varying) = self.varying_mut() {
+            varying.tank_mut().set_force(&force);
+        }
     }
 
     fn inputs(&self) -> Vec<Signal> {
@@ -811,6 +846,15 @@ impl Task for CartesianTask {
         values.fill(0.0);
         for (x, &axis) in rows.iter().zip(self.axes.axes()) {
             values[axis] = x / self.axes.scale[axis];
+        }
+    }
+
+    fn record_gains(&self, out: &mut SignalRecorder<'_>) {
+        let impedance = self.feedback.impedance.as_ref();
+        if let Some(varying) = impedance.and_then(Impedance::varying) {
+            let tank = varying.tank();
+            out.scalar((&self.name, TANK), "J", tank.level_j());
+            out.signal((&self.name, STIFFNESS), "N/m,Nm/rad", &AXIS_NAMES, tank.stiffness().as_slice());
         }
     }
 

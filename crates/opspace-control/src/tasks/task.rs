@@ -147,6 +147,10 @@ pub trait Task: Any + Send {
         None
     }
 
+    /// Receives the force that is added to Λ (a* − J̇ q̇) in this cycle: that of [`force`](Self::force), without what an
+    /// escape from a singular pose removes. Limits may still reduce it.
+    fn set_added_force(&mut self, _force: &Vector6<f64>) {}
+
     /// Method for the inversion of Λ⁻¹ near singularities; its thresholds are relative to the typical mobility.
     fn inversion(&self) -> Inversion {
         DEFAULT_INVERSION
@@ -261,6 +265,10 @@ pub trait Task: Any + Send {
             *value = x / self.row_unit(row).1;
         }
     }
+
+    /// Records gains that vary, if there are any; only for torque control. Unlike other signals, a task may have these in some
+    /// task sets only.
+    fn record_gains(&self, _out: &mut SignalRecorder<'_>) {}
 
     /// Records the quantities that the task senses.
     fn record_sensed(&self, _out: &mut SignalRecorder<'_>) {}

@@ -27,6 +27,7 @@ mod subjects;
 mod switching;
 mod swivel;
 mod tasks_in_code;
+mod varying_stiffness;
 mod when_limited;
 mod zones;
 
