@@ -156,6 +156,42 @@ fn compliant_axis_yields_only_with_admittance() {
     }
 }
 
+/// Until contact, the hand moves at the speed of the approach, and then the admittance settles the force.
+#[test]
+fn hand_approaches_before_contact() {
+    let model = four_joints();
+    let normal: Vector3<f64> = orientation::from_rpy(RPY).column(2).into();
+    let text = PRESS
+        .replace("ramp_s = 0.0", "ramp_s = 0.0, contact = { approach_m_per_s = 0.05, made_above_n = 2.0 }");
+    let (gap, stiffness) = (0.01, 5e3);
+    let (mut fastest, mut force) = (0.0_f64, 0.0);
+    let (mut before, mut at_half) = (0.0, 0.0);
+    let wall = |along: f64| (stiffness * (-gap - along)).max(0.0);
+    run(
+        &model,
+        &text,
+        &Q0,
+        800,
+        |moved, _| {
+            let mut wrench = Force::zero();
+            wrench.linear = normal * wall(normal.dot(&moved));
+            wrench
+        },
+        |step, moved, _| {
+            let along = normal.dot(&moved);
+            if force == 0.0 {
+                fastest = fastest.max((before - along) / PERIOD_S);
+            }
+            if step == 101 {
+                at_half = along;
+            }
+            (before, force) = (along, wall(along));
+        },
+    );
+    assert!((at_half + 0.005).abs() < 1e-4 && fastest < 0.0501, "{at_half} m, {fastest} m/s");
+    assert!((force - 20.0).abs() < 1e-3, "{force} N");
+}
+
 /// A robot that does not move: the command stops at the largest allowed lead.
 #[test]
 fn command_of_blocked_robot_waits_at_its_lead() {
