@@ -15,7 +15,7 @@
 //! F·Δe is therefore the exact energy that the controller received at this port, and for any motion and any stiffness over
 //! time it delivers at most the tank at the start and the energy of the springs at the start. The sampled spring itself
 //! delivers k Δe²/2 per cycle; if the damper does not dissipate it, the tank goes below zero by that amount, and no stiffness
-//! grows until this is repaid: the *debt*, which a damping of at least k T/2 prevents.
+//! grows until this is repaid: the *debt*, which a damping of at least k T/2 of the mean velocity in each cycle prevents.
 
 use nalgebra::Vector6;
 use opspace_backend::quantity::{NonNegative, Positive};
@@ -29,7 +29,7 @@ use serde::Deserialize;
 #[serde(default, deny_unknown_fields)]
 #[non_exhaustive]
 pub struct TankParameters {
-    /// Energy at the start, J; 0.5 if absent. It is all that the growth of the stiffness can ever deliver.
+    /// Energy at the start, J, at most `capacity_j`; 0.5 if absent. It is all that the growth of the stiffness can ever deliver.
     pub initial_j: NonNegative,
     /// Largest energy, J; 2 if absent. Dissipation beyond it is lost.
     pub capacity_j: Positive,
@@ -62,8 +62,8 @@ struct Port {
 
 impl EnergyTank {
     pub(crate) fn new(parameters: &TankParameters, stiffness: Vector6<f64>) -> Self {
-        let capacity_j = parameters.capacity_j.get();
-        let initial_j = parameters.initial_j.get().min(capacity_j);
+        let TankParameters { initial_j, capacity_j } = *parameters;
+        let (initial_j, capacity_j) = (initial_j.get(), capacity_j.get());
         Self { initial_j, capacity_j, level_j: initial_j, stiffness, last: None }
     }
 
@@ -116,7 +116,8 @@ impl EnergyTank {
             if energy > 0.0 { needed += energy } else { gained -= energy }
         }
         self.fill(gained);
-        let share = if needed <= self.level_j { 1.0 } else { self.level_j.max(0.0) / needed };
+        let level_j = self.level_j.max(0.0);
+        let share = if needed <= level_j { 1.0 } else { level_j / needed };
         for i in 0..6 {
             let change = desired[i] - self.stiffness[i];
             // Stiffness at an error of zero costs nothing.
@@ -124,7 +125,7 @@ impl EnergyTank {
             self.stiffness[i] =
                 if allowed == 1.0 { desired[i] } else { self.stiffness[i] + allowed * change };
         }
-        self.level_j -= (share * needed).min(self.level_j.max(0.0));
+        self.level_j -= (share * needed).min(level_j);
         self.last = Some(Port { error: *error, force: None });
     }
 

@@ -141,6 +141,11 @@ impl Impedance {
         let profile = p.profile.as_deref().cloned().unwrap_or_default();
         profile.check(motion, matches!(damping, Damping::Ratio(_)), &format!("{key}.profile"))?;
         let tank = p.tank.unwrap_or_default();
+        if tank.initial_j.get() > tank.capacity_j.get() {
+            let message =
+                format!("{} J is above the capacity of {} J", tank.initial_j.get(), tank.capacity_j.get());
+            return Err(ControlError::value(&format!("{key}.tank.initial_j"), message));
+        }
         let varying = varies.then(|| Box::new(VaryingGains::new(profile, &tank, motion, stiffness)));
         Ok(Self { stiffness, damping, inertia, varying })
     }

@@ -162,6 +162,7 @@ fn invalid_variations_are_refused() {
                 "{at}.profile.damping_ns_per_m: `damping_ratio` and a damping are mutually exclusive: remove one"
             ),
         ),
+        ("tank = { initial_j = 3.0 }", format!("{at}.tank.initial_j: 3 J is above the capacity of 2 J")),
     ] {
         let error = build(&model, &format!("{PROFILE}, {keys}")).err().expect("invalid");
         assert_eq!(error, expected);
