@@ -101,7 +101,7 @@ fn collisions_are_detected_within_20_ms() {
         let Some(experiment) = load("stop", &random_collision(number), 1.2) else { continue };
         let Some((after_s, force)) = detection(&experiment) else { continue };
         count += 1;
-        assert!(after_s >= 0.0 && after_s <= 0.02, "case {number}: {after_s} s, {force} N");
+        assert!((0.0..=0.02).contains(&after_s), "case {number}: {after_s} s, {force} N");
         slowest = slowest.max(after_s);
         times.push(after_s);
     }

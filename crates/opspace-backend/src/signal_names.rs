@@ -136,6 +136,10 @@ pub const STANDSTILL: &str = "standstill";
 /// Acceleration that limits take from a task: that of the command without limits minus that of the command. One value for
 /// each of its rows (m/s², rad/s²), or for each joint (n; rad/s²) in the null space of the tasks above.
 pub const SLACK: &str = "slack";
+/// Energy of the tank that limits the growth of a task's stiffness, J.
+pub const TANK: &str = "tank";
+/// Stiffness of a task's axes if it varies (6; N/m, Nm/rad).
+pub const STIFFNESS: &str = "stiffness";
 /// Code of the control mode of each axis of a task (6).
 pub const MODES: &str = "modes";
 /// 1 while the streamed target of a task is stale.

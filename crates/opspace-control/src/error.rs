@@ -173,6 +173,22 @@ pub enum Reason {
     /// Force control without a sensor.
     #[error("a `force` axis needs a sensor and a target: force = {{ sensor = \"...\", target_n = ... }}")]
     ForceAxisUnsensed,
+    /// An admittance on an axis that is not a compliant or force axis of its kind.
+    #[error("axis {axis} accepts no such admittance: it is not a compliant or force axis of that kind")]
+    AdmittanceAxis {
+        /// The axis.
+        axis: &'static str,
+    },
+    /// A force axis without an admittance, for inverse kinematics.
+    #[error(
+        "inverse kinematics controls the force of axis {axis} by an admittance: give `{key}`, or use the controller `osc`"
+    )]
+    AdmittanceMissing {
+        /// The axis.
+        axis: &'static str,
+        /// The key.
+        key: &'static str,
+    },
     /// Motion axes without gains.
     #[error(
         "axes in motion need `gains` = {{ frequency_rad_per_s, damping_ratio }}, or `impedance` = \
@@ -191,6 +207,18 @@ pub enum Reason {
     /// Both a damping ratio and a damping are given.
     #[error("`damping_ratio` and a damping are mutually exclusive: remove one")]
     DampingTwice,
+    /// A gain profile of an axis that is not in motion.
+    #[error("axis {axis} accepts no such profile: it is not a motion axis of that kind")]
+    GainProfileAxis {
+        /// The axis.
+        axis: &'static str,
+    },
+    /// Varying gains together with a desired inertia.
+    #[error(
+        "a `profile` or a `tank` needs the arm's own inertia: remove `inertia_kg` and `inertia_kg_m2`, or the profile and \
+         the tank"
+    )]
+    VaryingShapedInertia,
     /// A desired inertia without a force sensor.
     #[error("an inertia other than the arm's own needs the measured force: force = {{ sensor = \"...\" }}")]
     ShapedInertiaUnsensed,

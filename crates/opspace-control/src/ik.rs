@@ -4,9 +4,10 @@
 //! q̇_ref = J⁺ (ẋ_d + 20 (x_d − x(q_ref))) + (I − J⁺ J) 2 (q_0 − q_ref)
 //! ```
 //!
-//! The result is integrated with the control period and never corrected by the measured position: the robot's own
-//! position servos close the loop. The arm is therefore stiff: a compliant axis holds its reference. With a
-//! [`ServoLead`], the lag of the servos is compensated: the setpoint is q_ref + q̇_ref/kp + g/(kp kv).
+//! The result is integrated with the control period and not corrected by the measured position: the robot's own
+//! position servos close the loop. The arm is therefore stiff. A force axis, and a compliant axis with an admittance, moves
+//! with the sensed force: see [`AdmittanceLimits`](crate::AdmittanceLimits). A compliant axis without one holds its
+//! reference. With a [`ServoLead`], the lag of the servos is compensated: the setpoint is q_ref + q̇_ref/kp + g/(kp kv).
 //!
 //! J⁺ is the dynamically consistent inverse for an identity mass matrix, damped near singularities like that of the
 //! torque controller.
@@ -20,6 +21,7 @@ use crate::hierarchy::task_parameters::TaskSetParameters;
 use crate::hierarchy::task_schedule::{RecordedSignals, TaskSchedule};
 use crate::hierarchy::task_set::TaskSet;
 use crate::targets::Targets;
+use crate::tasks::task::Task;
 use nalgebra::DVector;
 use opspace_backend::CommandKind;
 use opspace_backend::{Observable, SignalRecorder};
@@ -61,8 +63,8 @@ impl InverseKinematicsController {
     /// Creates a controller for the tasks of a task file; compensates the servo lag if `lead` is given.
     ///
     /// # Errors
-    /// The errors of the torque controller; tasks without a reference motion; a lead whose length differs from the
-    /// number of joints.
+    /// The errors of the torque controller; tasks without a reference motion; a force axis without an admittance; a lead
+    /// whose length differs from the number of joints.
     pub fn new(
         model: &Model,
         parameters: &TaskSetParameters<'_>,
@@ -75,7 +77,8 @@ impl InverseKinematicsController {
     /// Creates a controller for tasks that are built in code.
     ///
     /// # Errors
-    /// Tasks without a reference motion; a lead whose length differs from the number of joints.
+    /// Tasks without a reference motion; a force axis without an admittance; a lead whose length differs from the number of
+    /// joints.
     pub fn from_tasks(
         model: &Model,
         tasks: TaskSet,
@@ -153,7 +156,7 @@ impl InverseKinematicsController {
         for level in &mut hierarchy.levels {
             level.project(model, &self.data, &hierarchy.nullspace, level.typical.kinematic);
             level.projected.compute_jbar(&self.data.mass_matrix_factor);
-            let mut velocity = level.task.kinematic_target(model, &self.data, ERROR_GAIN_PER_S);
+            let mut velocity = level.task.kinematic_command(model, &self.data, ERROR_GAIN_PER_S);
             velocity -= product(level.jacobian(), self.dq.as_slice());
             add_transposed(&level.projected.space.jbar_transpose, &velocity, self.dq.as_mut_slice());
             hierarchy.nullspace.push(&level.projected);
@@ -236,7 +239,7 @@ impl Controller for InverseKinematicsController {
         let model = input.model;
         self.schedule.advance(input);
         let hierarchy = self.schedule.current_mut();
-        hierarchy.observe(input);
+        hierarchy.observe_with_forces(input);
         let in_joints = hierarchy.levels.is_empty();
         let reference = hierarchy.joint.as_ref().and_then(|task| task.reference());
         // Without tasks above the joint task nothing is solved, and integration drift is avoided.
@@ -266,11 +269,11 @@ impl Observable for InverseKinematicsController {
     }
 }
 
-/// Checks that there is a task to follow.
+/// Checks that there is a task to follow, and that each task can be followed.
 fn check_motion(hierarchy: &TaskHierarchy) -> Result<(), ControlError> {
     let follows = hierarchy.joint.as_ref().is_some_and(|task| task.reference().is_some());
     if hierarchy.levels.is_empty() && !follows {
         return Err(ControlError::new("priority", Reason::NoMotion));
     }
-    Ok(())
+    hierarchy.tasks().find_map(Task::kinematic_infeasibility).map_or(Ok(()), Err)
 }

@@ -115,6 +115,7 @@ pub use references::streamed_joints::{JointShape, StreamedJointReference};
 pub use references::streamed_pose::{PoseShape, QUATERNION_TOLERANCE, StreamedReference};
 pub use references::target::Target;
 pub use targets::{AllowedInputs, InputHandle, TargetError, Targets, TaskHandle, TaskTarget};
+pub use tasks::admittance::AdmittanceLimits;
 pub use tasks::axes::{AXIS_NAMES, Axes, AxesFrame, AxesFrameParameter, AxisMode, PerAxis};
 pub use tasks::cartesian::CartesianTask;
 pub use tasks::cartesian_parameters::{
@@ -126,9 +127,11 @@ pub use tasks::coordinate::Coordinate;
 pub use tasks::coordinate_task::{CoordinateGains, CoordinateTask};
 pub use tasks::damping::Damping;
 pub use tasks::damping_zone::DampingZone;
+pub use tasks::energy_tank::TankParameters;
 pub use tasks::force_parameters::{
     ContactParameters, ForceParameters, ForceProfiles, PassivityParameters, SurfaceParameters,
 };
+pub use tasks::gain_profile::{AxisProfiles, GainProfile};
 pub use tasks::gains::AxisGains;
 pub use tasks::impedance::{self, ImpedanceParameters};
 pub use tasks::joint_parameters::{
@@ -143,6 +146,7 @@ pub use tasks::swivel::{SwivelAngle, SwivelParameters};
 pub use tasks::task::{RowGains, SpeedLimit, Task, TaskInput};
 pub use tasks::task_axes::TaskAxes;
 pub use tasks::tracking::Tracking;
+pub use tasks::varying_gains::ImpedanceProfile;
 pub use tasks::when_limited::WhenLimited;
 
 /// Code examples of the README, compiled and run as doctests.

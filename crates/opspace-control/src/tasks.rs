@@ -1,5 +1,6 @@
 //! Tasks: the two traits, Cartesian tasks and joint tasks.
 
+pub mod admittance;
 pub mod axes;
 pub(crate) mod axis_feedback;
 pub mod cartesian;
@@ -10,10 +11,12 @@ pub mod coordinate;
 pub mod coordinate_task;
 pub mod damping;
 pub mod damping_zone;
+pub mod energy_tank;
 pub(crate) mod force;
 pub(crate) mod force_axis;
 pub mod force_parameters;
 pub(crate) mod force_passivity;
+pub mod gain_profile;
 pub mod gains;
 pub mod impedance;
 pub mod joint_parameters;
@@ -26,4 +29,5 @@ pub mod swivel;
 pub mod task;
 pub mod task_axes;
 pub mod tracking;
+pub mod varying_gains;
 pub mod when_limited;

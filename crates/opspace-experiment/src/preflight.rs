@@ -8,6 +8,7 @@
 //! | `goals` | references that are out of reach, or reachable only beyond the joint position limits |
 //! | `speeds` | references faster than the joints or the speed limit of the task |
 //! | `stability` | gains too high for the rate, the delay and the servo |
+//! | `admittance` | force axes of inverse kinematics that oscillate on the objects of the environment |
 //! | `limits` | limits that contradict each other, the start posture or the arm's weight |
 //! | `freedom` | a start at a singularity; degrees of freedom without a task |
 //! | `servo_gain` | position or velocity loops with a small gain margin |
@@ -23,6 +24,7 @@
 //! All checks use the nominal robot, which starts in the start posture of the task and follows the references without
 //! error.
 
+mod admittance;
 mod boundary;
 mod case;
 mod collisions;
@@ -38,6 +40,7 @@ mod limits;
 mod margins;
 mod motion;
 mod nudge;
+mod phase_margin;
 mod refusal;
 mod rollout;
 mod servo_gain;
@@ -77,6 +80,7 @@ pub fn diagnostics(experiment: &Experiment) -> Vec<Diagnostic> {
         found.extend(stability::stiff_gains(&case));
         found.extend(contact::contacts(&case));
     }
+    found.extend(admittance::unstable_contacts(&case));
     found.extend(torque_floor::feed_forward_impulses(experiment));
     found.extend(limits::of_postures(&case, &followed));
     let out_of_reach = goals::out_of_reach(&case, &followed);
@@ -127,7 +131,10 @@ pub fn collision_thresholds(experiment: &Experiment) -> Vec<(String, f64)> {
 /// Lists the tasks that lack information for [`diagnostics`]; their diagnostics are incomplete.
 #[must_use]
 pub fn not_checked(experiment: &Experiment) -> Vec<Diagnostic> {
-    let torques = experiment.options().controller == ControllerKind::Osc;
-    let case = PreflightCase::new(experiment).filter(|_| torques);
-    case.map_or_else(Vec::new, |case| stability::not_checked(&case))
+    let Some(case) = PreflightCase::new(experiment) else { return Vec::new() };
+    let mut found = admittance::unknown_contacts(&case);
+    if experiment.options().controller == ControllerKind::Osc {
+        found.extend(stability::not_checked(&case));
+    }
+    found
 }

@@ -159,10 +159,8 @@ impl ArmConfig {
                         return Err(SimulationError::Band { object: name.clone() });
                     }
                 }
-                EnvironmentObjectParameters::Wall(wall) => {
-                    if Vector3::from(wall.normal).amax() == 0.0 {
-                        return Err(SimulationError::Normal { object: name.clone() });
-                    }
+                EnvironmentObjectParameters::Wall(wall) if Vector3::from(wall.normal).amax() == 0.0 => {
+                    return Err(SimulationError::Normal { object: name.clone() });
                 }
                 _ => {}
             }

@@ -115,6 +115,11 @@ impl PriorityLevel {
         self.task.observe(&self.task_input(input, true));
     }
 
+    /// Updates state, reference and sensed forces in a cycle of inverse kinematics.
+    pub(crate) fn observe_with_forces(&mut self, input: &ControlInput<'_>) {
+        self.task.observe_with_forces(&self.task_input(input, true));
+    }
+
     /// Starts the task at the robot's present state.
     pub(crate) fn start(&mut self, input: &ControlInput<'_>) {
         self.reset();
@@ -227,6 +232,7 @@ impl PriorityLevel {
             if let Some(escape) = &self.escape {
                 escape.remove_force(&mut added);
             }
+            self.task.set_added_force(&added);
             force += added;
         }
         self.force = force;

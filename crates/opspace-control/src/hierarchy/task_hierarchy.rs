@@ -170,6 +170,15 @@ impl TaskHierarchy {
         }
     }
 
+    /// Updates states, references and sensed forces in a cycle of inverse kinematics.
+    pub(crate) fn observe_with_forces(&mut self, input: &ControlInput<'_>) {
+        self.levels.iter_mut().for_each(|level| level.observe_with_forces(input));
+        let input = self.joint_input(input);
+        if let Some(task) = &mut self.joint {
+            task.observe(&input);
+        }
+    }
+
     /// Input of the task of all joints.
     pub(crate) fn joint_input<'a>(&self, control: &ControlInput<'a>) -> TaskInput<'a> {
         let target = self.joint_target.of(control.targets, control.clock_s);

@@ -52,6 +52,7 @@ enum Group {
     Force,
     Slack,
     Escape,
+    Gains,
     Sensed,
     Target,
     AllJoints,
@@ -71,9 +72,9 @@ const ALL_JOINTS: &str = "a task of all joints";
 /// Signals of the tasks that a controller records in the log.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum RecordedSignals {
-    /// References and motion.
+    /// References, motion and sensed forces.
     Motion,
-    /// References, motion and forces.
+    /// References, motion, sensed forces and task forces.
     Forces,
 }
 
@@ -260,6 +261,7 @@ impl Slot {
             (Group::Force, Some(level), _) => level.record_force(out),
             (Group::Slack, Some(level), _) => level.record_slack(out),
             (Group::Escape, Some(level), _) => level.record_escape(out),
+            (Group::Gains, Some(level), _) => level.task.record_gains(out),
             (Group::Sensed, Some(level), _) => level.task.record_sensed(out),
             (Group::Target, Some(level), _) => level.task.record_target(out),
             (Group::AllJoints, _, Some(task)) => task.record(out),
@@ -289,10 +291,16 @@ fn slots<'a>(
     for hierarchy in hierarchies {
         for level in &hierarchy.levels {
             let groups: &[Group] = match recorded {
-                RecordedSignals::Motion => &[Group::Motion, Group::Target],
-                RecordedSignals::Forces => {
-                    &[Group::Motion, Group::Force, Group::Slack, Group::Escape, Group::Sensed, Group::Target]
-                }
+                RecordedSignals::Motion => &[Group::Motion, Group::Sensed, Group::Target],
+                RecordedSignals::Forces => &[
+                    Group::Motion,
+                    Group::Force,
+                    Group::Slack,
+                    Group::Escape,
+                    Group::Gains,
+                    Group::Sensed,
+                    Group::Target,
+                ],
             };
             groups.iter().for_each(|&group| add(level.name(), level.task.kind(), group, hierarchy));
         }

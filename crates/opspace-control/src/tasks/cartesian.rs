@@ -25,6 +25,7 @@ use crate::references::reference::{CartesianReference, Trajectory};
 use crate::references::streamed_pose::StreamedPose;
 use crate::references::target::Target;
 use crate::targets::AllowedInputs;
+use crate::tasks::admittance::Admittance;
 use crate::tasks::axes::{AXIS_NAMES, AxesFrame, AxisMode};
 use crate::tasks::axis_feedback::AxisFeedback;
 use crate::tasks::cartesian_parameters::{
@@ -34,15 +35,17 @@ use crate::tasks::cartesian_target::{AxisSettings, inputs, settings};
 use crate::tasks::controlled_frame::ControlledFrame;
 use crate::tasks::force::ForceFeedback;
 use crate::tasks::gains::integrate;
+use crate::tasks::impedance::Impedance;
 use crate::tasks::singular_escape::SingularEscape;
 use crate::tasks::task::{RowGains, SpeedLimit, Task, TaskInput};
 use crate::tasks::task_axes::TaskAxes;
+use crate::tasks::varying_gains::VaryingGains;
 use crate::tasks::when_limited::{WhenLimited, axis_weights};
 use nalgebra::{Matrix3, Matrix6, Matrix6xX, Vector3, Vector6};
 use opspace_backend::quantity::Positive;
 use opspace_backend::signal_names::{
     ERROR, FORCE, MODES, ORIENTATION, POSITION, REFERENCE, REFERENCE_ORIENTATION, REFERENCE_VELOCITY, SLACK,
-    VELOCITY,
+    STIFFNESS, TANK, VELOCITY,
 };
 use opspace_backend::{Signal, SignalRecorder, signal_names};
 use opspace_model::{Data, Inversion, Model, Placement};
@@ -66,6 +69,8 @@ pub struct CartesianTask {
     /// Speed limits, m/s and rad/s; infinite if there is none.
     speed_limits: [f64; 2],
     force: Option<ForceFeedback>,
+    /// Admittance of the compliant and force axes, for inverse kinematics.
+    admittance: Option<Admittance>,
     reference: CartesianReference,
     trajectory: Trajectory,
     /// Streamed reference, used instead of the trajectory.
@@ -165,6 +170,16 @@ impl CartesianTask {
                 Some(feedback)
             }
         };
+        let admittance = match &parameters.force {
+            Some(force) => Admittance::new(
+                [&force.admittance_ns_per_m, &force.admittance_nms_per_rad],
+                &force.admittance_limits,
+                parameters.force_axes(),
+                context.period_s,
+                &format!("{key}.force"),
+            )?,
+            None => None,
+        };
         let limit = |limit: Option<Positive>| limit.map_or(f64::INFINITY, Positive::get);
         let origin = Target::at_rest(Placement::identity());
         let axes = TaskAxes::new(controlled, axes_frame.at_rest(), active, length_m);
@@ -182,6 +197,7 @@ impl CartesianTask {
             feedback,
             speed_limits: [limit(parameters.speed_limit_m_per_s), limit(parameters.speed_limit_rad_per_s)],
             force,
+            admittance,
             reference: parameters.reference.clone(),
             trajectory: Trajectory::new(&parameters.reference),
             streamed: match &parameters.reference {
@@ -279,6 +295,9 @@ impl CartesianTask {
         self.start_force(input);
         if let (Some(force), Some(before)) = (&mut self.force, &before.force) {
             force.inherit_state(before);
+        }
+        if let Some(impedance) = &mut self.feedback.impedance {
+            impedance.continue_from(before.feedback.impedance.as_ref(), input.measurement.time_s);
         }
         self.follow(input);
     }
@@ -382,6 +401,11 @@ impl CartesianTask {
             self.set_axis(axis, mode, &settings[axis]);
         }
         let modes = self.modes;
+        if modes != before
+            && let Some(varying) = self.varying_mut()
+        {
+            varying.tank_mut().interrupt();
+        }
         let began = |axis: usize| modes[axis] == AxisMode::Motion && before[axis] != AxisMode::Motion;
         if (0..6).any(began) {
             self.follow(input);
@@ -431,6 +455,32 @@ impl CartesianTask {
             let point = controlled.point(model, data);
             force.update(model, data, measurement, &axes, &point, &self.velocity, hold);
         }
+    }
+
+    fn varying_mut(&mut self) -> Option<&mut VaryingGains> {
+        self.feedback.impedance.as_mut()?.varying_mut()
+    }
+
+    /// Sets the gains of this cycle, if they vary.
+    fn vary_gains(&mut self, time_s: f64) {
+        let Some(impedance) = &mut self.feedback.impedance else { return };
+        let in_motion = |axis: usize| self.modes[axis] == AxisMode::Motion;
+        impedance.vary(time_s, &Vector6::from_fn(|i, _| if in_motion(i) { self.error[i] } else { 0.0 }));
+    }
+
+    /// Returns the admittance and the force feedback of an axis that inverse kinematics moves with the force.
+    fn admitted(&self, axis: usize) -> Option<(&Admittance, &ForceFeedback)> {
+        let held = matches!(self.modes[axis], AxisMode::Compliant | AxisMode::Force);
+        let admittance = self.admittance.as_ref().filter(|admittance| held && admittance.is_given(axis))?;
+        Some((admittance, self.force.as_ref()?))
+    }
+
+    /// Returns the displacement of the pose `placement` from the measured one (m, rad; task axes).
+    fn lead(&self, axes: &Matrix3<f64>, placement: &Placement) -> Vector6<f64> {
+        let linear = axes.tr_mul(&(placement.translation - self.placement.translation));
+        let angular =
+            axes.tr_mul(&orientation::log(&(placement.rotation * self.placement.rotation.transpose())));
+        Vector6::new(linear.x, linear.y, linear.z, angular.x, angular.y, angular.z)
     }
 
     /// Returns the speed along (`kind` 0) or about (`kind` 1) the motion axes, with its limit.
@@ -491,6 +541,7 @@ impl Task for CartesianTask {
     fn update(&mut self, input: &TaskInput<'_>) {
         self.observe(input);
         self.sense(&input.control, input.limited);
+        self.vary_gains(input.control.measurement.time_s);
     }
 
     fn bias(&self, model: &Model, data: &Data) -> Vector6<f64> {
@@ -509,6 +560,38 @@ impl Task for CartesianTask {
         axes.axes().iter().for_each(|&axis| active[axis] = true);
         let error = self.error_at(&axes.rotation, &axes.controlled.placement(model, data), active);
         axes.rows_of(&(velocity + error * gain_per_s))
+    }
+
+    /// Axes with an admittance move with the force error; all others follow the reference.
+    fn kinematic_command(&self, model: &Model, data: &Data, gain_per_s: f64) -> Vector6<f64> {
+        if self.admittance.is_none() {
+            return self.kinematic_target(model, data, gain_per_s);
+        }
+        let axes = self.axes_at(model, data);
+        let placement = axes.controlled.placement(model, data);
+        let mut follows = [false; 6];
+        axes.axes().iter().for_each(|&axis| follows[axis] = self.admitted(axis).is_none());
+        let error = self.error_at(&axes.rotation, &placement, follows);
+        let mut velocity = axes.of_motion(&self.target.velocity) + error * gain_per_s;
+        let lead = self.lead(&axes.rotation, &placement);
+        for &axis in axes.axes() {
+            if let Some((admittance, force)) = self.admitted(axis) {
+                velocity[axis] = match force.approach_velocity(axis) {
+                    Some(approach) => admittance.bounded(axis, approach, lead[axis]),
+                    None => admittance.velocity(axis, force.error(axis), lead[axis]),
+                };
+            }
+        }
+        axes.rows_of(&velocity)
+    }
+
+    fn kinematic_infeasibility(&self) -> Option<ControlError> {
+        let in_force = |axis: &usize| self.modes[*axis] == AxisMode::Force && self.admitted(*axis).is_none();
+        let axis = (0..6).find(in_force)?;
+        let key = if axis < 3 { "admittance_ns_per_m" } else { "admittance_nms_per_rad" };
+        let task = self.rows_key.strip_suffix(".axes").unwrap_or(&self.rows_key);
+        let reason = Reason::AdmittanceMissing { axis: AXIS_NAMES[axis], key };
+        Some(ControlError::new(format!("{task}.force.{key}"), reason))
     }
 
     fn acceleration(&self) -> Vector6<f64> {
@@ -559,12 +642,26 @@ impl Task for CartesianTask {
         let axes = self.axes_frame.rotation(model, data, controlled);
         self.begin(&Target::at_rest(self.home), &axes, input);
         self.start_force(input);
+        if let Some(varying) = self.varying_mut() {
+            varying.start(input.measurement.time_s);
+        }
         self.follow(input);
     }
 
     fn observe(&mut self, input: &TaskInput<'_>) {
         self.take_target(input);
         self.follow(&input.control);
+    }
+
+    fn observe_with_forces(&mut self, input: &TaskInput<'_>) {
+        self.observe(input);
+        let ControlInput { model, data, measurement, .. } = input.control;
+        if let Some(force) = &mut self.force {
+            let controlled = self.axes.controlled;
+            let axes = controlled.coordinates(model, data) * self.axes.rotation;
+            let point = controlled.point(model, data);
+            force.update_targets(model, data, measurement, &axes, &point, &self.velocity);
+        }
     }
 
     /// Replans a goal or streamed reference from the current pose at rest, blends from there into any other reference,
@@ -581,6 +678,9 @@ impl Task for CartesianTask {
         }
         self.feedback.integral.fill(0.0);
         self.start_force(input);
+        if let Some(varying) = self.varying_mut() {
+            varying.tank_mut().interrupt();
+        }
         self.follow(input);
     }
 
@@ -601,6 +701,13 @@ impl Task for CartesianTask {
             || self.feedback.impedance.is_some()
             || self.streamed_force != Vector6::zeros();
         adds_force.then(|| self.added_force(task_inertia))
+    }
+
+    fn set_added_force(&mut self, force: &Vector6<f64>) {
+        let force = self.axes.force_of_rows(force);
+        if let Some(varying) = self.varying_mut() {
+            varying.tank_mut().set_force(&force);
+        }
     }
 
     fn inputs(&self) -> Vec<Signal> {
@@ -739,6 +846,15 @@ impl Task for CartesianTask {
         values.fill(0.0);
         for (x, &axis) in rows.iter().zip(self.axes.axes()) {
             values[axis] = x / self.axes.scale[axis];
+        }
+    }
+
+    fn record_gains(&self, out: &mut SignalRecorder<'_>) {
+        let impedance = self.feedback.impedance.as_ref();
+        if let Some(varying) = impedance.and_then(Impedance::varying) {
+            let tank = varying.tank();
+            out.scalar((&self.name, TANK), "J", tank.level_j());
+            out.signal((&self.name, STIFFNESS), "N/m,Nm/rad", &AXIS_NAMES, tank.stiffness().as_slice());
         }
     }
 

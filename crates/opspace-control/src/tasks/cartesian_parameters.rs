@@ -267,7 +267,7 @@ impl CartesianParameters {
 
     /// Returns true if a desired inertia is given.
     pub(crate) fn shapes_inertia(&self) -> bool {
-        self.impedance.is_some_and(|i| i.inertia_kg.is_some() || i.inertia_kg_m2.is_some())
+        self.impedance.as_ref().is_some_and(|i| i.inertia_kg.is_some() || i.inertia_kg_m2.is_some())
     }
 }
 

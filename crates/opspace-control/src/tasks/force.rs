@@ -167,10 +167,7 @@ impl ForceFeedback {
         velocity: &Vector6<f64>,
         hold: bool,
     ) {
-        self.time_s = measurement.time_s - self.start_s;
-        let raw = self.raw(measurement);
-        let filtered = self.filter.update(&raw);
-        self.sensed = self.sensed_at(model, data, &filtered, rotation, point);
+        self.sense(model, data, measurement, rotation, point);
         let moved = rotation.tr_mul(&(point - self.point));
         self.point = *point;
         if hold {
@@ -180,6 +177,48 @@ impl ForceFeedback {
             let displacement = if i < 3 { moved[i] } else { velocity[i] * self.period_s };
             axis.update(self.sensed[i], AxisMotion { velocity: velocity[i], displacement }, self.time_s);
         }
+    }
+
+    /// Updates the sensed force as [`update`](Self::update) does, and the targets and contacts, but no feedback.
+    pub(crate) fn update_targets(
+        &mut self,
+        model: &Model,
+        data: &Data,
+        measurement: &Measurement,
+        rotation: &Matrix3<f64>,
+        point: &Vector3<f64>,
+        velocity: &Vector6<f64>,
+    ) {
+        self.sense(model, data, measurement, rotation, point);
+        self.point = *point;
+        for (i, axis) in self.axes.iter_mut().enumerate() {
+            axis.update_target(self.sensed[i], velocity[i], self.time_s);
+        }
+    }
+
+    fn sense(
+        &mut self,
+        model: &Model,
+        data: &Data,
+        measurement: &Measurement,
+        rotation: &Matrix3<f64>,
+        point: &Vector3<f64>,
+    ) {
+        self.time_s = measurement.time_s - self.start_s;
+        let raw = self.raw(measurement);
+        let filtered = self.filter.update(&raw);
+        self.sensed = self.sensed_at(model, data, &filtered, rotation, point);
+    }
+
+    /// Sensed force of an axis minus its target, N or Nm.
+    pub(crate) fn error(&self, axis: usize) -> f64 {
+        self.sensed[axis] - self.axes[axis].target
+    }
+
+    /// Velocity of an axis while it approaches, m/s; `None` in contact.
+    pub(crate) fn approach_velocity(&self, axis: usize) -> Option<f64> {
+        let axis = &self.axes[axis];
+        axis.approaches().then(|| axis.approach_speed(self.time_s))
     }
 
     /// Acceleration that is added to the damping (1/s) of an axis while it approaches, m/s².

@@ -185,29 +185,48 @@ impl ForceAxis {
     /// Updates target, contact and feedback with the sensed force (N, Nm) and the motion of the axis, `time_s` (s) after the
     /// start of the task.
     pub(crate) fn update(&mut self, sensed: f64, motion: AxisMotion, time_s: f64) {
-        if self.mode == AxisMode::Force && !self.is_begun {
-            self.start(sensed);
-        }
-        match self.mode {
-            AxisMode::Force if self.final_target(time_s) != 0.0 => {
-                self.follow_contact(sensed, motion.velocity, time_s)
-            }
-            AxisMode::Force => self.contact.is_made = true,
-            AxisMode::Motion | AxisMode::Compliant | AxisMode::Free => return,
+        if !self.update_contact(sensed, motion.velocity, time_s) {
+            return;
         }
         self.passivity.update(motion.displacement);
         if self.approaches() || !(sensed - self.target).is_finite() {
             self.passivity.set_feedback(0.0);
             return;
         }
-        self.ramped_s += self.period_s;
-        let share = (self.ramped_s / self.settings.ramp_s.max(self.period_s)).min(1.0);
-        self.target = self.from + share * (self.final_target(time_s) - self.from);
+        self.advance_ramp(time_s);
         let error = sensed - self.target;
         let share = self.passivity.share();
         let limit = self.integral_limit(time_s);
         self.integral = (self.integral + share * self.settings.integral_step * error).clamp(-limit, limit);
         self.passivity.set_feedback(share * self.settings.gains[1] * error + self.integral);
+    }
+
+    /// Updates target and contact, but no feedback, for inverse kinematics.
+    pub(crate) fn update_target(&mut self, sensed: f64, velocity: f64, time_s: f64) {
+        if self.update_contact(sensed, velocity, time_s) && !self.approaches() && sensed.is_finite() {
+            self.advance_ramp(time_s);
+        }
+    }
+
+    /// Updates the contact; returns false without force control.
+    fn update_contact(&mut self, sensed: f64, velocity: f64, time_s: f64) -> bool {
+        if self.mode == AxisMode::Force && !self.is_begun {
+            self.start(sensed);
+        }
+        match self.mode {
+            AxisMode::Force if self.final_target(time_s) != 0.0 => {
+                self.follow_contact(sensed, velocity, time_s);
+            }
+            AxisMode::Force => self.contact.is_made = true,
+            AxisMode::Motion | AxisMode::Compliant | AxisMode::Free => return false,
+        }
+        true
+    }
+
+    fn advance_ramp(&mut self, time_s: f64) {
+        self.ramped_s += self.period_s;
+        let share = (self.ramped_s / self.settings.ramp_s.max(self.period_s)).min(1.0);
+        self.target = self.from + share * (self.final_target(time_s) - self.from);
     }
 
     fn follow_contact(&mut self, sensed: f64, velocity: f64, time_s: f64) {
@@ -234,7 +253,7 @@ impl ForceAxis {
     }
 
     /// Velocity of the approach, m/s.
-    fn approach_speed(&self, time_s: f64) -> f64 {
+    pub(crate) fn approach_speed(&self, time_s: f64) -> f64 {
         let speed = self.settings.approach.map_or(0.0, |contact| contact.approach_m_per_s.get());
         -self.final_target(time_s).signum() * speed
     }

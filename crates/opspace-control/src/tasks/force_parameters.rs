@@ -1,6 +1,7 @@
 //! Parameters of the force feedback of a Cartesian task, for files and code.
 
 use crate::error::{ControlError, Reason};
+use crate::tasks::admittance::AdmittanceLimits;
 use crate::tasks::axes::{AXIS_NAMES, Axes, PerAxis};
 use nalgebra::Vector6;
 use opspace_backend::quantity::{Fraction, NonNegative, Positive};
@@ -64,6 +65,17 @@ pub struct ForceParameters {
     /// Passivity control of the force feedback of force axes.
     #[serde(default)]
     pub passivity: PassivityParameters,
+    /// Damping B of the admittance of compliant and force axes, Ns/m: the commanded position moves with the force error
+    /// divided by B. Only for inverse kinematics, whose force axes need it; a compliant axis without it holds its
+    /// reference there.
+    #[serde(default)]
+    pub admittance_ns_per_m: Option<PerAxis<Positive>>,
+    /// Damping of the admittance of compliant and force axes of rotation, Nms/rad. Only for inverse kinematics.
+    #[serde(default)]
+    pub admittance_nms_per_rad: Option<PerAxis<Positive>>,
+    /// Limits of the motion by admittance.
+    #[serde(default)]
+    pub admittance_limits: AdmittanceLimits,
 }
 
 /// Target forces of force axes as functions of time, N.
@@ -248,6 +260,9 @@ impl ForceParameters {
             surface: None,
             contact: None,
             passivity: PassivityParameters::default(),
+            admittance_ns_per_m: None,
+            admittance_nms_per_rad: None,
+            admittance_limits: AdmittanceLimits::default(),
         }
     }
 

@@ -11,10 +11,14 @@
 //! (Albu-Schäffer, Ott, Frese and Hirzinger, *Cartesian impedance control of redundant robots*, ICRA 2003). A desired
 //! inertia m needs a force sensor: m (ẍ − ẍ_d) + d (ẋ − ẋ_d) + k (x − x_d) = f.
 //!
+//! Gains can be [functions of time](ImpedanceProfile); an [energy tank](crate::tasks::energy_tank) keeps the robot passive.
+//!
 //! [`AxisGains`]: crate::tasks::gains::AxisGains
 
 use crate::error::{ControlError, Reason};
 use crate::tasks::axes::{PerAxis, required};
+use crate::tasks::energy_tank::TankParameters;
+use crate::tasks::varying_gains::{ImpedanceProfile, VaryingGains};
 use nalgebra::{Matrix6, SymmetricEigen, Vector6};
 use opspace_backend::quantity::{NonNegative, Positive};
 #[cfg(feature = "schema")]
@@ -22,7 +26,7 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 
 /// A spring and a damper on each motion axis.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 #[non_exhaustive]
@@ -48,6 +52,14 @@ pub struct ImpedanceParameters {
     /// Apparent moment of inertia of the axes, kg m²; the arm's own if absent. Needs `force`.
     #[serde(default)]
     pub inertia_kg_m2: Option<PerAxis<Positive>>,
+    /// Gains as functions of the time since the task was started or its impedance was changed; they replace the constant
+    /// ones. The tank keeps the robot passive.
+    #[serde(default)]
+    pub profile: Option<Box<ImpedanceProfile>>,
+    /// Energy tank that limits the growth of the stiffness, by a profile or an event; with the default values if absent
+    /// and a profile is given. Without both, an event changes the stiffness at once.
+    #[serde(default)]
+    pub tank: Option<TankParameters>,
 }
 
 /// Damping ratio of every mode if the file gives neither a ratio nor a damping.
@@ -60,6 +72,8 @@ pub(crate) struct Impedance {
     damping: Damping,
     /// Desired inertia (kg, kg m²); `None` for the arm's own.
     pub inertia: Option<Vector6<f64>>,
+    /// Variation of stiffness and damping with time, if there is one.
+    varying: Option<Box<VaryingGains>>,
 }
 
 #[derive(Clone, Debug)]
@@ -120,7 +134,49 @@ impl Impedance {
         } else {
             None
         };
-        Ok(Self { stiffness, damping, inertia })
+        let varies = p.profile.is_some() || p.tank.is_some();
+        if varies && shaped {
+            return Err(ControlError::new(key, Reason::VaryingShapedInertia));
+        }
+        let profile = p.profile.as_deref().cloned().unwrap_or_default();
+        profile.check(motion, matches!(damping, Damping::Ratio(_)), &format!("{key}.profile"))?;
+        let tank = p.tank.unwrap_or_default();
+        if tank.initial_j.get() > tank.capacity_j.get() {
+            let message =
+                format!("{} J is above the capacity of {} J", tank.initial_j.get(), tank.capacity_j.get());
+            return Err(ControlError::value(&format!("{key}.tank.initial_j"), message));
+        }
+        let varying = varies.then(|| Box::new(VaryingGains::new(profile, &tank, motion, stiffness)));
+        Ok(Self { stiffness, damping, inertia, varying })
+    }
+
+    /// Varying gains, if there are any.
+    pub(crate) fn varying(&self) -> Option<&VaryingGains> {
+        self.varying.as_deref()
+    }
+
+    /// Varying gains, if there are any.
+    pub(crate) fn varying_mut(&mut self) -> Option<&mut VaryingGains> {
+        self.varying.as_deref_mut()
+    }
+
+    /// Continues from the impedance of another task set, if the gains vary.
+    pub(crate) fn continue_from(&mut self, before: Option<&Self>, time_s: f64) {
+        let Some(varying) = &mut self.varying else { return };
+        match before {
+            Some(before) => varying.continue_from(before.varying(), before.stiffness, time_s),
+            None => varying.start(time_s),
+        }
+    }
+
+    /// Sets the gains of this cycle if they vary, for the errors of the axes (m, rad; 0 on axes that are not in motion).
+    pub(crate) fn vary(&mut self, time_s: f64, error: &Vector6<f64>) {
+        let Some(varying) = &mut self.varying else { return };
+        self.stiffness = varying.update(time_s, error);
+        match &mut self.damping {
+            Damping::Ratio(ratio) => *ratio = varying.damping_ratio(time_s).unwrap_or(*ratio),
+            Damping::Axes(damping) => varying.replace_damping(time_s, damping),
+        }
     }
 
     /// Damping of each axis for a desired inertia, Ns/m or Nms/rad.

@@ -84,6 +84,17 @@ pub trait Task: Any + Send {
     /// Velocity ẋ_d + gain (x_d − x) of the rows, with x at the state of `data` and x_d as of the last update.
     fn kinematic_target(&self, model: &Model, data: &Data, gain_per_s: f64) -> Vector6<f64>;
 
+    /// Velocity of the rows that inverse kinematics commands, with x at the state of `data`, which is that of the command:
+    /// [`kinematic_target`](Self::kinematic_target), except for rows that move with a sensed force.
+    fn kinematic_command(&self, model: &Model, data: &Data, gain_per_s: f64) -> Vector6<f64> {
+        self.kinematic_target(model, data, gain_per_s)
+    }
+
+    /// Returns an error if inverse kinematics cannot execute the task.
+    fn kinematic_infeasibility(&self) -> Option<ControlError> {
+        None
+    }
+
     /// Desired acceleration a* of the rows, computed by the last update.
     fn acceleration(&self) -> Vector6<f64>;
 
@@ -94,6 +105,11 @@ pub trait Task: Any + Send {
     /// `input.limited` is true.
     fn observe(&mut self, input: &TaskInput<'_>) {
         self.update(input);
+    }
+
+    /// Updates state, reference and sensed forces in a cycle of inverse kinematics; `input.limited` is true.
+    fn observe_with_forces(&mut self, input: &TaskInput<'_>) {
+        self.observe(input);
     }
 
     /// Inputs that can be streamed to the task; their names do not contain the task's name. They are constant, and
@@ -130,6 +146,10 @@ pub trait Task: Any + Send {
     fn force(&self, _task_inertia: &Matrix6<f64>) -> Option<Vector6<f64>> {
         None
     }
+
+    /// Receives the force that is added to Λ (a* − J̇ q̇) in this cycle: that of [`force`](Self::force), without what an
+    /// escape from a singular pose removes. Limits may still reduce it.
+    fn set_added_force(&mut self, _force: &Vector6<f64>) {}
 
     /// Method for the inversion of Λ⁻¹ near singularities; its thresholds are relative to the typical mobility.
     fn inversion(&self) -> Inversion {
@@ -246,7 +266,11 @@ pub trait Task: Any + Send {
         }
     }
 
-    /// Records the quantities that the task senses; only for torque control.
+    /// Records gains that vary, if there are any; only for torque control. Unlike other signals, a task may have these in some
+    /// task sets only.
+    fn record_gains(&self, _out: &mut SignalRecorder<'_>) {}
+
+    /// Records the quantities that the task senses.
     fn record_sensed(&self, _out: &mut SignalRecorder<'_>) {}
 }
 

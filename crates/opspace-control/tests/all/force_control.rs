@@ -266,3 +266,24 @@ fn errors_name_the_key_of_force_control() {
     assert_eq!(error.key(), "task.hand.cartesian.compliant_damping_per_s");
     assert!(error.to_string().contains("`force.damping_per_s`"), "{error}");
 }
+
+/// Gain and integral of zero leave the feed-forward alone: whatever is sensed, a hand at rest presses with the target force.
+#[test]
+fn feed_forward_alone_ignores_the_sensed_force() {
+    let text =
+        pressing("target_n = { z = 12.0 }, gain = 0.0, integral_per_s = 0.0, ramp_s = 0.0", "\"world\"");
+    let (model, file) = (seven_joints(), File::read(&text));
+    let mut controller =
+        OperationalSpaceController::new(&model, &file.task_set(), &control_context(&model, "hand"))
+            .expect("a good task");
+    let (data, mut measurement) = at_state(&model, &START, &[0.0; 7], 0.0);
+    controller.start(&common::input(&model, &data, &measurement));
+    let mut tau = [0.0; 7];
+    for cycle in 0..100 {
+        measurement.time_s = 1e-3 * f64::from(cycle);
+        measurement.wrenches[0].linear = Vector3::new(0.0, 0.0, f64::from(cycle % 30));
+        controller.update(&common::input(&model, &data, &measurement), &mut tau);
+        let force = sampled(&controller, "hand.force")[2];
+        assert!((force + 12.0).abs() < 1e-9, "cycle {cycle}: {force} N");
+    }
+}

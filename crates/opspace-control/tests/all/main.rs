@@ -1,5 +1,6 @@
 //! Tasks, hierarchy, limits, references and controllers on small arms.
 
+mod admittance;
 mod allocation;
 mod collisions;
 mod common;
@@ -26,6 +27,7 @@ mod subjects;
 mod switching;
 mod swivel;
 mod tasks_in_code;
+mod varying_stiffness;
 mod when_limited;
 mod zones;
 

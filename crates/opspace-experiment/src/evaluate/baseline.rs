@@ -20,7 +20,7 @@ use std::fmt;
 pub const TOLERANCE: f64 = 0.01;
 
 /// Metrics of which a smaller value is better.
-const SMALLER: [&str; 24] = [
+const SMALLER: [&str; 25] = [
     "position_rms_m",
     "position_max_m",
     "orientation_rms_rad",

@@ -40,11 +40,12 @@
 
 use super::case::PreflightCase;
 use super::diagnostic::{Diagnostic, short};
+use super::phase_margin::{Margin, hold, least_margin, rounded_down};
 use nalgebra::{Complex, Matrix6xX};
 use opspace_backend::{CommandKind, Setpoints};
 use opspace_control::{AXIS_NAMES, AxisMode, JointTask, RowGains, Task, TaskParameters};
 use opspace_transformer::{ProfileParameters, ServoGains, ServoLaw, ServoParameters};
-use std::f64::consts::{PI, TAU};
+use std::f64::consts::TAU;
 
 /// Phase margin below which a loop is reported, degrees: it oscillates, and an error of a few per cent in inertia or
 /// delay makes it unstable.
@@ -93,12 +94,6 @@ fn stiff_task(case: &PreflightCase<'_>, stack: usize, name: &str) -> Option<Diag
         None => "raise damping_ratio: with this one no stiffness has enough margin".to_owned(),
     };
     Some(Diagnostic::new(&case.key(stack, name, key), message, help))
-}
-
-/// Formats a number with two digits, rounded down.
-fn rounded_down(value: f64) -> String {
-    let unit = 10f64.powi(value.log10().floor() as i32 - 1);
-    short((value / unit).floor() * unit)
 }
 
 /// Control loop of an axis or a joint.
@@ -304,13 +299,6 @@ struct Plant {
     filter_hz: f64,
 }
 
-/// Phase margin of a loop (degrees), and its crossover frequency.
-#[derive(Clone, Copy, Debug)]
-struct Margin {
-    degrees: f64,
-    crossover_rad_per_s: f64,
-}
-
 impl Plant {
     fn new(case: &PreflightCase<'_>, joint: usize) -> Self {
         let profile: &ProfileParameters = case.experiment.profile().1;
@@ -382,38 +370,10 @@ impl Plant {
 
     /// Smallest margin over all crossovers; `None` if the law has no stiffness and no damping.
     fn margin(&self, law: &AxisFeedback) -> Option<Margin> {
-        const STEPS: i32 = 600;
         if law.stiffness <= 0.0 && law.damping <= 0.0 {
             return None;
         }
-        // The highest frequency is half the sampling rate.
-        let last = PI / self.period_s;
-        let first = (1e-3 * law.bandwidth()).min(0.1 * last);
-        let at = |step: f64| first * (last / first).powf(step / f64::from(STEPS));
-        let mut before = self.open_loop(law, first);
-        let mut phase = if before.arg() > 0.0 { before.arg() - TAU } else { before.arg() };
-        let mut least: Option<Margin> = None;
-        let mut note = |phase: f64, omega: f64| {
-            let margin = Margin { degrees: 180.0 + phase.to_degrees(), crossover_rad_per_s: omega };
-            if least.is_none_or(|least| margin.degrees < least.degrees) {
-                least = Some(margin);
-            }
-        };
-        for step in 1..=STEPS {
-            let now = self.open_loop(law, at(f64::from(step)));
-            let next_phase = phase + (now / before).arg();
-            if (before.norm() > 1.0) != (now.norm() > 1.0) {
-                let (from, to) = (before.norm().ln(), now.norm().ln());
-                let share = from / (from - to);
-                note(phase + share * (next_phase - phase), at(f64::from(step) - 1.0 + share));
-            }
-            (before, phase) = (now, next_phase);
-        }
-        // The gain is still above 1 at half the sampling rate.
-        if before.norm() > 1.0 {
-            note(phase.min(-PI), last);
-        }
-        least
+        least_margin(1e-3 * law.bandwidth(), self.period_s, |omega| self.open_loop(law, omega))
     }
 
     /// Largest factor, at most 1, by which the frequency of the law can be multiplied for a margin of
@@ -441,11 +401,6 @@ fn filtered_difference(s: Complex<f64>, period_s: f64, cutoff_hz: f64) -> Comple
     (1.0 - pole) * (1.0 - back) / (period_s * (1.0 - pole * back))
 }
 
-/// Transfer function of a zero-order hold over `period_s`.
-fn hold(s: Complex<f64>, period_s: f64) -> Complex<f64> {
-    (1.0 - (-s * period_s).exp()) / (s * period_s)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -456,6 +411,7 @@ mod tests {
     use opspace_transformer::{
         CascadedServo, PaperTransformer, Transformer, VelocityServo, VelocityTransformer,
     };
+    use std::f64::consts::PI;
 
     const INERTIA: f64 = 0.4;
 

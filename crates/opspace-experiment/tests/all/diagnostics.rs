@@ -5,7 +5,8 @@ use opspace_backend::CommandKind;
 use opspace_control::rank::reach;
 use opspace_experiment::Progress;
 use opspace_experiment::evaluate::metrics::metrics;
-use opspace_experiment::{Diagnostic, Experiment, Files, RunOptions, diagnostics};
+use opspace_experiment::preflight::not_checked;
+use opspace_experiment::{ControllerKind, Diagnostic, Experiment, Files, RunOptions, diagnostics};
 use opspace_log::Recording;
 use opspace_loop::RunOutcome;
 use opspace_model::{Data, frame_placement, kinematics};
@@ -558,4 +559,63 @@ fn too_short_run_is_reported() {
 
     let (found, _) = only_diagnostic(HAND, &[("settle_s = 0.5", "settle_s = 0.1")], &[]);
     assert_says(&found, "settle_s", &["start at 0.1 s", "over the first 0.2 s", "settle_s = 0.2"]);
+}
+
+/// A task with a force axis of inverse kinematics, without diagnostics.
+const PRESS: &str = r#"
+robot = "ROBOTS/asimo-arm"
+duration_s = 1.5
+settle_s = 1.0
+priority = ["hand", "rest"]
+start_rad = { shoulder_pitch = -0.45, shoulder_roll = -0.35, shoulder_yaw = 0.25, elbow = -1.35 }
+
+[task.hand.cartesian]
+frame = "hand"
+axes = { x = "motion", y = "motion", z = "force" }
+gains = { frequency_rad_per_s = 14.0, damping_ratio = 1.0 }
+reference = "hold"
+force = { sensor = "wrist", target_n = { z = 20.0 }, admittance_ns_per_m = 100.0 }
+
+[task.rest.joint-posture]
+frequency_rad_per_s = 6.0
+damping_ratio = 0.8
+
+[environment.table.wall]
+frame = "hand"
+point_m = [0.0, 0.0, -0.164]
+normal = [0.0, 0.0, 1.0]
+stiffness_n_per_m = 50000.0
+damping_ns_per_m = 5.0
+"#;
+
+/// Compared: the phase margin of an admittance with the simulated force of an arm without friction. Below zero it oscillates;
+/// the proposed admittance is quiet, and nothing is reported.
+#[test]
+fn unstable_admittance_is_reported() {
+    let ik = || RunOptions { controller: ControllerKind::Ik, ..RunOptions::default() };
+    let no_friction = "robot.simulated.true_over_nominal.friction=0.0";
+    let force_rms_n = |experiment: &Experiment| {
+        let finished = experiment.run(std::io::Cursor::new(Vec::new()), &Progress::default()).unwrap();
+        let recording = Recording::from_bytes(&finished.sink.into_inner()).unwrap();
+        metrics(experiment, &recording).contact.force_rms_n.unwrap()
+    };
+    for (profile, given) in [("a-med", "50.0"), ("b-soft", "20.0")] {
+        let set = format!("task.hand.cartesian.force.admittance_ns_per_m={given}");
+        let options = RunOptions { profile: Some(profile.to_owned()), ..ik() };
+        let unstable = experiment(PRESS, &[], options.clone(), &[no_friction, &set]);
+        let found = diagnostics(&unstable);
+        let [finding] = &found[..] else { panic!("{found:#?}") };
+        assert_eq!(finding.key, "task.hand.cartesian.force.admittance_ns_per_m");
+        assert!(finding.message.contains("would be unstable on 'table' of 50000 N/m"), "{}", finding.message);
+        let proposed = finding.help.split(' ').nth(2).unwrap();
+        let set = format!("task.hand.cartesian.force.admittance_ns_per_m={proposed}.0");
+        let steady = experiment(PRESS, &[], options, &[no_friction, &set]);
+        assert_eq!(diagnostics(&steady), []);
+        let [unstable, steady] = [&unstable, &steady].map(force_rms_n);
+        assert!(unstable > 1.0 && steady < 0.2, "{profile}: {unstable} N, {steady} N with {proposed} Ns/m");
+    }
+    let unknown = experiment(&PRESS[..PRESS.find("[environment").unwrap()], &[], ik(), &[]);
+    let found = not_checked(&unknown);
+    let [finding] = &found[..] else { panic!("{found:#?}") };
+    assert!(finding.message.contains("what the hand touches along z is not known"), "{}", finding.message);
 }
