@@ -48,10 +48,11 @@ const SMALLER: [&str; 25] = [
     "torque_chatter_rms_nm",
 ];
 /// Metrics of which a larger value is better.
-const LARGER: [&str; 1] = ["in_contact_fraction"];
+const LARGER: [&str; 2] = ["in_contact_fraction", "hole_depth_m"];
 /// Metrics that describe a run and are neither better nor worse.
 #[cfg(test)]
-const NEUTRAL: [&str; 16] = [
+const NEUTRAL: [&str; 17] = [
+    "drawer_opening_max_m",
     "passivity_active_s",
     "contact_begin_s",
     "compliant_motion_rms_m",

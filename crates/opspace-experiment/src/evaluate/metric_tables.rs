@@ -25,6 +25,12 @@ pub struct Metrics {
     pub hand_force_rms_n: Option<f64>,
     /// Error of the estimated force, norm of all components, rms over time, N; of several, the largest.
     pub estimate_rms_n: Option<f64>,
+    /// Depth of the peg in the first hole of the environment at the end, m.
+    #[serde(default)]
+    pub hole_depth_m: Option<f64>,
+    /// Largest opening of the first drawer of the environment, m.
+    #[serde(default)]
+    pub drawer_opening_max_m: Option<f64>,
     /// Displacement of the simulated hand's frame from the start over the axes that the hand reports, rms, m.
     pub hand_motion_rms_m: Option<f64>,
     /// Error of the motor torque at servo rate, relative to the desired torque.

@@ -12,6 +12,7 @@ mod hand;
 mod holds;
 mod interruptions;
 mod joints;
+mod objects;
 mod ripple;
 pub(crate) mod run_log;
 pub(crate) mod slack;
@@ -36,6 +37,7 @@ use estimates::Estimates;
 use hand::Hand;
 use interruptions::Interruptions;
 use joints::JointTorques;
+use objects::Objects;
 use opspace_log::Recording;
 use run_log::{Control, Run};
 use tasks::Tasks;
@@ -74,6 +76,7 @@ pub(crate) struct Evaluator<'a> {
     joint_torques: JointTorques,
     cycles: Cycles,
     hand: Option<Hand>,
+    objects: Objects,
     estimates: Estimates,
     held_joints: HeldJoints,
     unreached: UnreachedGoals<'a>,
@@ -102,6 +105,7 @@ impl<'a> Evaluator<'a> {
             joint_torques: JointTorques::new(experiment),
             cycles: Cycles::new(experiment),
             hand: Hand::new(experiment),
+            objects: Objects::new(experiment),
             estimates: Estimates::new(experiment),
             held_joints: HeldJoints::new(experiment),
             unreached: UnreachedGoals::new(experiment),
@@ -127,6 +131,7 @@ impl<'a> Evaluator<'a> {
         self.unreached.add(&run);
         self.escapes.add(&run);
         self.estimates.add(&run);
+        self.objects.add(&run);
         if let Some(hand) = &mut self.hand {
             hand.add(&run);
         }
@@ -145,6 +150,7 @@ impl<'a> Evaluator<'a> {
             joints.values().for_each(|joint| metrics.add_joint(joint));
             self.cycles.finish(metrics);
             self.estimates.finish(metrics);
+            self.objects.finish(metrics);
             if let Some(hand) = self.hand {
                 hand.finish(metrics);
             }
