@@ -42,9 +42,9 @@ fn added(extra: [f64; 2], fz: f64, lost: bool) -> DVector<f64> {
         panic!("{:?}", record.received)
     };
     let added = record.values(record.rows.len() - 1, "friction_observer");
-    let error = &last - (gravity_at(&START) + DVector::from_column_slice(&added));
+    let error = &last - (gravity_at(&START) + DVector::from_column_slice(added));
     assert!(error.amax() < 1e-9, "the torque of the observer is in the command: {error}");
-    DVector::from_column_slice(&added)
+    DVector::from_column_slice(added)
 }
 
 /// Compared: the observer's torques, and the torques of the motors that do not move the arm, by hand; at most the limit,
