@@ -12,8 +12,7 @@ use std::path::Path;
 fn normal_error(backend: CommandKind, settings: &[&str]) -> f64 {
     let task = [
         "axes={x=\"motion\",y=\"motion\",z=\"force\"}",
-        "compliant_damping_per_s=45",
-        "force={sensor=\"wrist\",target_n={z=20.0},gain=1.0,integral_per_s=20.0}",
+        "force={sensor=\"wrist\",target_n={z=20.0}}",
         "reference={sinusoid={ramp_s=1.0,x=[{amplitude_m=0.05,frequency_hz=0.318}],y=[{amplitude_m=0.05,frequency_hz=0.318,phase_rad=1.5708,offset_m=-0.05}]}}",
     ];
     let mut all: Vec<String> = task.iter().map(|setting| format!("task.hand.cartesian.{setting}")).collect();
@@ -24,7 +23,7 @@ fn normal_error(backend: CommandKind, settings: &[&str]) -> f64 {
     all.push("robot.estimated_force.joints.frame=\"hand\"".to_owned());
     all.extend(settings.iter().map(|&setting| setting.to_owned()));
     let options = RunOptions { backend, duration_s: Some(4.0), ..RunOptions::default() };
-    let path = Path::new("tasks/compliant-x.toml");
+    let path = Path::new("tasks/cartesian-tracking.toml");
     let loaded: Result<Experiment, FileError> = Experiment::load(Files::Embedded, path, None, options, &all);
     let run = common::run(&loaded.unwrap_or_else(|e| panic!("{e}")));
     let (estimate, truth) =
