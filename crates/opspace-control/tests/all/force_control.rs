@@ -271,7 +271,7 @@ fn errors_name_the_key_of_force_control() {
 #[test]
 fn feed_forward_alone_ignores_the_sensed_force() {
     let text =
-        pressing("target_n = { z = 12.0 }, gain = 0.0, integral_per_s = 0.0, ramp_s = 0.0", "\"world\"");
+        pressing(", target_n = { z = 12.0 }, gain = 0.0, integral_per_s = 0.0, ramp_s = 0.0", "\"world\"");
     let (model, file) = (seven_joints(), File::read(&text));
     let mut controller =
         OperationalSpaceController::new(&model, &file.task_set(), &control_context(&model, "hand"))
