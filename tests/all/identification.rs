@@ -95,20 +95,41 @@ fn interpolating_drive_is_identified() {
     assert!(found.servo_toml().contains("elbow = { pid = {"), "{}", found.servo_toml());
 }
 
-/// Identification without motor current: the scale comes from the inertia, which is the true one here; kv includes
-/// viscous friction.
+/// Identification without motor current: the scale comes from the inertia, which is the true one here; kp from the lag at
+/// constant speed, and from the declared viscous friction, which is subtracted from kv.
 #[test]
-fn scale_comes_from_inertia_without_current() {
-    const KP: f64 = 0.10;
-    const KV: f64 = 0.15;
-    let settings = ["robot.interface.measured=[\"position\"]"];
+fn gains_are_identified_without_current() {
+    const KP: f64 = 0.005;
+    const KV: f64 = 0.05;
+    for wrong in [0.9, 1.1] {
+        let kp = format!("robot.simulated.true_over_nominal.kp={wrong}");
+        let settings = ["robot.interface.measured=[\"position\"]", kp.as_str()];
+        let found = identify(robot(&settings), short("a-med"));
+        let joint = &found.joints[0];
+        let servo = joint.found.servo.as_ref().expect("a servo");
+        assert_eq!(joint.found.scale, TorqueScale::Urdf);
+        assert!((servo.kp / (wrong * 50.265) - 1.0).abs() < KP, "{}", servo.kp);
+        assert!((servo.kv / 30.3 - 1.0).abs() < KV, "{}", servo.kv);
+        let friction = servo.friction.expect("friction");
+        assert!((friction.coulomb / 1.1 - 1.0).abs() < KV, "{friction:?}");
+        assert!((friction.viscous / 1.2 - 1.0).abs() < KV, "{friction:?}");
+        assert!(servo.delay <= 1);
+    }
+}
+
+/// Compared, for setpoints that are interpolated and act late: the identified gain kp, and the true one.
+#[test]
+fn kp_of_interpolating_drive_is_identified_without_current() {
+    const KP: f64 = 0.01;
+    let settings = [
+        "robot.interface.measured=[\"position\"]",
+        "robot.interface.setpoints=\"interpolated\"",
+        "robot.profile.a-med.delay_servo_ticks=2",
+    ];
     let found = identify(robot(&settings), short("a-med"));
-    let joint = &found.joints[0];
-    let servo = joint.found.servo.as_ref().expect("a servo");
-    assert_eq!(joint.found.scale, TorqueScale::Urdf);
+    let servo = found.joints[0].found.servo.as_ref().expect("a servo");
+    assert_eq!(servo.delay, 2);
     assert!((servo.kp / 50.265 - 1.0).abs() < KP, "{}", servo.kp);
-    assert!((servo.kv / (30.3 + 1.2) - 1.0).abs() < KV, "{}", servo.kv);
-    assert!(servo.delay <= 1);
 }
 
 #[test]

@@ -14,6 +14,7 @@ mod files;
 mod friction;
 mod identification;
 mod identified;
+mod identified_without_current;
 mod logs;
 mod model_samples;
 mod plants;

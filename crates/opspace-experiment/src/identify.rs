@@ -263,6 +263,7 @@ impl IdentificationJob {
             torque_limit: drive.torque_limit_nm.get(),
             resolution: drive.rotor.resolution_rad(),
             inertia: rotor_known.then(|| self.inertia(joint)),
+            viscous_friction: drive.friction.viscous_nms_per_rad.get(),
         }
     }
 

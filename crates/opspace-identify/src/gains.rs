@@ -10,8 +10,8 @@
 //!
 //! so that only kv kp/I and (kv + b)/I are determined. Coulomb friction is known from the joint's lag at constant
 //! speed. It is modelled as the viscous friction √(2/π) Fc/σ, which dissipates the same power for a Gaussian velocity
-//! of standard deviation σ. Viscous friction b is included in the identified kv, which is too high by b; the identified
-//! kp is too low accordingly, by some percent.
+//! of standard deviation σ. The lag at constant speed also gives (kv + b)/(kv kp), much more accurately. Viscous friction b must be known: if it is taken as zero, the identified kv is too high by b, and
+//! the identified kp is too low accordingly, by some percent.
 
 use crate::interval::{Drive, Interval, Rates};
 use crate::least_squares::{Minimum, minimise};
@@ -19,10 +19,15 @@ use crate::response::Point;
 use crate::transfer_function::MAX_ITERATIONS;
 use crate::transfer_function::relative;
 use nalgebra::{Complex, DMatrix, DVector};
+use opspace_backend::Setpoints;
 use std::f64::consts::TAU;
 
 /// Relative error of the model assumed in the weights, in addition to noise.
 const MODEL_ERROR: f64 = 0.01;
+
+/// Relative error of the position error per speed assumed in the weights: that of slow motion is known much better than
+/// the responses.
+const SLOW_ERROR: f64 = 1e-4;
 
 /// Prior values of a drive's filter and current loop, used if the data don't determine them, each with its tolerance
 /// factor: a filter at an eighth of the servo rate, a current loop of 1 kHz.
@@ -46,6 +51,29 @@ pub struct AmplitudeLevel {
     pub torque: Option<Vec<Point>>,
 }
 
+/// Lag of a joint behind its setpoint at constant speed.
+#[derive(Clone, Copy, Debug, Default)]
+#[non_exhaustive]
+pub struct Lag {
+    /// Part due to Coulomb friction, rad (m).
+    pub at_rest: f64,
+    /// Part per unit of speed, s, due to the servo, viscous friction and sampling; 0 if unknown.
+    pub per_speed: f64,
+}
+
+impl Lag {
+    /// Mean position error of the servo per unit of speed, s: the lag between position and setpoint of a sample is longer.
+    fn error_per_speed(self, rates: Rates) -> Option<f64> {
+        let half = 0.5 * f64::from(rates.servo_ticks_per_cycle - 1);
+        let late = match rates.setpoints {
+            Setpoints::Held => half,
+            Setpoints::Interpolated => 2.0 * half,
+        };
+        let error = self.per_speed - rates.servo_period_s * (f64::from(rates.delay) + late);
+        (self.per_speed > 0.0 && error > 0.0).then_some(error)
+    }
+}
+
 /// Fitted servo.
 #[derive(Clone, Debug)]
 #[non_exhaustive]
@@ -65,16 +93,17 @@ pub struct Gains {
     pub delay_margin: f64,
 }
 
-/// Fits the servo and its delay, which replaces that of `rates`. `lag` (rad, m) is the lag of the joint behind its
-/// setpoint due to Coulomb friction; it is used if torque is not measured. Returns `None` if the responses don't
+/// Fits the servo and its delay, which replaces that of `rates`. The `lag` of the joint behind its setpoint, and its `viscous`
+/// friction divided by its inertia (1/s), are used if torque is not measured. Returns `None` if the responses don't
 /// determine the servo.
 #[must_use]
-pub fn fit(levels: &[AmplitudeLevel], rates: Rates, lag: f64) -> Option<Gains> {
+pub fn fit(levels: &[AmplitudeLevel], rates: Rates, lag: Lag, viscous: f64) -> Option<Gains> {
     let measured = levels.iter().all(|l| l.torque.is_some());
     let mut fitted: Vec<(f64, Gains)> = Vec::new();
     for delay in 0..=rates.servo_ticks_per_cycle {
         let rates = Rates { delay, ..rates };
-        let one = if measured { with_torque(levels, rates) } else { without_torque(levels, rates, lag) };
+        let one =
+            if measured { with_torque(levels, rates) } else { without_torque(levels, rates, lag, viscous) };
         fitted.extend(one);
     }
     fitted.sort_by(|a, b| a.0.total_cmp(&b.0));
@@ -125,7 +154,7 @@ fn with_torque(levels: &[AmplitudeLevel], rates: Rates) -> Option<(f64, Gains)> 
     Some(gains(drive, rates, &minimum, friction, Some(residual)))
 }
 
-fn without_torque(levels: &[AmplitudeLevel], rates: Rates, lag: f64) -> Option<(f64, Gains)> {
+fn without_torque(levels: &[AmplitudeLevel], rates: Rates, lag: Lag, viscous: f64) -> Option<(f64, Gains)> {
     let corner = corner_hz(&levels.first()?.position)?;
     let drive_of = |x: &[f64]| Drive {
         kp: x[0].exp(),
@@ -135,8 +164,9 @@ fn without_torque(levels: &[AmplitudeLevel], rates: Rates, lag: f64) -> Option<(
         inertia: 1.0,
     };
     let friction_of = |x: &[f64], level: &AmplitudeLevel| {
-        (2.0 / std::f64::consts::PI).sqrt() * lag * (x[0] + x[1]).exp() / level.speed
+        viscous + (2.0 / std::f64::consts::PI).sqrt() * lag.at_rest * (x[0] + x[1]).exp() / level.speed
     };
+    let error_per_speed = lag.error_per_speed(rates);
     let filter_hz = FILTER_OF_RATE / rates.servo_period_s;
     let residuals = |x: &[f64]| {
         let interval = Interval::new(&drive_of(x), rates);
@@ -151,6 +181,10 @@ fn without_torque(levels: &[AmplitudeLevel], rates: Rates, lag: f64) -> Option<(
             }
         }
         residuals.push(beyond(x[2], filter_hz, FILTER_WITHIN));
+        if let Some(measured) = error_per_speed {
+            let Drive { kp, kv, .. } = drive_of(x);
+            residuals.push(((kv + viscous) / (kp * kv * measured) - 1.0) / SLOW_ERROR);
+        }
         Some(residuals)
     };
     let starts = [2.0, 5.0].into_iter().filter_map(|stiffer| {

@@ -36,6 +36,9 @@ pub struct KnownParameters {
     /// Inertia in the initial position from URDF and rotor, kg m² (kg), with the other joints free and with them held;
     /// `None` if the rotor inertia is unknown.
     pub inertia: Option<[f64; 2]>,
+    /// Viscous friction, Nms/rad (Ns/m); 0 if unknown. It is used if motor torque is not measured, because motion does not
+    /// distinguish it from the gain kv.
+    pub viscous_friction: f64,
 }
 
 impl KnownParameters {

@@ -5,7 +5,7 @@ use crate::excitation::{Multisine, odd_lines};
 use crate::friction;
 use crate::friction::ConstantVelocityRun;
 use crate::gains;
-use crate::gains::{AmplitudeLevel, Gains};
+use crate::gains::{AmplitudeLevel, Gains, Lag};
 use crate::identification::{
     COHERENT, ExcitationPlan, FitQuality, Identification, IdentificationFailure, KnownParameters, Measured,
     Servo, TorqueScale,
@@ -13,7 +13,7 @@ use crate::identification::{
 use crate::response;
 use crate::response::{Realisation, distortion, frequency_response};
 use crate::session::{AbortReason, Bounds, ExcitationSession, Record};
-use crate::sweep::{Lag, Sweep};
+use crate::sweep::Sweep;
 use crate::transfer_function;
 use crate::transfer_function::{DelayedTransferFunction, Target, relative};
 use opspace_control::ramp::minimum_jerk;
@@ -129,22 +129,29 @@ impl Joint<'_, '_> {
             })
             .collect();
         let rates = self.known.rates(0);
-        let rough = gains::fit(&levels, rates, 0.0).ok_or(IdentificationFailure::Undetermined)?;
+        let scale = match (found.scale, self.known.inertia) {
+            // Above the bandwidth of their servos, the other joints are free.
+            (TorqueScale::Urdf, Some([free, _])) => free,
+            _ => 1.0,
+        };
+        let viscous = match found.scale {
+            TorqueScale::Urdf => self.known.viscous_friction,
+            _ => 0.0,
+        };
+        let fit = |lag: Lag| {
+            gains::fit(&levels, rates, lag, viscous / scale).ok_or(IdentificationFailure::Undetermined)
+        };
+        let rough = fit(Lag::default())?;
         let sweeps = self.sweeps(&rough)?;
         let lag = self.lag(&sweeps);
         let gains = match self.session.measures_torque() {
             true => rough,
-            false => gains::fit(&levels, rates, lag.at_rest).ok_or(IdentificationFailure::Undetermined)?,
+            false => fit(lag)?,
         };
         self.rational(found, gains.delay);
-        let scale = match (found.scale, self.known.inertia) {
-            // The other joints are neither completely held nor completely free.
-            (TorqueScale::Urdf, Some([free, held])) => 0.5 * (free + held),
-            _ => 1.0,
-        };
         let passes: Vec<ConstantVelocityRun> = (sweeps.iter())
             .filter_map(|sweep| sweep.friction(&gains, lag, self.session.period_s()))
-            .map(|p| ConstantVelocityRun { torque: scale * p.torque, ..p })
+            .map(|p| ConstantVelocityRun { torque: scale * p.torque + viscous * p.speed, ..p })
             .collect();
         found.equivalent_friction = scale * gains.friction[0];
         let drive = gains.drive;

@@ -46,6 +46,7 @@
 //!     torque_limit: 50.0,
 //!     resolution: 1e-6,
 //!     inertia: None,
+//!     viscous_friction: 0.0,
 //! };
 //! let plan = ExcitationPlan { period_s: 1.0, realisations: 1, speeds: 3, ..ExcitationPlan::default() };
 //! let interrupted = |_ticks: u64| false;

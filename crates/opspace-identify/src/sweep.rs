@@ -1,7 +1,7 @@
 //! Motion back and forth at a constant speed, which shows friction without the effect of inertia.
 
 use crate::friction::ConstantVelocityRun;
-use crate::gains::Gains;
+use crate::gains::{Gains, Lag};
 use crate::session::Record;
 
 /// Motion of a joint back and forth at a constant speed.
@@ -49,14 +49,4 @@ impl Sweep {
         };
         Some(ConstantVelocityRun { speed: self.speed, torque })
     }
-}
-
-/// Lag of a joint behind its setpoint at constant speed. One part is due to Coulomb friction. The other is proportional
-/// to speed, due to the servo and to viscous friction, which cannot be separated.
-#[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct Lag {
-    /// Part due to Coulomb friction, rad (m).
-    pub at_rest: f64,
-    /// Part per unit of speed, s.
-    pub per_speed: f64,
 }

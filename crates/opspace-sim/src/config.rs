@@ -22,8 +22,8 @@ use opspace_transformer::{
 };
 use std::f64::consts::TAU;
 
-/// Largest lateness of measured motor torques, servo ticks; more indicates a mistake in a unit.
-const MAX_CURRENT_DELAY: u32 = 10_000;
+/// Largest lateness of measured torques, servo ticks; more indicates a mistake in a unit.
+const MAX_TORQUE_DELAY: u32 = 10_000;
 
 /// Largest product of a physics step and an angular frequency of links on elastic gears: the method is stable up to 2.
 const LARGEST_GEAR_STEP: f64 = 1.5;
@@ -113,6 +113,10 @@ impl ArmConfig {
                 "current_measurement.joint_scale",
                 self.simulated.current_measurement.joint_scale.keys().collect(),
             ),
+            (
+                "joint_torque_measurement.offset_nm",
+                self.simulated.joint_torque_measurement.offset_nm.keys().collect(),
+            ),
         ];
         for (section, joints) in truths {
             for joint in joints {
@@ -127,9 +131,17 @@ impl ArmConfig {
         for joint in 0..self.model.n() {
             self.check_gear(joint)?;
         }
-        let delay = self.simulated.current_measurement.delay_servo_ticks;
-        if delay > MAX_CURRENT_DELAY {
-            return Err(SimulationError::CurrentDelay { delay, most: MAX_CURRENT_DELAY });
+        let sensors = &self.simulated.joint_torque_measurement;
+        for (section, delay) in [
+            ("current_measurement", self.simulated.current_measurement.delay_servo_ticks),
+            ("joint_torque_measurement", sensors.delay_servo_ticks),
+        ] {
+            if delay > MAX_TORQUE_DELAY {
+                return Err(SimulationError::TorqueDelay { section, delay, most: MAX_TORQUE_DELAY });
+            }
+        }
+        if let Some((joint, _)) = sensors.offset_nm.iter().find(|(_, offset)| !offset.is_finite()) {
+            return Err(SimulationError::TorqueOffset { joint: joint.clone() });
         }
         for (name, payload) in &self.simulated.payload {
             self.model

@@ -28,7 +28,6 @@ pub(crate) struct Drives {
     /// Positions that the interface reports (n; rad, m).
     reported: DVector<f64>,
     asked: DVector<f64>,
-    joint_torque: IntervalMean,
     limited: bool,
 }
 
@@ -100,30 +99,6 @@ struct Pending {
     values: DVector<f64>,
 }
 
-/// Mean over the physics steps since the last sample.
-struct IntervalMean {
-    sum: DVector<f64>,
-    mean: DVector<f64>,
-    steps: u32,
-}
-
-impl IntervalMean {
-    fn new(start: DVector<f64>) -> Self {
-        Self { sum: DVector::zeros(start.len()), mean: start, steps: 0 }
-    }
-
-    /// Returns the mean since the last call; the previous mean if no step was made since.
-    fn take(&mut self) -> &DVector<f64> {
-        if self.steps > 0 {
-            self.mean.copy_from(&self.sum);
-            self.mean /= f64::from(self.steps);
-            self.sum.fill(0.0);
-            self.steps = 0;
-        }
-        &self.mean
-    }
-}
-
 /// Parts of [`Drives`].
 pub(crate) struct DrivesConfig {
     pub takes: CommandKind,
@@ -181,7 +156,6 @@ impl Drives {
             position,
             reported: DVector::zeros(n),
             asked: DVector::zeros(n),
-            joint_torque: IntervalMean::new(holding),
             limited: false,
         };
         if braked {
@@ -317,9 +291,7 @@ impl Drives {
     pub fn step(&mut self, q: &[f64], dq: &[f64], dt_s: f64, torques: &mut [f64]) {
         for (i, joint) in self.drivetrains.iter_mut().enumerate() {
             torques[i] = joint.step(q[i], dq[i], dt_s, self.asked[i]);
-            self.joint_torque.sum[i] += joint.joint_torque();
         }
-        self.joint_torque.steps += 1;
     }
 
     /// Motor torques during the last physics step, Nm or N.
@@ -330,6 +302,11 @@ impl Drives {
     /// Torques during the last physics step that the motor currents stand for, Nm or N.
     pub fn current_torques(&self) -> impl Iterator<Item = f64> {
         self.drivetrains.iter().map(Drivetrain::current_torque)
+    }
+
+    /// Torques on the links during the last physics step, Nm or N.
+    pub fn joint_torques(&self) -> impl Iterator<Item = f64> {
+        self.drivetrains.iter().map(Drivetrain::joint_torque)
     }
 
     fn read_encoders(&mut self, q: &[f64]) {
@@ -353,11 +330,6 @@ impl Drives {
         for ((to, joint), &dq) in reported.iter_mut().zip(&self.drivetrains).zip(dq) {
             *to = joint.interface_velocity(dq);
         }
-    }
-
-    /// Returns the mean torques on the links since the last call (n; Nm, N).
-    pub fn take_joint_torque(&mut self) -> &[f64] {
-        self.joint_torque.take().as_slice()
     }
 
     /// Returns true if a drive's torque limit was active since the last call.

@@ -35,13 +35,21 @@ pub enum SimulationError {
         /// Unknown name, and the model's joints.
         source: UnknownJoint,
     },
-    /// Measured motor torques that are too late.
-    #[error("measured motor torques are {delay} servo ticks late; at most {most} are possible")]
-    CurrentDelay {
+    /// Measured motor or joint torques that are too late.
+    #[error("measured torques are {delay} servo ticks late; at most {most} are possible")]
+    TorqueDelay {
+        /// Section of the file, `current_measurement` or `joint_torque_measurement`.
+        section: &'static str,
         /// Lateness, `delay_servo_ticks`.
         delay: u32,
         /// Largest lateness allowed.
         most: u32,
+    },
+    /// Offset of a joint's torque sensor that is not a finite number.
+    #[error("the offset of the torque sensor of joint '{joint}' is not a finite number")]
+    TorqueOffset {
+        /// Name of the joint.
+        joint: String,
     },
     /// Payload on a frame that doesn't exist.
     #[error("simulated.payload.{payload}: {source}")]
@@ -296,8 +304,12 @@ impl SimulationError {
             Self::SetpointLimits { source } => {
                 Key::Profile(vec!["setpoint_limits".into(), "joint".into(), source.name.clone()])
             }
-            Self::CurrentDelay { .. } => {
-                let path = ["simulated", "current_measurement", "delay_servo_ticks"];
+            Self::TorqueOffset { joint } => {
+                let path = ["simulated", "joint_torque_measurement", "offset_nm", joint];
+                Key::Robot(path.map(str::to_owned).to_vec())
+            }
+            Self::TorqueDelay { section, .. } => {
+                let path = ["simulated", section, "delay_servo_ticks"];
                 Key::Robot(path.map(str::to_owned).to_vec())
             }
             Self::Payload { payload, .. } => {

@@ -139,6 +139,7 @@ fn plant(physics_hz: Positive) -> SimulatedParameters {
         cogging: None,
         torque_ripple: None,
         current_measurement: Default::default(),
+        joint_torque_measurement: Default::default(),
         payload: BTreeMap::new(),
         encoder: Default::default(),
         delay_servo_ticks: None,

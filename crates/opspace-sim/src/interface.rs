@@ -2,7 +2,6 @@
 
 use crate::bus::Bus;
 use crate::config::ArmConfig;
-use crate::current_sensor::CurrentSensor;
 use crate::drives::{Drives, DrivesConfig};
 use crate::error::SimulationError;
 use crate::external::ExternalForceHandle;
@@ -11,6 +10,7 @@ use crate::force_sensor::SimulatedForceSensor;
 use crate::plant::{Plant, PlantFrame};
 use crate::setpoint_check::SetpointCheck;
 use crate::timing::{Clock, Timing};
+use crate::torque_sensor::TorqueSensor;
 use crate::truth::{TruthConfig, TruthRows};
 use nalgebra::DVector;
 use opspace_backend::{Capabilities, Command, CommandKind, DeviceFault, Sample, Status};
@@ -36,7 +36,8 @@ pub(crate) struct ArmInterface {
     drives: Drives,
     setpoint_check: Option<SetpointCheck>,
     sensors: Vec<(FrameId, SimulatedForceSensor)>,
-    current: CurrentSensor,
+    current: TorqueSensor,
+    joint_torque: TorqueSensor,
 }
 
 /// Position of an arm in its simulation.
@@ -73,7 +74,7 @@ impl ArmInterface {
             laws: config.true_servos(timing.servo_period_s)?,
             torque_limits: config.torque_limits(),
             q: config.start.clone(),
-            holding,
+            holding: holding.clone(),
         });
         let contacts = config.environment.iter().map(|(name, _)| name.clone()).chain(place.couplings);
         let silent_s: f64 = config.simulated.bus.dropouts.iter().map(|d| d.duration_s.get()).sum();
@@ -101,7 +102,8 @@ impl ArmInterface {
             late: 0,
             drives,
             sensors: config.force_sensors(model, timing.servo_period_s),
-            current: CurrentSensor::new(config, motor_start),
+            current: TorqueSensor::of_motors(config, motor_start),
+            joint_torque: TorqueSensor::of_links(config, holding),
             timing,
         };
         arm.find_next_sample(0);
@@ -162,9 +164,7 @@ impl ArmInterface {
             self.drives.velocities(&plant.dq()[self.joints.clone()], measured);
         }
         self.current.read(sample.motor_torque.as_mut());
-        if let Some(measured) = &mut sample.joint_torque {
-            measured.copy_from_slice(self.drives.take_joint_torque());
-        }
+        self.joint_torque.read(sample.joint_torque.as_mut());
         if let Some(status) = &mut sample.status {
             *status = Status::new(0, self.drives.take_limited());
         }
@@ -226,11 +226,13 @@ impl ArmInterface {
             *sum += torque / steps;
         }
         self.current.add(self.drives.current_torques(), steps);
+        self.joint_torque.add(self.drives.joint_torques(), steps);
     }
 
     /// Ends a servo period.
     pub fn end_servo_period(&mut self, plant: &mut dyn Plant) {
         self.current.end_tick();
+        self.joint_torque.end_tick();
         for (frame, sensor) in &mut self.sensors {
             let contacts = plant.contact_wrench(PlantFrame { arm: self.index, frame: *frame });
             let [q, dq] = [plant.q(), plant.dq()].map(|all| &all[self.joints.clone()]);

@@ -56,7 +56,6 @@
 pub mod arm;
 pub mod bus;
 pub mod config;
-mod current_sensor;
 mod drives;
 pub mod drivetrain;
 pub mod environment;
@@ -80,6 +79,7 @@ mod setpoint_check;
 pub mod simulation;
 mod sines;
 mod timing;
+mod torque_sensor;
 mod truth;
 
 pub use arm::SimulatedArm;

@@ -63,6 +63,9 @@ pub struct SimulatedParameters {
     /// Errors of the measured motor torques in addition to `torque_noise_nm`.
     #[serde(default)]
     pub current_measurement: CurrentMeasurementParameters,
+    /// Errors of the measured joint torques.
+    #[serde(default)]
+    pub joint_torque_measurement: TorqueMeasurementParameters,
     /// Loads of the true arm that its model does not have, by name.
     #[serde(default)]
     pub payload: BTreeMap<String, PayloadParameters>,
@@ -174,6 +177,36 @@ pub struct CurrentMeasurementParameters {
 impl Default for CurrentMeasurementParameters {
     fn default() -> Self {
         Self { scale: one(), joint_scale: BTreeMap::new(), delay_servo_ticks: 0 }
+    }
+}
+
+/// Errors of the joints' torque sensors.
+#[derive(Clone, Debug, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct TorqueMeasurementParameters {
+    /// Measured over true torque, of all joints.
+    #[serde(default = "one")]
+    pub scale: Positive,
+    /// Measured torque at a torque of zero, by joint name, Nm (N); 0 for joints that are absent.
+    #[serde(default)]
+    pub offset_nm: BTreeMap<String, f64>,
+    /// Rms noise, Nm (N).
+    #[serde(default)]
+    pub noise_nm: NonNegative,
+    /// Lateness of the measured torques, in servo ticks.
+    #[serde(default)]
+    pub delay_servo_ticks: u32,
+}
+
+impl Default for TorqueMeasurementParameters {
+    fn default() -> Self {
+        Self {
+            scale: one(),
+            offset_nm: BTreeMap::new(),
+            noise_nm: NonNegative::literal(0.0),
+            delay_servo_ticks: 0,
+        }
     }
 }
 

@@ -8,6 +8,8 @@ use rand_chacha::ChaCha8Rng;
 pub enum RngStream {
     /// Noise of the motor-torque measurement.
     MotorTorque,
+    /// Noise of the joints' torque sensors.
+    JointTorque,
     /// Losses and delays of the bus.
     Bus,
     /// Force sensor, by its index.
@@ -23,6 +25,7 @@ pub fn generator(seed: u64, stream: RngStream) -> ChaCha8Rng {
     generator.set_stream(match stream {
         RngStream::MotorTorque => 1,
         RngStream::Bus => 2,
+        RngStream::JointTorque => 3,
         RngStream::ForceSensor(i) => (1 << 32) | u64::from(i),
         RngStream::EnvironmentObject(i) => (2 << 32) | u64::from(i),
     });

@@ -28,9 +28,9 @@ pub enum VelocitySource {
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct EstimatorParameters {
-    /// Estimate of the velocities that the controller uses: `observer` or `filter`. By default robots that take torques
-    /// or velocities, and the transformers `emulation` and `interpolating`, use the observer, and all others the filter,
-    /// as the paper does. A torque robot that measures velocities uses these.
+    /// Estimate of the velocities that the controller uses: `observer` or `filter`. By default robots that take
+    /// velocities, torque robots whose gears are declared rigid, and the transformers `emulation` and `interpolating`, use
+    /// the observer, and all others the filter, as the paper does. A torque robot that measures velocities uses these.
     #[serde(default)]
     pub velocity: Option<VelocitySource>,
     /// Cut-off frequency of the low-pass filter on the finite difference, Hz.

@@ -32,8 +32,8 @@
 //!
 //! # Correction by current
 //!
-//! δ is the mean torque in excess of the desired one, low-passed at [`SETTLED_HZ`]. The servo's two gains are estimated from
-//! the same measurements ([`gain_adaptation`](crate::gain_adaptation)). While their uncertainty matters for the torque, δ is
+//! δ is the mean torque in excess of the desired one, low-passed at [`SETTLED_HZ`]. The servo's two gains, and the fraction
+//! of the setpoint's velocity that it feeds forward, are estimated from the same measurements ([`gain_adaptation`](crate::gain_adaptation)). While their uncertainty matters for the torque, δ is
 //! low-passed at up to [`UNSETTLED_HZ`] instead.
 
 use crate::active_setpoints::ActiveSetpoints;
@@ -188,6 +188,8 @@ struct Joint {
     reference: Reference,
     /// Memory of the drive at the last sample.
     memory: ServoState,
+    /// Setpoint at the servo tick before the last sample.
+    setpoint: f64,
     /// Number of intervals whose mean torque is matched.
     horizon: u32,
     /// Sum of the torques of these intervals per unit of setpoint.
@@ -208,16 +210,20 @@ struct Correction {
     estimation: Option<Estimation>,
 }
 
-/// Estimation of a servo's two gains.
+/// Estimation of a servo's two gains and of its feed-forward.
 #[derive(Clone, Debug)]
 struct Estimation {
     adaptation: GainAdaptation,
     nominal: ServoGains,
     now: ServoGains,
-    /// Responses per unit of stiffness and of damping.
-    responses: [f64; 2],
-    /// Measured torque, and torques of the nominal stiffness and damping.
-    low_pass: LowPass<3>,
+    /// Nominal torque per velocity of the setpoint, Nms/rad (Ns/m); 0 without feed-forward.
+    feed_forward: f64,
+    /// Estimated excess over it.
+    excess_feed_forward: f64,
+    /// Responses per unit of stiffness, of damping and of excess feed-forward.
+    responses: [f64; 3],
+    /// Measured torque, and torques of the nominal stiffness, damping and feed-forward.
+    low_pass: LowPass<4>,
 }
 
 /// Means over the time since the last sample.
@@ -226,6 +232,8 @@ struct Interval {
     torque: f64,
     /// Difference of setpoint and position.
     error: f64,
+    /// Velocity of the setpoint.
+    setpoint_velocity: f64,
 }
 
 impl Joint {
@@ -250,6 +258,7 @@ impl Joint {
             horizon,
             response: response(&law, ticks, horizon),
             memory: [0.0; MAX_ORDER],
+            setpoint: 0.0,
             torque_limit: setup.torque_limits[i],
             current: setup.current.map(|parameters| Correction::new(setup, i, &law, horizon, &parameters)),
             law,
@@ -266,8 +275,8 @@ impl Joint {
         let Some(current) = &mut self.current else { return };
         let mut unsettled = 0.0;
         if let Some(estimation) = &mut current.estimation {
-            unsettled =
-                estimation.update(&mut self.law, measured, interval) / (UNSETTLED * self.torque_limit);
+            unsettled = estimation.update(&mut self.law, measured, interval, ticks.servo_period_s)
+                / (UNSETTLED * self.torque_limit);
             self.response = estimation.response();
         }
         let share = f64::from(ticks.delay) / f64::from(ticks.servo_ticks_per_cycle);
@@ -291,20 +300,9 @@ impl Correction {
     ) -> Self {
         let period_s = setup.timing.period_s();
         let servo = &setup.servos[joint];
-        let nominal = servo.gains(setup.timing.servo_period_s);
         let fastest_hz = setup.antiresonance_hz.map_or(f64::INFINITY, |hz| OF_ANTIRESONANCE * hz);
-        let estimation = servo.has_two_gains().then(|| Estimation {
-            adaptation: GainAdaptation::of_filtered(
-                parameters,
-                setup.torque_limits[joint],
-                period_s,
-                ESTIMATION_HZ,
-            ),
-            nominal,
-            now: nominal,
-            responses: responses(law, nominal, setup.timing, horizon),
-            low_pass: LowPass::new(ESTIMATION_HZ, period_s),
-        });
+        let estimation =
+            servo.has_two_gains().then(|| Estimation::new(setup, joint, law, horizon, parameters));
         Self {
             excess: 0.0,
             asked: [0.0; 2],
@@ -315,23 +313,64 @@ impl Correction {
 }
 
 impl Estimation {
+    fn new(
+        setup: &ExtrapolationSetup,
+        joint: usize,
+        law: &ServoLaw,
+        horizon: u32,
+        parameters: &GainAdaptationParameters,
+    ) -> Self {
+        let period_s = setup.timing.period_s();
+        let servo = &setup.servos[joint];
+        let nominal = servo.gains(setup.timing.servo_period_s);
+        let feed_forward = servo.velocity_feed_forward() * nominal.damping;
+        let adaptation =
+            GainAdaptation::of_filtered(parameters, setup.torque_limits[joint], period_s, ESTIMATION_HZ);
+        Self {
+            adaptation: if feed_forward > 0.0 { adaptation.with_feed_forward() } else { adaptation },
+            nominal,
+            now: nominal,
+            feed_forward,
+            excess_feed_forward: 0.0,
+            responses: responses(law, nominal, setup.timing, horizon),
+            low_pass: LowPass::new(ESTIMATION_HZ, period_s),
+        }
+    }
+
     /// Updates the gains of the law, and returns the uncertainty of the mean torque that is due to them, Nm (N).
-    fn update(&mut self, law: &mut ServoLaw, measured: f64, interval: Interval) -> f64 {
-        let velocity = (self.now.stiffness * interval.error - interval.torque) / self.now.damping;
+    fn update(&mut self, law: &mut ServoLaw, measured: f64, interval: Interval, servo_period_s: f64) -> f64 {
+        let fed_forward = self.excess_feed_forward * interval.setpoint_velocity;
+        let velocity =
+            (self.now.stiffness * interval.error + fed_forward - interval.torque) / self.now.damping;
         let nominal = self.nominal;
-        let torques = [measured, nominal.stiffness * interval.error, nominal.damping * velocity];
-        let [measured, of_position, of_velocity] = self.low_pass.update(&torques);
-        let before = self.now;
-        let [stiffness, damping] = self.adaptation.update(measured, of_position, of_velocity);
+        let torques = [
+            measured,
+            nominal.stiffness * interval.error,
+            nominal.damping * velocity,
+            self.feed_forward * interval.setpoint_velocity,
+        ];
+        let [measured, regressors @ ..] = self.low_pass.update(&torques);
+        let (before, excess_before) = (self.now, self.excess_feed_forward);
+        let [stiffness, damping, excess] = self.adaptation.update(measured, regressors);
         self.now =
             ServoGains { stiffness: stiffness * nominal.stiffness, damping: damping * nominal.damping };
-        law.retune(before, self.now);
-        self.adaptation.uncertainty(of_position, of_velocity)
+        if self.feed_forward > 0.0 {
+            self.excess_feed_forward = excess * self.feed_forward;
+            law.add_feed_forward(-excess_before, servo_period_s);
+            law.retune(before, self.now);
+            law.add_feed_forward(self.excess_feed_forward, servo_period_s);
+        } else {
+            law.retune(before, self.now);
+        }
+        self.adaptation.uncertainty(regressors)
     }
 
     /// Response with the present gains, in which it is linear.
     fn response(&self) -> f64 {
-        self.responses[0] * self.now.stiffness + self.responses[1] * self.now.damping
+        let [of_stiffness, of_damping, of_feed_forward] = self.responses;
+        of_stiffness * self.now.stiffness
+            + of_damping * self.now.damping
+            + of_feed_forward * self.excess_feed_forward
     }
 }
 
@@ -343,13 +382,19 @@ fn response(law: &ServoLaw, timing: DriveTiming, horizon: u32) -> f64 {
     (0..horizon * ratio).map(|tick| law.step(&mut memory, unit(tick), 0.0)).sum()
 }
 
-/// Responses per unit of stiffness and of damping, of a law with these two gains.
-fn responses(law: &ServoLaw, gains: ServoGains, timing: DriveTiming, horizon: u32) -> [f64; 2] {
+/// Responses per unit of stiffness and of damping, of a law with these two gains, and per unit of feed-forward that is added.
+fn responses(law: &ServoLaw, gains: ServoGains, timing: DriveTiming, horizon: u32) -> [f64; 3] {
     let mut stiffer = *law;
     stiffer.retune(gains, ServoGains { stiffness: 2.0 * gains.stiffness, ..gains });
+    let mut fed_forward = *law;
+    fed_forward.add_feed_forward(1.0, timing.servo_period_s);
     let whole = response(law, timing, horizon);
     let of_stiffness = response(&stiffer, timing, horizon) - whole;
-    [of_stiffness / gains.stiffness, (whole - of_stiffness) / gains.damping]
+    [
+        of_stiffness / gains.stiffness,
+        (whole - of_stiffness) / gains.damping,
+        response(&fed_forward, timing, horizon) - whole,
+    ]
 }
 
 impl ExtrapolatingTransformer {
@@ -406,13 +451,16 @@ impl ExtrapolatingTransformer {
             }
             let step = (joint.motion.position - from) * share;
             let mut mean = Interval::default();
+            let setpoint_before = joint.setpoint;
             for tick in 0..all_ticks {
                 let new = self.was_sent.then_some(self.sent.as_slice());
                 let setpoint = self.active.during(ticks, i, tick, new);
                 let position = from + step * f64::from(tick);
                 mean.torque += share * joint.law.step(&mut joint.memory, setpoint, position);
                 mean.error += share * (setpoint - position);
+                joint.setpoint = setpoint;
             }
+            mean.setpoint_velocity = (joint.setpoint - setpoint_before) * share / ticks.servo_period_s;
             if let Some(measured) = measured {
                 joint.correct(ticks, measured[i], mean, was_asked);
             }
@@ -431,6 +479,7 @@ impl ExtrapolatingTransformer {
             let load = if is_loaded { data.gravity[i] } else { 0.0 };
             let (memory, setpoint) = joint.law.rest(joint.motion.position, load);
             joint.memory = memory;
+            joint.setpoint = setpoint;
             self.active.hold(i, setpoint);
         }
     }

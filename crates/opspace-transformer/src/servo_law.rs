@@ -24,6 +24,9 @@ pub const MAX_ORDER: usize = 6;
 /// Bound on memory and setpoint at rest: larger values are rounding errors of a singular system without a solution.
 const LARGEST: f64 = 1e12;
 
+/// Memory entry of the setpoint of the servo tick before, of a servo without an integral.
+const SETPOINT_BEFORE: usize = 2;
+
 /// Memory of a servo from one servo tick to the next.
 pub type ServoState = [f64; MAX_ORDER];
 
@@ -182,7 +185,7 @@ impl ServoLaw {
             servo.setpoint_filter,
             servo.velocity_feed_forward.get(),
             servo.acceleration_feed_forward_kg_m2.get(),
-            if servo.velocity_integral_time_s.is_some() { 3 } else { 2 },
+            if servo.velocity_integral_time_s.is_some() { 3 } else { SETPOINT_BEFORE },
             period_s,
         );
         let error = (path.setpoint - Form::POSITION) * servo.kp_per_s.get() - velocity;
@@ -209,7 +212,7 @@ impl ServoLaw {
             servo.setpoint_filter,
             feed_forward,
             servo.acceleration_feed_forward_kg_m2.get(),
-            if gain == 0.0 { 2 } else { 3 },
+            if gain == 0.0 { SETPOINT_BEFORE } else { 3 },
             period_s,
         );
         let error = path.setpoint - Form::POSITION;
@@ -283,6 +286,13 @@ impl ServoLaw {
         let scale = from.stiffness / to.stiffness;
         memory.iter_mut().for_each(|value| *value *= scale);
         *setpoint = 1.0 / to.stiffness;
+    }
+
+    /// Adds the torque `gain` (Nms/rad) times the setpoint's velocity, for a servo that feeds velocity forward and
+    /// [has two gains](ServoParameters::has_two_gains), and runs every `period_s` (s). Allocates nothing.
+    pub fn add_feed_forward(&mut self, gain: f64, period_s: f64) {
+        let change = Form::SET_POINT - Form::memory(SETPOINT_BEFORE);
+        self.torque = self.torque + change * (gain / period_s);
     }
 
     /// Advances `memory` by one servo tick and returns the torque (Nm or N). `setpoint` is in rad or m (rad/s or m/s

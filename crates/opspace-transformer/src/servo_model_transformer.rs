@@ -136,8 +136,8 @@ impl AdaptedDrive {
     fn update(&mut self, law: &mut ServoLaw, measured: f64, emulated: f64, error: f64) -> f64 {
         let (before, believed) = (self.now, self.nominal);
         let velocity = (before.stiffness * error - emulated) / before.damping;
-        let [stiffness, damping] =
-            self.adaptation.update(measured, believed.stiffness * error, believed.damping * velocity);
+        let [stiffness, damping, _] =
+            self.adaptation.update(measured, [believed.stiffness * error, believed.damping * velocity, 0.0]);
         self.now =
             ServoGains { stiffness: stiffness * believed.stiffness, damping: damping * believed.damping };
         law.retune(before, self.now);

@@ -29,7 +29,7 @@ pub struct InterfaceParameters {
     pub brakes: bool,
     /// Gears between motors and links: `rigid` if each motor with its link is known to resonate above six times the
     /// bandwidth of its velocity loop, `elastic` otherwise and if unknown. With `rigid` the default transformer emulates
-    /// the arm, which makes elastic gears oscillate. A joint with `gear_stiffness_nm_per_rad` makes the robot elastic.
+    /// the arm, which makes elastic gears oscillate, and a torque robot estimates velocities with a model of the rigid arm. A joint with `gear_stiffness_nm_per_rad` makes the robot elastic.
     #[serde(default)]
     pub gears: Gears,
 }

@@ -183,7 +183,7 @@ fn without_schema(text: &str) -> String {
 fn remark(joint: &JointIdentification) -> String {
     let scale = match joint.found.scale {
         TorqueScale::MotorCurrent => "motor current",
-        TorqueScale::Urdf => "URDF and rotor inertia, with viscous friction included in kv",
+        TorqueScale::Urdf => "URDF and rotor inertia, kp and kv with the declared viscous friction",
         TorqueScale::Unknown => "nothing",
     };
     let trust = joint.found.fit_quality.as_ref().map_or_else(String::new, |t| {

@@ -10,7 +10,7 @@ use opspace_transformer::setpoint_limits::JointSetpointLimits;
 use opspace_transformer::{
     ClosedLoopModel, CurrentFeedback, DeclaredProperties, DriveTiming, EmulatingTransformer, EmulationSetup,
     ExtrapolatingTransformer, ExtrapolationSetup, FrictionCompensation, FrictionCompensationParameters,
-    FrictionLaw, GainAdaptationParameters, Identity, JointParameters, LiteralTransformer, Method,
+    FrictionLaw, GainAdaptationParameters, Gears, Identity, JointParameters, LiteralTransformer, Method,
     ObservedTransformer, PaperTransformer, ServoGains, ServoParameters, SetpointNoise, TorqueObjective,
     TorqueObserver, TorqueObserverSetup, Transformer, TransformerKind, VelocitySource, VelocityTransformer,
 };
@@ -109,7 +109,11 @@ impl Experiment {
     pub fn velocity_source(&self) -> VelocitySource {
         let knows_delay = self.profile.delay_servo_ticks.is_some();
         let by_default = match self.options.backend {
-            CommandKind::Torque => !self.robot.file.interface.measured.contains(&Measured::Velocity),
+            // The observer predicts with rigid gears.
+            CommandKind::Torque => {
+                let measures_velocity = self.robot.file.interface.measured.contains(&Measured::Velocity);
+                !measures_velocity && self.robot.gears() == Gears::Rigid
+            }
             CommandKind::Velocity => knows_delay,
             CommandKind::Position => self.chosen_transformer().0.method.emulates_arm(),
         };

@@ -39,6 +39,36 @@ fn estimate_is_chosen_by_robot_and_transformer() {
     }
 }
 
+/// Compared: the estimates of a torque robot whose gears are not declared rigid, or have a stiffness, and the filter. On
+/// elastic gears, with which the observer of a rigid arm is stopped, the task is completed.
+#[test]
+fn torque_robot_on_elastic_gears_uses_the_filter() {
+    let elastic = "robot.interface.gears=elastic".to_owned();
+    let stiffness = "robot.joint.elbow.gear_stiffness_nm_per_rad=9000.0".to_owned();
+    for setting in [elastic.clone(), stiffness] {
+        let chosen = load(CommandKind::Torque, None, &[setting]).unwrap().velocity_source();
+        assert_eq!(chosen, VelocitySource::Filter);
+    }
+    let stiffness = [32e4, 32e4, 19.2e4, 12.8e4, 8e4, 8e4, 8e4];
+    let joints = stiffness.iter().zip(1..).map(|(stiffness, i)| {
+        let damping = 1.56e-5 * stiffness;
+        format!("joint{i} = {{ stiffness_nm_per_rad = {stiffness:?}, damping_nms_per_rad = {damping:?} }}")
+    });
+    let gears = format!("robot.simulated.gear={{ {} }}", joints.collect::<Vec<_>>().join(", "));
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tasks/panda-tracking.toml");
+    let runs = |declared: &str| {
+        let options =
+            RunOptions { backend: CommandKind::Torque, duration_s: Some(2.0), ..RunOptions::default() };
+        let settings =
+            ["settle_s=1.0".to_owned(), gears.clone(), format!("robot.interface.gears={declared}")];
+        let experiment = Experiment::load(Files::Disk, &path, None, options, &settings).unwrap();
+        experiment.run_without_log(&Progress::default()).unwrap()
+    };
+    let (elastic, rigid) = (runs("elastic"), runs("rigid"));
+    assert!(elastic.faulted.is_none(), "{:?}", elastic.faulted);
+    assert!(rigid.faulted.is_some());
+}
+
 /// Compared: tracking errors with the observer and with the filter, whose lag acts against the damping.
 #[test]
 fn observer_tracks_better_than_the_filter() {

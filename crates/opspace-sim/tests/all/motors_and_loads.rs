@@ -112,6 +112,38 @@ fn joint_torque_sensor_measures_gear() {
     }
 }
 
+/// Compared: joint torques measured at rest, and the weight with scale and offset; the spread of noisy ones, and the noise;
+/// and late ones, and those of an ideal sensor that many cycles earlier.
+#[test]
+fn joint_torque_sensor_has_scale_offset_noise_and_lateness() {
+    let sensed = |parameters: &str, kind: CommandKind| {
+        let mut config = setup(kind, "a-med");
+        config.capabilities = config.capabilities.measuring(&[Measured::JointTorque]);
+        config.simulated.joint_torque_measurement = parsed(parameters);
+        config
+    };
+    let weight = weight(&setup(CommandKind::Position, "a-med"));
+    let elbow = |parameters: &str, count: usize| -> Vec<f64> {
+        let mut arm = arm(sensed(parameters, CommandKind::Position));
+        (0..count).map(|_| read(&mut arm).joint_torque.expect("measured")[3]).collect()
+    };
+    let exact = elbow("", 20)[19];
+    let measured = elbow("scale = 0.9\noffset_nm = { elbow = 0.5 }", 20)[19];
+    assert!((measured - (0.9 * exact + 0.5)).abs() < 1e-12, "{measured} for {exact}");
+    assert!((exact - weight[3]).abs() < 1e-6, "{exact} for {weight}");
+    let noisy = elbow("noise_nm = 0.2", 2000);
+    let variance = noisy.iter().map(|torque| (torque - exact).powi(2)).sum::<f64>() / 2000.0;
+    assert!((variance.sqrt() / 0.2 - 1.0).abs() < 0.1, "{}", variance.sqrt());
+    let pushed = |parameters: &str| -> Vec<f64> {
+        let samples = ramp(sensed(parameters, CommandKind::Torque));
+        samples.into_iter().map(|sample| sample.joint_torque.expect("measured")[3]).collect()
+    };
+    let (at_once, late) = (pushed(""), pushed("delay_servo_ticks = 10"));
+    for cycle in 4..12 {
+        assert!((late[cycle] - at_once[cycle - 2]).abs() < 1e-12, "{cycle}: {late:?} after {at_once:?}");
+    }
+}
+
 /// Weight of the modelled arm at the start, Nm.
 fn weight(config: &ArmConfig) -> DVector<f64> {
     let mut data = Data::new(&config.model);
@@ -169,5 +201,17 @@ fn wrong_names_are_refused_with_their_keys() {
     let error = refused(&|config| {
         config.simulated.current_measurement = parsed("delay_servo_ticks = 20000");
     });
-    assert!(matches!(error, SimulationError::CurrentDelay { most: 10_000, .. }), "{error}");
+    assert!(matches!(error, SimulationError::TorqueDelay { most: 10_000, .. }), "{error}");
+    let sensors = ["simulated", "joint_torque_measurement"];
+    let error = refused(&|config| {
+        config.simulated.joint_torque_measurement = parsed("delay_servo_ticks = 20000");
+    });
+    assert_eq!(error.key(), key(&[&sensors[..], &["delay_servo_ticks"]].concat()), "{error}");
+    for (joint, offset) in [("elbw", "1.0"), ("elbow", "inf")] {
+        let error = refused(&|config| {
+            config.simulated.joint_torque_measurement =
+                parsed(&format!("offset_nm = {{ {joint} = {offset} }}"));
+        });
+        assert_eq!(error.key(), key(&[&sensors[..], &["offset_nm", joint]].concat()), "{error}");
+    }
 }

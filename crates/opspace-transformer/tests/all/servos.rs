@@ -264,7 +264,7 @@ fn setpoint_filters_have_continuous_step_responses() {
     assert!((last - (1.0 - (-slow * 0.08).exp())).abs() < 1e-5, "{last}");
 }
 
-/// Compared: a servo whose gains were changed while it ran, and a servo that was built with the gains, at rest and under
+/// Compared: a servo whose gains and feed-forward were changed, and a servo that was built with the gains, at rest and under
 /// the motion of the other tests.
 #[test]
 fn retuned_servo_is_servo_of_new_gains() {
@@ -273,7 +273,7 @@ fn retuned_servo_is_servo_of_new_gains() {
         (
             FED_FORWARD,
             "cascaded = { kp_per_s = 35.0, kv_nms_per_rad = 120.0, velocity_filter_hz = 200.0, \
-             velocity_feed_forward = 0.8 }",
+             velocity_feed_forward = 0.7 }",
         ),
         (
             FED_FORWARD_PD,
@@ -287,7 +287,13 @@ fn retuned_servo_is_servo_of_new_gains() {
             parameters.gains(PERIOD_S)
         };
         let (mut law, new) = (law(servo), law(retuned));
+        let feed_forward =
+            |servo: &str| toml::from_str::<ServoParameters>(servo).unwrap().velocity_feed_forward();
+        let added = gains(retuned).damping * (feed_forward(retuned) - feed_forward(servo));
         law.retune(gains(servo), gains(retuned));
+        if added != 0.0 {
+            law.add_feed_forward(added, PERIOD_S);
+        }
         let ((mut memory, setpoint), (mut new_memory, new_setpoint)) =
             (law.rest(0.7, 3.5), new.rest(0.7, 3.5));
         assert!((setpoint - new_setpoint).abs() < 1e-12, "{servo}: {setpoint} for {new_setpoint}");
