@@ -252,7 +252,7 @@ mod tests {
     #[test]
     fn port_delivers_at_most_the_initial_energy() {
         let (mut active, mut held_back) = (0, 0);
-        for seed in 1..=200 {
+        for seed in 1..=60 {
             let damping = |stiff: f64| 0.5 * stiff * PERIOD_S * (1.0 + 4.0 * Numbers(seed).next());
             let outcome = run(seed, damping, true);
             assert!(outcome.delivered_j <= outcome.initial_j + 1e-9, "seed {seed}");
@@ -262,7 +262,7 @@ mod tests {
             active += usize::from(without.delivered_j > without.initial_j + 0.1);
         }
         assert!(
-            active > 150 && held_back > 150,
+            active > 45 && held_back > 45,
             "the stiffness of {active} is active, {held_back} are held back"
         );
     }
@@ -272,7 +272,7 @@ mod tests {
     #[test]
     fn debt_is_the_energy_of_the_sampled_springs() {
         let mut in_debt = 0;
-        for seed in 1..=100 {
+        for seed in 1..=30 {
             let outcome = run(seed, |_| 0.0, true);
             let mut numbers = Numbers(seed);
             let motion = Motion::new(&mut numbers);
@@ -282,7 +282,7 @@ mod tests {
             assert!(outcome.delivered_j <= outcome.initial_j + sampled, "seed {seed}");
             in_debt += usize::from(outcome.least_level_j < 0.0);
         }
-        assert!(in_debt > 50, "{in_debt}");
+        assert!(in_debt > 15, "{in_debt}");
     }
 
     /// An empty tank holds the stiffness except at an error of zero; a full one lets it grow at once.
