@@ -33,8 +33,9 @@ const GOOD_MARGIN_DEG: f64 = 45.0;
 /// Stiffness along an axis below which an object does not count, as a fraction of its stiffness: it is touched sideways.
 const SIDEWAYS: f64 = 0.01;
 
-/// Bounds of the examined stiffness of unknown objects, N/m.
+/// Bounds of the examined stiffness of unknown objects, N/m, and number of values per decade.
 const STIFFNESSES_N_PER_M: [f64; 2] = [1.0, 1e7];
+const PER_DECADE: i32 = 4;
 
 /// Force axis with an admittance, and the drives that move it.
 struct ForceLoop {
@@ -247,7 +248,11 @@ impl ForceLoop {
             let contact = Contact { stiffness, damping: 0.0 };
             self.has_margin(contact, self.admittance_ns_per_m, LEAST_MARGIN_DEG)
         };
-        if stable(high) { None } else { largest_true(low, high, stable) }
+        // The margin need not fall with the stiffness: very stiff objects leave the compliance of the servos.
+        let steps = (high / low).log10() as i32 * PER_DECADE;
+        let at = |step: i32| low * 10.0_f64.powf(f64::from(step) / f64::from(PER_DECADE));
+        let unstable = (1..=steps).find(|&step| !stable(at(step)))?;
+        largest_true(at(unstable - 1), at(unstable), stable)
     }
 
     fn finding(
