@@ -151,7 +151,7 @@ pub struct PassivityParameters {
     /// Time over which given energy is forgotten, s; 0.25 if absent.
     #[serde(default = "default_window")]
     pub window_s: Positive,
-    /// Time over which reduced gains return, s; 10 if absent.
+    /// Time over which reduced gains return, s; 10 if absent. After a single impact it is a twentieth of this.
     #[serde(default = "default_recovery")]
     pub recovery_s: Positive,
 }

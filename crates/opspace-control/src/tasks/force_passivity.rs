@@ -26,7 +26,11 @@ pub(crate) struct ForcePassivity {
     period_s: f64,
     store_j: f64,
     window_s: f64,
+    /// Longest time over which gains return, and the present one, s.
+    longest_recovery_s: f64,
     recovery_s: f64,
+    /// Time since the store was exceeded, s.
+    steady_s: f64,
     /// Slow parts of force (N, Nm) and displacement per cycle (m, rad).
     slow: LowPass<2>,
     /// Feedback of the last cycle, N or Nm.
@@ -43,7 +47,9 @@ impl ForcePassivity {
             period_s,
             store_j: parameters.store_j.get(),
             window_s: parameters.window_s.get(),
-            recovery_s: parameters.recovery_s.get(),
+            longest_recovery_s: parameters.recovery_s.get(),
+            recovery_s: FIRST_RECOVERY * parameters.recovery_s.get(),
+            steady_s: f64::INFINITY,
             slow: LowPass::new(SLOW_HZ, period_s),
             last: 0.0,
             energy_j: 0.0,
@@ -78,6 +84,7 @@ impl ForcePassivity {
         self.slow.reset(before.slow.output());
         self.last = before.last;
         (self.energy_j, self.share, self.active_s) = (before.energy_j, before.share, before.active_s);
+        (self.recovery_s, self.steady_s) = (before.recovery_s, before.steady_s);
         if !self.is_enabled {
             self.share = 1.0;
         }
@@ -96,6 +103,16 @@ impl ForcePassivity {
             return;
         }
         let excess = self.energy_j / self.store_j - 1.0;
+        if excess > 0.0 {
+            match self.steady_s {
+                ..SAME_IMPACT_S => {}
+                ..OTHER_IMPACT_S => self.recovery_s = self.longest_recovery_s,
+                _ => self.recovery_s = FIRST_RECOVERY * self.longest_recovery_s,
+            }
+            self.steady_s = 0.0;
+        } else {
+            self.steady_s += self.period_s;
+        }
         let rate = if excess > 0.0 {
             -self.share * excess / self.window_s
         } else {
@@ -112,6 +129,13 @@ impl ForcePassivity {
         self.last = feedback;
     }
 }
+
+/// Time without excess below which an excess belongs to the same impact, and from which it is another one, s.
+const SAME_IMPACT_S: f64 = 0.3;
+const OTHER_IMPACT_S: f64 = 5.0;
+
+/// Time over which gains return at first, as a fraction of the longest one.
+const FIRST_RECOVERY: f64 = 0.05;
 
 /// Share above which gains count as not reduced.
 const FULL: f64 = 0.999;

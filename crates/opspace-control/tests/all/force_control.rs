@@ -239,6 +239,26 @@ fn passivity_control_leaves_stable_contact_alone() {
     assert!(press.signal("force_gain_share", 2) > 0.99, "{}", press.signal("force_gain_share", 2));
 }
 
+/// A single hard impact reduces the gains, which return.
+#[test]
+fn gains_return_after_an_impact() {
+    let mut press = Press::new(
+        &pressing(", target_n = { z = 15.0 }, damping_per_s = 20.0", "\"world\""),
+        Vector3::z(),
+        0.03,
+        3,
+    );
+    press.stiffness = 2e4;
+    let least = (0..1000).map(|_| {
+        press.cycle();
+        press.signal("force_gain_share", 2)
+    });
+    let least = least.fold(1.0, f64::min);
+    assert!(least < 0.9, "the impact reduces the gains: {least}");
+    press.run(3.0);
+    assert!(press.signal("force_gain_share", 2) > 0.99, "{}", press.signal("force_gain_share", 2));
+}
+
 #[test]
 fn errors_name_the_key_of_force_control() {
     let cases = [
