@@ -83,5 +83,5 @@ fn check_robot(robot: &RobotDefinition) {
             assert!(count == n || count == 0, "{count} of {n} joints");
         }
     }
-    assert_eq!(robot.sensors.len(), robot.file.force_sensor.len());
+    assert_eq!(robot.sensors.len(), robot.file.force_sensor.len() + robot.file.estimated_force.len());
 }
