@@ -166,6 +166,11 @@ fn no_cycle_of_robustness_suite_allocates() {
 }
 
 #[test]
+fn no_cycle_of_force_suite_allocates() {
+    assert!(no_cycle_allocates_in("force") >= 25);
+}
+
+#[test]
 fn no_cycle_of_servos_suite_allocates() {
     assert!(no_cycle_allocates_in("servos") >= 50);
 }
