@@ -46,6 +46,7 @@ mod rollout;
 mod servo_gain;
 mod speeds;
 mod stability;
+mod surfaces;
 mod times;
 mod torque_floor;
 mod variation;

@@ -33,28 +33,20 @@ pub fn check(args: &CheckArgs, extensions: &Extensions, console: Console) -> Out
         let checked = check_one(path, extensions, console);
         files.push(as_json(path, &checked));
         match checked {
-            Ok(Checked {
-                what,
-                margin,
-                gears,
-                forces,
-                thresholds,
-                strength,
-                singular,
-                distances,
-                found,
-                skipped,
-            }) => {
-                text += &format!("{}: {what}\n", path.display());
-                margin.iter().for_each(|margin| text += &format!("  {margin}\n"));
-                gears.iter().for_each(|gear| text += &format!("  {gear}\n"));
-                forces.iter().for_each(|force| text += &format!("  {force}\n"));
-                text += &thresholds_text(&thresholds);
-                strength.iter().for_each(|strength| text += &strength.text());
-                singular.iter().for_each(|singular| text += &format!("  {singular}\n"));
-                distances.iter().for_each(|distances| text += &pairs_text(distances));
-                found.iter().for_each(|found| note(console, found));
-                skipped.iter().for_each(|skipped| text += &format!("  not checked: {}\n", skipped.place));
+            Ok(checked) => {
+                text += &format!("{}: {}\n", path.display(), checked.what);
+                checked.margin.iter().for_each(|margin| text += &format!("  {margin}\n"));
+                checked.gears.iter().for_each(|gear| text += &format!("  {gear}\n"));
+                checked.forces.iter().for_each(|force| text += &format!("  {force}\n"));
+                text += &thresholds_text(&checked.thresholds);
+                checked.strength.iter().for_each(|strength| text += &strength.text());
+                checked.singular.iter().for_each(|singular| text += &format!("  {singular}\n"));
+                checked.distances.iter().for_each(|distances| text += &pairs_text(distances));
+                checked.found.iter().for_each(|found| note(console, found));
+                checked
+                    .skipped
+                    .iter()
+                    .for_each(|skipped| text += &format!("  not checked: {}\n", skipped.place));
             }
             Err(error) => exit = report(&error.into()),
         }
@@ -296,37 +288,26 @@ fn as_json(path: &Path, checked: &Result<Checked, FileError>) -> Value {
         })
     };
     match checked {
-        Ok(Checked {
-            what,
-            margin,
-            gears,
-            forces,
-            thresholds,
-            strength,
-            singular,
-            distances,
-            found,
-            skipped,
-        }) => {
+        Ok(checked) => {
             let [findings, not_checked] =
-                [found, skipped].map(|list| list.iter().map(told).collect::<Vec<Value>>());
+                [&checked.found, &checked.skipped].map(|list| list.iter().map(told).collect::<Vec<Value>>());
             let margin_of = |servo_loop: ServoLoop| {
-                margin.as_ref().filter(|margin| margin.servo_loop == servo_loop).map(|margin| {
+                checked.margin.as_ref().filter(|margin| margin.servo_loop == servo_loop).map(|margin| {
                     json!({ "excess": margin.excess, "joint": margin.joint, "transformer": margin.transformer })
                 })
             };
             json!({
                 "file": path,
                 "ok": true,
-                "is": what,
+                "is": checked.what,
                 "position_gain_margin": margin_of(ServoLoop::Position),
                 "velocity_gain_margin": margin_of(ServoLoop::Velocity),
-                "gears": gears.iter().map(gear_as_json).collect::<Vec<Value>>(),
-                "estimated_forces": forces.iter().map(force_as_json).collect::<Vec<Value>>(),
-                "collision_thresholds_nm": thresholds.iter().cloned().collect::<BTreeMap<_, _>>(),
-                "transformer": strength.as_ref().map(Strength::json),
-                "singular_postures": singular.iter().map(singular_as_json).collect::<Vec<Value>>(),
-                "kept_distances": distances.as_ref().map(pairs_json),
+                "gears": checked.gears.iter().map(gear_as_json).collect::<Vec<Value>>(),
+                "estimated_forces": checked.forces.iter().map(force_as_json).collect::<Vec<Value>>(),
+                "collision_thresholds_nm": checked.thresholds.iter().cloned().collect::<BTreeMap<_, _>>(),
+                "transformer": checked.strength.as_ref().map(Strength::json),
+                "singular_postures": checked.singular.iter().map(singular_as_json).collect::<Vec<Value>>(),
+                "kept_distances": checked.distances.as_ref().map(pairs_json),
                 "findings": findings,
                 "not_checked": not_checked,
             })

@@ -123,6 +123,9 @@ impl Admittance {
 mod tests {
     use super::*;
 
+    /// Rounding of a sum of some hundred steps, relative to the sum or in m.
+    const ROUNDING: f64 = 1e-11;
+
     fn admittance(period_s: f64, limits: AdmittanceLimits) -> Admittance {
         let damping = [&Some(PerAxis::All(Positive::literal(100.0))), &None];
         let held = [false, false, true, false, false, false];
@@ -149,7 +152,7 @@ mod tests {
                 expected = target * (1.0 - f64::powi(pole, step));
                 // An error of rounding grows at most by the number of steps, or like the solution.
                 let size = f64::max(target, f64::abs(expected));
-                assert!((-stiffness * x - expected).abs() < 1e-11 * size, "K = {stiffness}, step {step}");
+                assert!((-stiffness * x - expected).abs() < ROUNDING * size, "K = {stiffness}, step {step}");
             }
             let settles = stiffness * period_s / 100.0 < 2.0;
             assert_eq!((expected - target).abs() <= target, settles, "K = {stiffness}: {expected} N");
@@ -159,9 +162,10 @@ mod tests {
     /// The speed is at most the limit; the lead grows to its limit exactly, and shrinks without a limit.
     #[test]
     fn speed_and_lead_are_bounded() {
+        const LIMIT_M: f64 = 0.005;
         let limits = AdmittanceLimits {
             speed_m_per_s: Some(Positive::literal(0.1)),
-            lead_m: Some(Positive::literal(0.005)),
+            lead_m: Some(Positive::literal(LIMIT_M)),
             ..AdmittanceLimits::default()
         };
         let admittance = admittance(1e-3, limits);
@@ -172,9 +176,9 @@ mod tests {
         let mut lead = 0.0;
         for _ in 0..100 {
             lead += 1e-3 * admittance.velocity(2, -5.0, lead);
-            assert!(lead >= -0.005 * (1.0 + 4.0 * f64::EPSILON), "{lead}");
+            assert!(lead >= -LIMIT_M - ROUNDING, "{lead}");
         }
-        assert!((lead + 0.005).abs() < 1e-12);
+        assert!((lead + LIMIT_M).abs() < ROUNDING);
         assert_eq!(admittance.velocity(2, 5.0, lead), 0.05);
         assert_eq!(admittance.velocity(2, -5.0, -0.1), 0.0, "waits, and is not pulled back");
     }

@@ -33,7 +33,7 @@ use crate::tasks::cartesian_parameters::{
 };
 use crate::tasks::cartesian_target::{AxisSettings, inputs, settings};
 use crate::tasks::controlled_frame::ControlledFrame;
-use crate::tasks::force::ForceFeedback;
+use crate::tasks::force::{ForceFeedback, ForceInput};
 use crate::tasks::gains::integrate;
 use crate::tasks::impedance::Impedance;
 use crate::tasks::singular_escape::SingularEscape;
@@ -304,12 +304,24 @@ impl CartesianTask {
 
     /// Starts the force feedback at the present state.
     fn start_force(&mut self, input: &ControlInput<'_>) {
+        let rotation = self.axes_frame.rotation(input.model, input.data, self.axes.controlled);
+        let input = self.force_input(input, &rotation);
+        if let Some(force) = &mut self.force {
+            force.start(&input);
+        }
+    }
+
+    /// Input of the force feedback; `rotation` are the task axes in the coordinates of the controlled frame.
+    fn force_input<'a>(&self, input: &ControlInput<'a>, rotation: &Matrix3<f64>) -> ForceInput<'a> {
         let ControlInput { model, data, measurement, .. } = *input;
         let controlled = self.axes.controlled;
-        let rotation = self.axes_frame.rotation(model, data, controlled);
-        let rotation = controlled.coordinates(model, data) * rotation;
-        if let Some(force) = &mut self.force {
-            force.start(model, data, measurement, &rotation, &controlled.point(model, data));
+        ForceInput {
+            model,
+            data,
+            measurement,
+            rotation: controlled.coordinates(model, data) * rotation,
+            point: controlled.point(model, data),
+            velocity: self.velocity,
         }
     }
 
@@ -444,16 +456,16 @@ impl CartesianTask {
 
     /// Updates the sensed force, and the integrals unless `hold` is true. Call it after [`observe`](Task::observe).
     fn sense(&mut self, input: &ControlInput<'_>, hold: bool) {
-        let ControlInput { model, data, measurement, .. } = *input;
         if !hold {
             let feedback = &mut self.feedback;
             integrate(&mut feedback.integral, &self.error, &feedback.integral_step, &feedback.integral_limit);
         }
+        if self.force.is_none() {
+            return;
+        }
+        let input = self.force_input(input, &self.axes.rotation);
         if let Some(force) = &mut self.force {
-            let controlled = self.axes.controlled;
-            let axes = controlled.coordinates(model, data) * self.axes.rotation;
-            let point = controlled.point(model, data);
-            force.update(model, data, measurement, &axes, &point, &self.velocity, hold);
+            force.update(&input, hold);
         }
     }
 
@@ -655,12 +667,9 @@ impl Task for CartesianTask {
 
     fn observe_with_forces(&mut self, input: &TaskInput<'_>) {
         self.observe(input);
-        let ControlInput { model, data, measurement, .. } = input.control;
+        let input = self.force_input(&input.control, &self.axes.rotation);
         if let Some(force) = &mut self.force {
-            let controlled = self.axes.controlled;
-            let axes = controlled.coordinates(model, data) * self.axes.rotation;
-            let point = controlled.point(model, data);
-            force.update_targets(model, data, measurement, &axes, &point, &self.velocity);
+            force.update_targets(&input);
         }
     }
 
@@ -671,7 +680,7 @@ impl Task for CartesianTask {
         let controlled = self.axes.controlled;
         let from = Target::at_rest(controlled.placement(model, data));
         if let CartesianReference::Goal(_) | CartesianReference::Streamed(_) = self.reference {
-            let axes = self.axes_frame.rotation(model, data, controlled);
+            let axes = self.axes_frame.rotation(model, data, self.axes.controlled);
             self.begin(&from, &axes, input);
         } else {
             self.trajectory.join(measurement.time_s - self.start_s, &from);

@@ -147,6 +147,12 @@ mod tests {
 
     const PERIOD_S: f64 = 1e-3;
 
+    /// Rounding of the energies of a run, J, and of a stiffness, N/m.
+    const ROUNDING: f64 = 1e-9;
+
+    /// Rounding of a single energy, J.
+    const ROUNDING_J: f64 = 1e-12;
+
     /// Reproducible pseudo-random numbers in [0, 1).
     struct Numbers(u64);
 
@@ -236,10 +242,13 @@ mod tests {
             tank.set_force(&force);
             if with_tank {
                 let sum = outcome.delivered_j + energy(&stiffness, &error) + tank.level_j();
-                assert!(sum <= initial_j + 1e-9, "seed {seed}, step {step}: {sum} J of {initial_j} J");
+                assert!(sum <= initial_j + ROUNDING, "seed {seed}, step {step}: {sum} J of {initial_j} J");
                 assert!(tank.level_j() <= capacity);
                 let beyond = stiffness - desired;
-                assert!(beyond.max() <= 1e-9, "seed {seed}, step {step}: stiffer than desired by {beyond}");
+                assert!(
+                    beyond.max() <= ROUNDING,
+                    "seed {seed}, step {step}: stiffer than desired by {beyond}"
+                );
             }
             outcome.delivered_j -= force.dot(&(next - error));
             outcome.least_level_j = outcome.least_level_j.min(tank.level_j());
@@ -255,8 +264,8 @@ mod tests {
         for seed in 1..=60 {
             let damping = |stiff: f64| 0.5 * stiff * PERIOD_S * (1.0 + 4.0 * Numbers(seed).next());
             let outcome = run(seed, damping, true);
-            assert!(outcome.delivered_j <= outcome.initial_j + 1e-9, "seed {seed}");
-            assert!(outcome.least_level_j >= -1e-12, "seed {seed}: {} J", outcome.least_level_j);
+            assert!(outcome.delivered_j <= outcome.initial_j + ROUNDING, "seed {seed}");
+            assert!(outcome.least_level_j >= -ROUNDING_J, "seed {seed}: {} J", outcome.least_level_j);
             held_back += usize::from(outcome.held_back);
             let without = run(seed, damping, false);
             active += usize::from(without.delivered_j > without.initial_j + 0.1);
@@ -296,10 +305,10 @@ mod tests {
         let mut full = tank(2.0, 2.0, soft);
         full.update(&Vector6::repeat(300.0), &error);
         assert_eq!(*full.stiffness(), Vector6::repeat(300.0));
-        assert!((full.level_j() - 1.0).abs() < 1e-12);
+        assert!((full.level_j() - 1.0).abs() < ROUNDING_J);
         // What the spring loses goes back to the tank.
         full.update(&soft, &error);
         assert_eq!(*full.stiffness(), soft);
-        assert!((full.level_j() - 2.0).abs() < 1e-12);
+        assert!((full.level_j() - 2.0).abs() < ROUNDING_J);
     }
 }

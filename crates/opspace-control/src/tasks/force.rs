@@ -34,6 +34,20 @@ pub(crate) struct ForceFeedback {
     pub(crate) sensed: Vector6<f64>,
 }
 
+/// Robot and controlled frame in a cycle.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct ForceInput<'a> {
+    pub model: &'a Model,
+    pub data: &'a Data,
+    pub measurement: &'a Measurement,
+    /// Task axes in the world, one per column.
+    pub rotation: Matrix3<f64>,
+    /// Origin of the controlled frame in the world, m.
+    pub point: Vector3<f64>,
+    /// Velocity of the frame in the task axes (m/s, rad/s).
+    pub velocity: Vector6<f64>,
+}
+
 impl ForceFeedback {
     pub(crate) fn new(
         force: &ForceParameters,
@@ -100,22 +114,14 @@ impl ForceFeedback {
         self.axes[axis].set(mode, target);
     }
 
-    /// Initialises the filter with the current measurement and resets the integrals. `rotation` are the task axes and `point`
-    /// is the task frame's origin (world).
-    pub(crate) fn start(
-        &mut self,
-        model: &Model,
-        data: &Data,
-        measurement: &Measurement,
-        rotation: &Matrix3<f64>,
-        point: &Vector3<f64>,
-    ) {
-        self.start_s = measurement.time_s;
+    /// Initialises the filter with the current measurement and resets the integrals.
+    pub(crate) fn start(&mut self, input: &ForceInput<'_>) {
+        self.start_s = input.measurement.time_s;
         self.time_s = 0.0;
-        self.point = *point;
-        let raw = self.raw(measurement);
+        self.point = input.point;
+        let raw = self.raw(input.measurement);
         self.filter.reset(&raw);
-        self.sensed = self.sensed_at(model, data, &raw, rotation, point);
+        self.sensed = self.sensed_at(input, &raw);
         for (axis, &sensed) in self.axes.iter_mut().zip(&self.sensed) {
             axis.start(sensed);
         }
@@ -137,15 +143,9 @@ impl ForceFeedback {
         [f.linear.x, f.linear.y, f.linear.z, f.angular.x, f.angular.y, f.angular.z]
     }
 
-    /// Converts a reading of the sensor (N, Nm; world axes) to force and moment at `point` (m, world) in the axes `rotation`.
-    fn sensed_at(
-        &self,
-        model: &Model,
-        data: &Data,
-        reading: &[f64; 6],
-        rotation: &Matrix3<f64>,
-        point: &Vector3<f64>,
-    ) -> Vector6<f64> {
+    /// Converts a reading of the sensor (N, Nm; world axes) to force and moment at the task frame's origin, in the task axes.
+    fn sensed_at(&self, input: &ForceInput<'_>, reading: &[f64; 6]) -> Vector6<f64> {
+        let ForceInput { model, data, rotation, point, .. } = input;
         let [fx, fy, fz, mx, my, mz] = *reading;
         let force = Vector3::new(fx, fy, fz);
         let lever = frame_placement(model, data, self.frame).translation - point;
@@ -154,60 +154,34 @@ impl ForceFeedback {
         Vector6::new(linear.x, linear.y, linear.z, angular.x, angular.y, angular.z)
     }
 
-    /// Updates the sensed force at `point` (m, world), in the axes `rotation` (world), and the axes, which move at `velocity`
-    /// (m/s, rad/s). The feedback does not change while `hold` is true.
-    #[expect(clippy::too_many_arguments, reason = "the state of the robot, the frame and its motion")]
-    pub(crate) fn update(
-        &mut self,
-        model: &Model,
-        data: &Data,
-        measurement: &Measurement,
-        rotation: &Matrix3<f64>,
-        point: &Vector3<f64>,
-        velocity: &Vector6<f64>,
-        hold: bool,
-    ) {
-        self.sense(model, data, measurement, rotation, point);
-        let moved = rotation.tr_mul(&(point - self.point));
-        self.point = *point;
+    /// Updates the sensed force and the axes. The feedback does not change while `hold` is true.
+    pub(crate) fn update(&mut self, input: &ForceInput<'_>, hold: bool) {
+        let moved = input.rotation.tr_mul(&(input.point - self.point));
+        self.sense(input);
         if hold {
             return;
         }
         for (i, axis) in self.axes.iter_mut().enumerate() {
-            let displacement = if i < 3 { moved[i] } else { velocity[i] * self.period_s };
-            axis.update(self.sensed[i], AxisMotion { velocity: velocity[i], displacement }, self.time_s);
+            let velocity = input.velocity[i];
+            let displacement = if i < 3 { moved[i] } else { velocity * self.period_s };
+            axis.update(self.sensed[i], AxisMotion { velocity, displacement }, self.time_s);
         }
     }
 
     /// Updates the sensed force as [`update`](Self::update) does, and the targets and contacts, but no feedback.
-    pub(crate) fn update_targets(
-        &mut self,
-        model: &Model,
-        data: &Data,
-        measurement: &Measurement,
-        rotation: &Matrix3<f64>,
-        point: &Vector3<f64>,
-        velocity: &Vector6<f64>,
-    ) {
-        self.sense(model, data, measurement, rotation, point);
-        self.point = *point;
+    pub(crate) fn update_targets(&mut self, input: &ForceInput<'_>) {
+        self.sense(input);
         for (i, axis) in self.axes.iter_mut().enumerate() {
-            axis.update_target(self.sensed[i], velocity[i], self.time_s);
+            axis.update_target(self.sensed[i], input.velocity[i], self.time_s);
         }
     }
 
-    fn sense(
-        &mut self,
-        model: &Model,
-        data: &Data,
-        measurement: &Measurement,
-        rotation: &Matrix3<f64>,
-        point: &Vector3<f64>,
-    ) {
-        self.time_s = measurement.time_s - self.start_s;
-        let raw = self.raw(measurement);
+    fn sense(&mut self, input: &ForceInput<'_>) {
+        self.time_s = input.measurement.time_s - self.start_s;
+        self.point = input.point;
+        let raw = self.raw(input.measurement);
         let filtered = self.filter.update(&raw);
-        self.sensed = self.sensed_at(model, data, &filtered, rotation, point);
+        self.sensed = self.sensed_at(input, &filtered);
     }
 
     /// Sensed force of an axis minus its target, N or Nm.

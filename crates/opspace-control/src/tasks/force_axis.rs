@@ -13,10 +13,9 @@
 //! a* = c (v_a − v) + c²/16 ∫ (v_a − v) dt, with twice the critical damping.
 
 use crate::tasks::axes::AxisMode;
-use crate::tasks::force_parameters::{
-    COMPLIANT_GAIN, ContactParameters, ForceParameters, INTEGRAL_PER_S, interpolated,
-};
+use crate::tasks::force_parameters::{COMPLIANT_GAIN, ContactParameters, ForceParameters, INTEGRAL_PER_S};
 use crate::tasks::force_passivity::ForcePassivity;
+use crate::tasks::gain_profile::value_at;
 use opspace_backend::quantity::{Fraction, NonNegative};
 
 /// Distance by which the approach may lag behind, as a time at its speed, s: a bound of the force of a blocked approach.
@@ -85,6 +84,8 @@ impl ForceAxis {
         let gain = value(&force.gain).map(NonNegative::get);
         let compensation = force.sensed_compensation.and_then(|values| values.get(axis));
         let is_translation = axis < 3;
+        let has_profile = !force.profile_n.of(axis).is_empty();
+        let largest_of_profile = has_profile.then(|| force.largest_target(axis));
         let settings = Settings {
             target: force.target_of(axis),
             profile: force.profile_n.of(axis).to_vec(),
@@ -92,11 +93,7 @@ impl ForceAxis {
             feed_forward: force.feed_forward.get(axis).map_or(1.0, Fraction::get),
             gains: [gain.unwrap_or(COMPLIANT_GAIN), force.force_gain(axis, period_s)],
             integral_step: value(&force.integral_per_s).map_or(INTEGRAL_PER_S, NonNegative::get) * period_s,
-            integral_limit: value(&force.integral_limit).map(NonNegative::get).or((!force
-                .profile_n
-                .of(axis)
-                .is_empty())
-            .then(|| force.largest_target(axis))),
+            integral_limit: value(&force.integral_limit).map(NonNegative::get).or(largest_of_profile),
             compensation: compensation.map_or(0.0, Fraction::get),
             approach: force.contact.filter(|_| is_translation),
         };
@@ -152,7 +149,7 @@ impl ForceAxis {
 
     /// Target after the ramp, `time_s` (s) after the start of the task, N or Nm.
     fn final_target(&self, time_s: f64) -> f64 {
-        let configured = || interpolated(&self.settings.profile, time_s).unwrap_or(self.settings.target);
+        let configured = || value_at(&self.settings.profile, time_s).unwrap_or(self.settings.target);
         self.streamed.unwrap_or_else(configured)
     }
 

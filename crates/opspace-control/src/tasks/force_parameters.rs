@@ -3,6 +3,7 @@
 use crate::error::{ControlError, Reason};
 use crate::tasks::admittance::AdmittanceLimits;
 use crate::tasks::axes::{AXIS_NAMES, Axes, PerAxis};
+use crate::tasks::gain_profile::check_points;
 use nalgebra::Vector6;
 use opspace_backend::quantity::{Fraction, NonNegative, Positive};
 #[cfg(feature = "schema")]
@@ -24,7 +25,7 @@ pub struct ForceParameters {
     #[serde(default = "no_target")]
     pub target_nm: PerAxis<f64>,
     /// Target forces of force axes as functions of time, instead of `target_n`: for each axis a list of times (s, since the
-    /// task began) and forces (N), between which it is interpolated linearly.
+    /// task began) and forces (N), with minimum-jerk ramps between them.
     #[serde(default)]
     pub profile_n: ForceProfiles,
     /// Time over which the target of a force axis ramps in from the sensed force at the start and at contact, and from the
@@ -281,7 +282,8 @@ impl ForceParameters {
     }
 
     /// Largest magnitude of an axis' target, N or Nm.
-    pub(crate) fn largest_target(&self, axis: usize) -> f64 {
+    #[must_use]
+    pub fn largest_target(&self, axis: usize) -> f64 {
         let of_profile = self.profile_n.of(axis).iter().map(|&[_, force]| force.abs());
         of_profile.fold(self.target_of(axis).abs(), f64::max)
     }
@@ -311,12 +313,7 @@ impl ForceParameters {
             if !in_force_control[axis] {
                 return Err(ControlError::new(key, Reason::ProfileAxis));
             }
-            if profile.iter().flatten().any(|value| !value.is_finite()) {
-                return Err(ControlError::value(&key, "times and forces must be finite".to_owned()));
-            }
-            if profile.windows(2).any(|pair| pair[1][0] <= pair[0][0]) {
-                return Err(ControlError::value(&key, "times must increase".to_owned()));
-            }
+            check_points(profile).map_err(|message| ControlError::value(&key, message))?;
         }
         Ok(())
     }
@@ -332,16 +329,4 @@ impl ForceProfiles {
             _ => &[],
         }
     }
-}
-
-/// Value of a list of times (s) and values at the time `time_s`, interpolated linearly; the first and the last value outside
-/// of it, `None` if it is empty.
-pub(crate) fn interpolated(profile: &[[f64; 2]], time_s: f64) -> Option<f64> {
-    let after = profile.partition_point(|&[t, _]| t <= time_s);
-    let (&[_, first], &[_, last]) = (profile.first()?, profile.last()?);
-    Some(match (after.checked_sub(1).and_then(|before| profile.get(before)), profile.get(after)) {
-        (Some(&[t0, from]), Some(&[t1, to])) => from + (to - from) * (time_s - t0) / (t1 - t0),
-        (None, _) => first,
-        (_, None) => last,
-    })
 }

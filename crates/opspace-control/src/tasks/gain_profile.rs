@@ -27,34 +27,51 @@ impl GainProfile {
         if points.is_empty() {
             return Err("expected at least one point [time_s, value]".to_owned());
         }
-        for (index, &[time_s, value]) in points.iter().enumerate() {
-            if !(time_s >= 0.0 && time_s.is_finite() && value >= 0.0 && value.is_finite()) {
-                return Err(format!(
-                    "point {index}: expected a time and a value of 0 or above, got [{time_s}, {value}]"
-                ));
-            }
-            if index > 0 && time_s <= points[index - 1][0] {
-                return Err(format!(
-                    "point {index} at {time_s} s is not after the previous one at {} s",
-                    points[index - 1][0]
-                ));
-            }
+        if let Some(index) = points.iter().position(|&[_, value]| value.is_nan() || value < 0.0) {
+            let [time_s, value] = points[index];
+            return Err(format!(
+                "point {index}: expected a time and a value of 0 or above, got [{time_s}, {value}]"
+            ));
         }
+        check_points(&points)?;
         Ok(Self { points })
     }
 
     /// Value at a time, s.
     #[must_use]
     pub fn at(&self, time_s: f64) -> f64 {
-        let after = self.points.partition_point(|point| point[0] <= time_s);
-        match (after.checked_sub(1).map(|before| self.points[before]), self.points.get(after)) {
-            (Some([from_s, from]), Some(&[to_s, to])) => {
-                from + (to - from) * minimum_jerk(time_s - from_s, to_s - from_s)[0]
-            }
-            (Some([_, value]), None) | (None, Some(&[_, value])) => value,
-            (None, None) => 0.0,
+        value_at(&self.points, time_s).unwrap_or(0.0)
+    }
+}
+
+/// Checks points of time (s) and value: finite, and times of 0 or above that increase.
+pub(crate) fn check_points(points: &[[f64; 2]]) -> Result<(), String> {
+    for (index, &[time_s, value]) in points.iter().enumerate() {
+        if !(time_s >= 0.0 && time_s.is_finite() && value.is_finite()) {
+            return Err(format!(
+                "point {index}: expected a time of 0 or above and a finite value, got [{time_s}, {value}]"
+            ));
+        }
+        if index > 0 && time_s <= points[index - 1][0] {
+            return Err(format!(
+                "point {index} at {time_s} s is not after the previous one at {} s: times must increase",
+                points[index - 1][0]
+            ));
         }
     }
+    Ok(())
+}
+
+/// Value of points at a time (s), with minimum-jerk ramps between them; `None` without a point.
+pub(crate) fn value_at(points: &[[f64; 2]], time_s: f64) -> Option<f64> {
+    let after = points.partition_point(|point| point[0] <= time_s);
+    Some(match (after.checked_sub(1).map(|before| points[before]), points.get(after)) {
+        (Some([from_s, from]), Some(&[to_s, to])) => {
+            from + (to - from) * minimum_jerk(time_s - from_s, to_s - from_s)[0]
+        }
+        (Some([_, value]), None) | (None, Some(&[_, value])) => value,
+        (None, None) => return None,
+    })
 }
 
 impl TryFrom<Vec<[f64; 2]>> for GainProfile {
@@ -216,7 +233,7 @@ mod tests {
         ] {
             #[derive(Debug, Deserialize)]
             struct File {
-                #[allow(dead_code, reason = "only read")]
+                #[expect(dead_code, reason = "only read")]
                 p: AxisProfiles,
             }
             let error = toml::from_str::<File>(text).expect_err(text);

@@ -496,14 +496,18 @@ fn estimated_forces(
             let help = Some("give one of the two another name".to_owned());
             return Err(FileError::at_key(source, ["estimated_force", name.as_str()], message, help));
         }
-        let frame = model.frame_id(&estimated.frame).map_err(|unknown| {
-            let key = ["estimated_force", name.as_str(), "frame"];
-            let help = choices(&unknown.name, &unknown.known);
-            FileError::at_key(source, key, format!("the robot has no frame '{}'", unknown.name), Some(help))
-        })?;
+        let frame = sensor_frame(source, model, ["estimated_force", name, "frame"], &estimated.frame)?;
         found.push((name.clone(), frame));
     }
     Ok(found)
+}
+
+/// Frame of a force sensor, with its key in the file.
+fn sensor_frame(source: &Source, model: &Model, key: [&str; 3], frame: &str) -> Result<FrameId, FileError> {
+    model.frame_id(frame).map_err(|unknown| {
+        let help = choices(&unknown.name, &unknown.known);
+        FileError::at_key(source, key, format!("the URDF has no link '{}'", unknown.name), Some(help))
+    })
 }
 
 fn force_sensors(
@@ -513,11 +517,7 @@ fn force_sensors(
 ) -> Result<Vec<(String, FrameId)>, FileError> {
     let mut found = Vec::new();
     for (name, sensor) in sensors {
-        let frame = model.frame_id(&sensor.frame).map_err(|unknown| {
-            let key = ["force_sensor", name.as_str(), "frame"];
-            let help = choices(&unknown.name, &unknown.known);
-            FileError::at_key(source, key, format!("the URDF has no link '{}'", unknown.name), Some(help))
-        })?;
+        let frame = sensor_frame(source, model, ["force_sensor", name, "frame"], &sensor.frame)?;
         found.push((name.clone(), frame));
     }
     Ok(found)

@@ -15,12 +15,12 @@
 use super::case::PreflightCase;
 use super::diagnostic::{Diagnostic, short};
 use super::phase_margin::{Margin, hold, least_margin, rounded_down};
+use super::surfaces::{Surface, surfaces};
 use crate::run::experiment::ControllerKind;
 use nalgebra::{Complex, DMatrix, DVector, Matrix6xX, RowDVector, Vector3};
 use opspace_backend::Setpoints;
 use opspace_backend::quantity::Positive;
 use opspace_control::{AXIS_NAMES, CartesianParameters, TaskParameters};
-use opspace_sim::EnvironmentObjectParameters;
 use opspace_transformer::ServoLaw;
 use std::f64::consts::TAU;
 
@@ -29,9 +29,6 @@ const LEAST_MARGIN_DEG: f64 = 30.0;
 
 /// Phase margin of the proposed admittance, degrees.
 const GOOD_MARGIN_DEG: f64 = 45.0;
-
-/// Stiffness along an axis below which an object does not count, as a fraction of its stiffness: it is touched sideways.
-const SIDEWAYS: f64 = 0.01;
 
 /// Bounds of the examined stiffness of unknown objects, N/m, and number of values per decade.
 const STIFFNESSES_N_PER_M: [f64; 2] = [1.0, 1e7];
@@ -57,18 +54,11 @@ struct ForceLoop {
     setpoints: Setpoints,
 }
 
-/// Stiffness (N/m) and damping (Ns/m) of an object along an axis.
-#[derive(Clone, Copy)]
-struct Contact {
-    stiffness: f64,
-    damping: f64,
-}
-
 /// Finds admittances that are too small for the objects that the task's frame touches.
 pub(super) fn unstable_contacts(case: &PreflightCase<'_>) -> Vec<Diagnostic> {
     let mut found: Vec<Diagnostic> = Vec::new();
     for_each_loop(case, |stack, name, parameters, force_loop| {
-        for (object, contact) in contacts(case, parameters, force_loop) {
+        for (object, contact) in surfaces(case, &parameters.frame, &force_loop.direction) {
             let Some(margin) = force_loop.margin(contact, force_loop.admittance_ns_per_m) else { continue };
             if margin.degrees < LEAST_MARGIN_DEG {
                 found.push(force_loop.finding(case, stack, name, object, contact, margin));
@@ -82,7 +72,7 @@ pub(super) fn unstable_contacts(case: &PreflightCase<'_>) -> Vec<Diagnostic> {
 pub(super) fn unknown_contacts(case: &PreflightCase<'_>) -> Vec<Diagnostic> {
     let mut found: Vec<Diagnostic> = Vec::new();
     for_each_loop(case, |stack, name, parameters, force_loop| {
-        if !contacts(case, parameters, force_loop).is_empty() {
+        if !surfaces(case, &parameters.frame, &force_loop.direction).is_empty() {
             return;
         }
         let axis = AXIS_NAMES[force_loop.axis];
@@ -123,35 +113,6 @@ fn for_each_loop(
             }
         }
     }
-}
-
-/// Objects that act on the frame of a task along the axis of a loop.
-fn contacts<'a>(
-    case: &'a PreflightCase<'_>,
-    parameters: &CartesianParameters,
-    force_loop: &ForceLoop,
-) -> Vec<(&'a str, Contact)> {
-    let objects = case.experiment.task().file.environment.iter();
-    let along = |object: &EnvironmentObjectParameters| {
-        let (stiffness, damping, shares) = match object {
-            EnvironmentObjectParameters::Wall(wall) => {
-                let normal = Vector3::from(wall.normal).normalize();
-                let share = normal.dot(&force_loop.direction).powi(2);
-                (wall.stiffness_n_per_m.get(), wall.damping_ns_per_m.get(), share)
-            }
-            EnvironmentObjectParameters::Spring(spring) => {
-                let squares = force_loop.direction.map(|x| x * x);
-                let share = Vector3::from(spring.gain.map(|gain| gain.get())).dot(&squares);
-                (spring.stiffness_n_per_m.get(), spring.damping_ns_per_m.get(), share)
-            }
-            _ => return None,
-        };
-        (shares > SIDEWAYS).then_some(Contact { stiffness: stiffness * shares, damping: damping * shares })
-    };
-    objects
-        .filter(|(_, object)| object.frame() == parameters.frame)
-        .filter_map(|(name, object)| Some((name.as_str(), along(object)?)))
-        .collect()
 }
 
 impl ForceLoop {
@@ -199,7 +160,7 @@ impl ForceLoop {
     }
 
     /// Open-loop transfer function at an angular frequency (rad/s), times the admittance damping.
-    fn open_loop(&self, contact: Contact, omega: f64) -> Complex<f64> {
+    fn open_loop(&self, contact: Surface, omega: f64) -> Complex<f64> {
         let s = Complex::new(0.0, omega);
         let back = (-s * self.period_s).exp();
         let filter = self.filter_gain / (1.0 - (1.0 - self.filter_gain) * back);
@@ -224,18 +185,18 @@ impl ForceLoop {
         filter * wall * (&self.jacobian * q)[0]
     }
 
-    fn margin(&self, contact: Contact, admittance_ns_per_m: f64) -> Option<Margin> {
+    fn margin(&self, contact: Surface, admittance_ns_per_m: f64) -> Option<Margin> {
         let first = 1e-3 * contact.stiffness / admittance_ns_per_m;
         least_margin(first, self.period_s, |omega| self.open_loop(contact, omega) / admittance_ns_per_m)
     }
 
     /// Returns true if the margin is at least `degrees`, or if the gain is small everywhere.
-    fn has_margin(&self, contact: Contact, admittance_ns_per_m: f64, degrees: f64) -> bool {
+    fn has_margin(&self, contact: Surface, admittance_ns_per_m: f64, degrees: f64) -> bool {
         self.margin(contact, admittance_ns_per_m).is_none_or(|margin| margin.degrees >= degrees)
     }
 
     /// Smallest admittance damping with a good margin; `None` if even a thousand times the present one has none.
-    fn good_admittance(&self, contact: Contact) -> Option<f64> {
+    fn good_admittance(&self, contact: Surface) -> Option<f64> {
         let given = self.admittance_ns_per_m;
         largest_true(1e-3, 1.0, |share| self.has_margin(contact, given / share, GOOD_MARGIN_DEG))
             .map(|share| given / share)
@@ -245,7 +206,7 @@ impl ForceLoop {
     fn largest_stiffness(&self) -> Option<f64> {
         let [low, high] = STIFFNESSES_N_PER_M;
         let stable = |stiffness| {
-            let contact = Contact { stiffness, damping: 0.0 };
+            let contact = Surface { stiffness, damping: 0.0 };
             self.has_margin(contact, self.admittance_ns_per_m, LEAST_MARGIN_DEG)
         };
         // The margin need not fall with the stiffness: very stiff objects leave the compliance of the servos.
@@ -261,7 +222,7 @@ impl ForceLoop {
         stack: usize,
         name: &str,
         object: &str,
-        contact: Contact,
+        contact: Surface,
         margin: Margin,
     ) -> Diagnostic {
         let axis = AXIS_NAMES[self.axis];

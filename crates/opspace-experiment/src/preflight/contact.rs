@@ -12,20 +12,11 @@
 
 use super::case::PreflightCase;
 use super::diagnostic::{Diagnostic, short};
-use nalgebra::{DMatrix, DVector, Matrix6xX};
+use super::surfaces::{Surface, surfaces};
+use nalgebra::{DVector, Matrix6xX};
 use opspace_control::{AXIS_NAMES, AxisMode, CartesianParameters, ForceParameters, Task, TaskParameters};
-use opspace_sim::EnvironmentObjectParameters;
+use opspace_model::OperationalSpace;
 use std::f64::consts::TAU;
-
-/// Cosine of the largest angle between an axis and the normal of a surface that it presses on.
-const FACING: f64 = 0.7;
-
-/// A surface in front of a force axis.
-#[derive(Clone, Copy)]
-struct Surface {
-    stiffness: f64,
-    damping: f64,
-}
 
 /// A force axis of a task in front of a surface.
 struct PressingAxis<'a> {
@@ -46,9 +37,11 @@ pub(crate) fn contacts(case: &PreflightCase<'_>) -> Vec<Diagnostic> {
     let mut found = Vec::new();
     for (task_set, active) in case.task_sets.iter().enumerate() {
         for task in active.tasks.tasks() {
-            let Some(TaskParameters::Cartesian(parameters)) = active.task.get(task.name()) else { continue };
-            let axes = pressing_axes(case, task_set, task, parameters);
-            for axis in axes {
+            let Some((name, TaskParameters::Cartesian(parameters))) = active.task.get_key_value(task.name())
+            else {
+                continue;
+            };
+            for axis in pressing_axes(case, task_set, (name, task), parameters) {
                 for finding in [axis.oscillation(), axis.impact()].into_iter().flatten() {
                     if !found.contains(&finding) {
                         found.push(finding);
@@ -60,69 +53,49 @@ pub(crate) fn contacts(case: &PreflightCase<'_>) -> Vec<Diagnostic> {
     found
 }
 
-/// Force axes of a task, each with its stiffest surface.
+/// Force axes of a task, each with the stated surface, otherwise with its stiffest one.
 fn pressing_axes<'a>(
     case: &'a PreflightCase<'a>,
     task_set: usize,
-    task: &dyn Task,
+    (name, task): (&'a str, &dyn Task),
     parameters: &'a CartesianParameters,
 ) -> Vec<PressingAxis<'a>> {
+    let (model, data) = (case.model, &case.data);
     let in_force = parameters.axes.with_mode(AxisMode::Force);
     let Some(force) = parameters.force.as_ref().filter(|_| in_force[..3].contains(&true)) else {
         return Vec::new();
     };
-    let Ok(controlled) = parameters.controlled_frame(case.model) else { return Vec::new() };
-    let Ok(directions) = parameters.axes_frame.resolve(case.model, controlled) else { return Vec::new() };
-    let rotation = controlled.coordinates(case.model, &case.data)
-        * directions.rotation(case.model, &case.data, controlled);
-    let mut rows = Matrix6xX::zeros(case.model.n());
-    task.jacobian(case.model, &case.data, &mut rows);
-    let jacobian = rows.rows(0, task.rows()).into_owned();
-    let jacobian = DMatrix::from_column_slice(task.rows(), case.model.n(), jacobian.as_slice());
-    let mut columns = jacobian.transpose();
-    for mut column in columns.column_iter_mut() {
-        case.data.mass_matrix_factor.solve(column.as_mut_slice());
-    }
-    let Some(inertia) = (&jacobian * columns).try_inverse() else { return Vec::new() };
+    let Ok(controlled) = parameters.controlled_frame(model) else { return Vec::new() };
+    let Ok(directions) = parameters.axes_frame.resolve(model, controlled) else { return Vec::new() };
+    let rotation = controlled.coordinates(model, data) * directions.rotation(model, data, controlled);
+    let mut jacobian = Matrix6xX::zeros(model.n());
+    task.jacobian(model, data, &mut jacobian);
+    let mut space = OperationalSpace::new(model.n());
+    space.update(&data.mass_matrix_factor, &jacobian, task.rows(), 0.0);
     let names = task.row_names();
     let pressing = |axis: usize| {
         let row = names.iter().position(|name| name == AXIS_NAMES[axis])?;
-        let normal = rotation.column(axis).into_owned();
         let stated = force.surface.map(|surface| Surface {
             stiffness: surface.stiffness_n_per_m.get(),
             damping: surface.damping_ns_per_m.get(),
         });
-        let surface = stated.or_else(|| {
-            let walls = case.experiment.task().file.environment.values().filter_map(|object| match object {
-                EnvironmentObjectParameters::Wall(wall) if wall.frame == parameters.frame => {
-                    let outward = nalgebra::Vector3::from(wall.normal).normalize();
-                    (outward.dot(&normal).abs() > FACING).then(|| Surface {
-                        stiffness: wall.stiffness_n_per_m.get(),
-                        damping: wall.damping_ns_per_m.get(),
-                    })
-                }
-                _ => None,
-            });
-            walls.max_by(|a, b| a.stiffness.total_cmp(&b.stiffness))
-        })?;
-        let lever = jacobian.row(row).transpose();
+        let present = surfaces(case, &parameters.frame, &rotation.column(axis).into_owned());
+        let stiffest = present
+            .into_iter()
+            .map(|(_, surface)| surface)
+            .max_by(|a, b| a.stiffness.total_cmp(&b.stiffness));
         Some(PressingAxis {
             case,
             task_set,
-            name: active_name(case, task_set, task.name()),
+            name,
             force,
             axis,
-            surface,
-            mass: inertia[(row, row)],
-            lever,
+            surface: stated.or(stiffest)?,
+            mass: space.task_inertia[(row, row)],
+            lever: jacobian.row(row).transpose(),
         })
     };
     (0..3).filter(|&axis| in_force[axis]).filter_map(pressing).collect()
-}
-
-/// Name of a task in the file.
-fn active_name<'a>(case: &'a PreflightCase<'a>, task_set: usize, name: &str) -> &'a str {
-    case.task_sets[task_set].priority.iter().find(|other| *other == name).map_or("", String::as_str)
 }
 
 impl PressingAxis<'_> {
@@ -178,7 +151,7 @@ impl PressingAxis<'_> {
     }
 
     fn impact(&self) -> Option<Diagnostic> {
-        let target = self.force.target_n.get(self.axis).unwrap_or(0.0).abs();
+        let target = self.force.largest_target(self.axis);
         let speed = match &self.force.contact {
             Some(contact) => contact.approach_m_per_s.get(),
             None => target / (self.damping_per_s() * self.mass),

@@ -142,17 +142,7 @@ fn spheres_are_drawn_to_scale() {
     let mut scales = Vec::new();
     for (view, [right, up]) in views.iter().zip([[0, 2], [1, 2], [0, 1]]) {
         let polygons = view.descendants().filter(|node| node.tag_name().name() == "polygon");
-        let mut boxes: Vec<[f64; 4]> = polygons
-            .map(|polygon| {
-                let points = points(&polygon);
-                let of = |pick: fn(&(f64, f64)) -> f64| {
-                    let values = || points.iter().map(pick);
-                    (values().fold(f64::INFINITY, f64::min), values().fold(f64::NEG_INFINITY, f64::max))
-                };
-                let ((left, right), (top, bottom)) = (of(|point| point.0), of(|point| point.1));
-                [left, right, top, bottom]
-            })
-            .collect();
+        let mut boxes: Vec<[f64; 4]> = polygons.map(|polygon| bounds(&points(&polygon))).collect();
         // The floor is seen in the views from the side; it is not as high as it is wide.
         let is_round = |[left, right, top, bottom]: &[f64; 4]| (right - left - bottom + top).abs() < PIXELS;
         let floors = boxes.iter().filter(|polygon| !is_round(polygon)).count();
@@ -201,6 +191,16 @@ fn views_say_what_they_show() {
     assert_eq!(Page::new("t").collisions(&[]).render(), Page::new("t").render());
 }
 
+/// Left, right, top and bottom of a polygon.
+fn bounds(points: &[(f64, f64)]) -> [f64; 4] {
+    let of = |pick: fn(&(f64, f64)) -> f64| {
+        let values = || points.iter().map(pick);
+        [values().fold(f64::INFINITY, f64::min), values().fold(f64::NEG_INFINITY, f64::max)]
+    };
+    let ([left, right], [top, bottom]) = (of(|point| point.0), of(|point| point.1));
+    [left, right, top, bottom]
+}
+
 /// Returns the extent of each polygon of a view in metres: left, right, bottom, top, relative to the corner of the view. The
 /// view is as large as its largest polygon, a wall that fills it.
 fn extents(html: &str, view: usize) -> Vec<[f64; 4]> {
@@ -210,12 +210,7 @@ fn extents(html: &str, view: usize) -> Vec<[f64; 4]> {
     let polygons = view.descendants().filter(|node| node.tag_name().name() == "polygon");
     polygons
         .map(|polygon| {
-            let points = points(&polygon);
-            let of = |pick: fn(&(f64, f64)) -> f64| {
-                let values = || points.iter().map(pick);
-                (values().fold(f64::INFINITY, f64::min), values().fold(f64::NEG_INFINITY, f64::max))
-            };
-            let ((left, right), (top, bottom)) = (of(|point| point.0), of(|point| point.1));
+            let [left, right, top, bottom] = bounds(&points(&polygon));
             [left, right, -bottom, -top]
         })
         .collect()

@@ -190,7 +190,7 @@ impl CartesianErrors {
         }
     }
 
-    fn add(&mut self, run: &Run<'_>) {
+    fn add<'a>(&mut self, run: &Run<'a>) {
         let signal = |name: &str| run.tick.signal(&signal_names::of(&self.name, name));
         let (reference, reference_orientation) = (signal(REFERENCE), signal(REFERENCE_ORIENTATION));
         let forces = run.forces_on(&self.frame);
@@ -220,12 +220,12 @@ impl CartesianErrors {
             match force.filter(|_| axes.force.contains(&true)) {
                 Some(force) => {
                     let tick = run.tick_up_to(k);
-                    let at_tick = |column: Option<Column<'_>>| Some(column?.row(tick?).to_vec());
+                    let at_tick = |column: Option<Column<'a>>| Some(column?.row(tick?));
                     let (target, made) = (at_tick(target), at_tick(made));
                     let is_resting = at_tick(reference_velocity)
-                        .is_none_or(|v| Vector3::from_column_slice(&v).norm() < RESTING_M_PER_S);
+                        .is_none_or(|v| Vector3::from_column_slice(v).norm() < RESTING_M_PER_S);
                     let contact = self.contact.get_or_insert_default();
-                    let target = force_target(&axes, target.as_deref(), made.as_deref());
+                    let target = force_target(&axes, target, made);
                     let since_start_s = run.joints.0[k] - run.start_s;
                     contact.add(&force, &axes.force, target, since_start_s, is_settled, is_resting);
                     contact.reduced_s = passivity
