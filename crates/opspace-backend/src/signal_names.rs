@@ -119,6 +119,8 @@ pub const FRICTION_FORCE: &str = "friction_force";
 pub const SENSED_FORCE: &str = "sensed_force";
 /// Target of a task's force axes, with ramps and profiles; 0 on other axes, and while an axis approaches (6; N, Nm).
 pub const TARGET_FORCE: &str = "target_force";
+/// Axes of a task that turn with a surface, as a quaternion in the coordinates of the controlled frame (4).
+pub const AXES: &str = "axes";
 /// Contact of a task's force axes: 1 made, 0 while the axis approaches, NaN on other axes (6).
 pub const CONTACT: &str = "contact";
 /// Energy that the force feedback has given to the motion within its window (6; J).

@@ -173,6 +173,9 @@ pub enum Reason {
     /// Force control without a sensor.
     #[error("a `force` axis needs a sensor and a target: force = {{ sensor = \"...\", target_n = ... }}")]
     ForceAxisUnsensed,
+    /// Axes of a surface without a single axis in force control.
+    #[error("a surface has one normal: make exactly one of x, y and z `force`")]
+    SurfaceNormal,
     /// An admittance on an axis that is not a compliant or force axis of its kind.
     #[error("axis {axis} accepts no such admittance: it is not a compliant or force axis of that kind")]
     AdmittanceAxis {

@@ -116,7 +116,9 @@ pub use references::streamed_pose::{PoseShape, QUATERNION_TOLERANCE, StreamedRef
 pub use references::target::Target;
 pub use targets::{AllowedInputs, InputHandle, TargetError, Targets, TaskHandle, TaskTarget};
 pub use tasks::admittance::AdmittanceLimits;
-pub use tasks::axes::{AXIS_NAMES, Axes, AxesFrame, AxesFrameParameter, AxisMode, PerAxis};
+pub use tasks::axes::{
+    AXIS_NAMES, Axes, AxesFrame, AxesFrameParameter, AxisMode, PerAxis, SurfaceAxesParameters,
+};
 pub use tasks::cartesian::CartesianTask;
 pub use tasks::cartesian_parameters::{
     CartesianParameters, CenterOfMassParameters, Decoupling, SingularityHandling,

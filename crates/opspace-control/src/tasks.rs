@@ -25,6 +25,7 @@ pub mod joint_task;
 pub mod posture;
 pub mod selected_joints;
 pub mod singular_escape;
+pub(crate) mod surface_axes;
 pub mod swivel;
 pub mod task;
 pub mod task_axes;

@@ -4,7 +4,7 @@ use crate::error::Reason;
 use crate::orientation;
 use crate::tasks::controlled_frame::ControlledFrame;
 use nalgebra::Matrix3;
-use opspace_backend::quantity::exactly;
+use opspace_backend::quantity::{Positive, exactly};
 use opspace_model::{Data, FrameId, Model, UnknownFrame, frame_placement};
 #[cfg(feature = "schema")]
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
@@ -169,6 +169,26 @@ pub enum AxesFrameParameter {
     /// The axes of the world rotated by roll, pitch and yaw (fixed axes, in that order), rad.
     #[serde(rename = "rpy_rad")]
     RpyRad(#[serde(deserialize_with = "exactly")] [f64; 3]),
+    /// Axes that turn with the surface on which the only `force` axis of x, y and z presses, so that this axis remains normal to it.
+    #[serde(rename = "surface")]
+    Surface(SurfaceAxesParameters),
+}
+
+/// Axes of a task on a surface.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct SurfaceAxesParameters {
+    /// Axes at the start: those of the world rotated by roll, pitch and yaw (fixed axes, in that order), rad.
+    #[serde(default, deserialize_with = "exactly")]
+    pub rpy_rad: [f64; 3],
+    /// Length of the path over which the axes follow the normal, m.
+    #[serde(default = "default_length")]
+    pub length_m: Positive,
+}
+
+const fn default_length() -> Positive {
+    Positive::literal(0.003)
 }
 
 /// Task axes of one robot: fixed, or those of a frame.
@@ -181,14 +201,16 @@ pub enum AxesFrame {
 }
 
 impl AxesFrameParameter {
-    /// Resolves the axes for a robot and the controlled frame of the task.
+    /// Resolves the axes for a robot and the controlled frame of the task; those of a surface as they are at the start.
     ///
     /// # Errors
     /// An unknown frame.
     pub fn resolve(&self, model: &Model, controlled: ControlledFrame) -> Result<AxesFrame, UnknownFrame> {
         Ok(match self {
             Self::World => AxesFrame::Fixed(Matrix3::identity()),
-            Self::RpyRad(rpy) => AxesFrame::Fixed(orientation::from_rpy(*rpy)),
+            Self::RpyRad(rpy) | Self::Surface(SurfaceAxesParameters { rpy_rad: rpy, .. }) => {
+                AxesFrame::Fixed(orientation::from_rpy(*rpy))
+            }
             Self::Frame(name) => AxesFrame::Body(model.frame_id(name)?),
             Self::TaskFrame => match controlled {
                 ControlledFrame::Frame(frame) | ControlledFrame::Relative { frame, .. } => {

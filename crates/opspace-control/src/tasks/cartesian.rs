@@ -37,6 +37,7 @@ use crate::tasks::force::{ForceFeedback, ForceInput};
 use crate::tasks::gains::integrate;
 use crate::tasks::impedance::Impedance;
 use crate::tasks::singular_escape::SingularEscape;
+use crate::tasks::surface_axes::{SurfaceAxes, surface_axes};
 use crate::tasks::task::{RowGains, SpeedLimit, Task, TaskInput};
 use crate::tasks::task_axes::TaskAxes;
 use crate::tasks::varying_gains::VaryingGains;
@@ -44,8 +45,8 @@ use crate::tasks::when_limited::{WhenLimited, axis_weights};
 use nalgebra::{Matrix3, Matrix6, Matrix6xX, Vector3, Vector6};
 use opspace_backend::quantity::Positive;
 use opspace_backend::signal_names::{
-    ERROR, FORCE, MODES, ORIENTATION, POSITION, REFERENCE, REFERENCE_ORIENTATION, REFERENCE_VELOCITY, SLACK,
-    STIFFNESS, TANK, VELOCITY,
+    AXES, ERROR, FORCE, MODES, ORIENTATION, POSITION, REFERENCE, REFERENCE_ORIENTATION, REFERENCE_VELOCITY,
+    SLACK, STIFFNESS, TANK, VELOCITY,
 };
 use opspace_backend::{Signal, SignalRecorder, signal_names};
 use opspace_model::{Data, Inversion, Model, Placement};
@@ -64,6 +65,8 @@ pub struct CartesianTask {
     weights: Option<Vector6<f64>>,
     when_limited: WhenLimited,
     axes_frame: AxesFrame,
+    /// Axes that turn with a surface, instead of those of `axes_frame`.
+    surface: Option<SurfaceAxes>,
     modes: [AxisMode; 6],
     feedback: AxisFeedback,
     /// Speed limits, m/s and rad/s; infinite if there is none.
@@ -192,6 +195,8 @@ impl CartesianTask {
             inversion: parameters.inversion(key)?,
             escape: parameters.escape,
             decoupling: parameters.decoupling,
+            surface: surface_axes(parameters, &axes_frame, context.period_s)
+                .map_err(|reason| at("axes_frame", reason))?,
             axes_frame,
             modes: parameters.axes.modes(),
             feedback,
@@ -284,13 +289,16 @@ impl CartesianTask {
             std::mem::swap(&mut self.streamed, &mut before.streamed);
             self.start_s = before.start_s;
         } else {
-            let axes = self.axes_frame.rotation(model, data, self.axes.controlled);
+            let axes = self.directions(model, data);
             let from = before.target_at_rest_along(&axes, began);
             self.begin(&from, &axes, input);
         }
         for axis in (0..6).filter(|&axis| !began(axis)) {
             let limit = self.feedback.integral_limit[axis];
             self.feedback.integral[axis] = before.feedback.integral[axis].clamp(-limit, limit);
+        }
+        if let (Some(surface), Some(before)) = (&mut self.surface, &before.surface) {
+            surface.inherit_state(before);
         }
         self.start_force(input);
         if let (Some(force), Some(before)) = (&mut self.force, &before.force) {
@@ -304,7 +312,7 @@ impl CartesianTask {
 
     /// Starts the force feedback at the present state.
     fn start_force(&mut self, input: &ControlInput<'_>) {
-        let rotation = self.axes_frame.rotation(input.model, input.data, self.axes.controlled);
+        let rotation = self.directions(input.model, input.data);
         let input = self.force_input(input, &rotation);
         if let Some(force) = &mut self.force {
             force.start(&input);
@@ -431,7 +439,7 @@ impl CartesianTask {
     fn follow(&mut self, input: &ControlInput<'_>) {
         let ControlInput { model, data, measurement, .. } = *input;
         let controlled = self.axes.controlled;
-        self.axes.rotation = self.axes_frame.rotation(model, data, controlled);
+        self.axes.rotation = self.directions(model, data);
         let time_s = measurement.time_s - self.start_s;
         if let Some(streamed) = &self.streamed {
             self.path = streamed.at(input.clock_s);
@@ -448,9 +456,26 @@ impl CartesianTask {
             self.error_at(&self.axes.rotation, &self.placement, self.modes.map(|m| m == AxisMode::Motion));
     }
 
+    /// Directions of the task axes in the coordinates of the controlled frame at the state of `data`, one per column.
+    fn directions(&self, model: &Model, data: &Data) -> Matrix3<f64> {
+        match &self.surface {
+            Some(surface) => surface.rotation(),
+            None => self.axes_frame.rotation(model, data, self.axes.controlled),
+        }
+    }
+
+    /// Turns the axes of the next cycle with the surface, after the sensed force was updated.
+    fn turn_with_surface(&mut self) {
+        let (Some(surface), Some(force)) = (&mut self.surface, &self.force) else { return };
+        if self.modes[surface.axis()] == AxisMode::Force {
+            let sensed = self.axes.rotation * force.sensed.fixed_rows::<3>(0);
+            surface.update(&sensed, &self.linear_velocity);
+        }
+    }
+
     /// Returns the axes and rows at the state of `data`.
     fn axes_at(&self, model: &Model, data: &Data) -> TaskAxes {
-        let rotation = self.axes_frame.rotation(model, data, self.axes.controlled);
+        let rotation = self.directions(model, data);
         self.axes.with_rotation(rotation)
     }
 
@@ -467,6 +492,7 @@ impl CartesianTask {
         if let Some(force) = &mut self.force {
             force.update(&input, hold);
         }
+        self.turn_with_surface();
     }
 
     fn varying_mut(&mut self) -> Option<&mut VaryingGains> {
@@ -651,7 +677,7 @@ impl Task for CartesianTask {
         self.home = controlled.placement(model, data);
         self.reset_settings();
         self.feedback.integral.fill(0.0);
-        let axes = self.axes_frame.rotation(model, data, controlled);
+        let axes = self.directions(model, data);
         self.begin(&Target::at_rest(self.home), &axes, input);
         self.start_force(input);
         if let Some(varying) = self.varying_mut() {
@@ -671,6 +697,7 @@ impl Task for CartesianTask {
         if let Some(force) = &mut self.force {
             force.update_targets(&input);
         }
+        self.turn_with_surface();
     }
 
     /// Replans a goal or streamed reference from the current pose at rest, blends from there into any other reference,
@@ -680,7 +707,7 @@ impl Task for CartesianTask {
         let controlled = self.axes.controlled;
         let from = Target::at_rest(controlled.placement(model, data));
         if let CartesianReference::Goal(_) | CartesianReference::Streamed(_) = self.reference {
-            let axes = self.axes_frame.rotation(model, data, self.axes.controlled);
+            let axes = self.directions(model, data);
             self.begin(&from, &axes, input);
         } else {
             self.trajectory.join(measurement.time_s - self.start_s, &from);
@@ -840,6 +867,9 @@ impl Task for CartesianTask {
         out.signal((name, REFERENCE_ORIENTATION), "1", wxyz, &quaternion(&path.placement.rotation));
         out.signal((name, ORIENTATION), "1", wxyz, &quaternion(&placement.rotation));
         out.signal((name, ERROR), "m,rad", &AXIS_NAMES, self.error.as_slice());
+        if self.surface.is_some() {
+            out.signal((name, AXES), "1", wxyz, &quaternion(&self.axes.rotation));
+        }
     }
 
     fn record_force(&self, force: &Vector6<f64>, out: &mut SignalRecorder<'_>) {

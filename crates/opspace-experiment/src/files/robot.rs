@@ -506,7 +506,8 @@ fn estimated_forces(
 fn sensor_frame(source: &Source, model: &Model, key: [&str; 3], frame: &str) -> Result<FrameId, FileError> {
     model.frame_id(frame).map_err(|unknown| {
         let help = choices(&unknown.name, &unknown.known);
-        FileError::at_key(source, key, format!("the URDF has no link '{}'", unknown.name), Some(help))
+        let message = format!("the robot has no frame '{0}': the URDF has no link '{0}'", unknown.name);
+        FileError::at_key(source, key, message, Some(help))
     })
 }
 

@@ -17,7 +17,7 @@ use opspace_transformer::FrictionCompensationParameters;
 #[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::Deserialize;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 /// Contents of a task file.
@@ -167,6 +167,7 @@ impl TaskDefinition {
     ) -> Result<Self, E> {
         let mut file = parse_task(&source, kinds)?;
         let mut events = after_events(&source, &file, kinds)?;
+        keep_used_tasks(&mut file, &mut events);
         let mut recordings = BTreeMap::new();
         let stacks = events.iter_mut().map(|stack| &mut stack.task);
         for (task, parameters) in std::iter::once(&mut file.task).chain(stacks).flatten() {
@@ -272,6 +273,16 @@ fn after_events(source: &Source, file: &TaskFile, kinds: &TaskKinds) -> Result<V
         stacks.push(StackFile { time_s, priority: changed.priority, task: changed.task });
     }
     Ok(stacks)
+}
+
+/// Removes from each task set the tasks that have a priority only in other sets.
+fn keep_used_tasks(file: &mut TaskFile, events: &mut [StackFile]) {
+    let priorities = events.iter().map(|event| &event.priority).chain([&file.priority]);
+    let used: BTreeSet<String> = priorities.flatten().cloned().collect();
+    let sets = events.iter_mut().map(|event| (&event.priority, &mut event.task));
+    for (priority, tasks) in sets.chain([(&file.priority, &mut file.task)]) {
+        tasks.retain(|name, _| priority.contains(name) || !used.contains(name));
+    }
 }
 
 /// Reads the samples of a recorded path.

@@ -63,9 +63,10 @@ impl<'a> PreflightCase<'a> {
     /// Key of a value of a task in task set `stack`: in the task itself, or in the last event up to this set that
     /// changed the task.
     pub(super) fn key(&self, stack: usize, name: &str, rest: &[&str]) -> Vec<String> {
+        let parameters = |set: usize| self.task_sets[set].task.get(name);
         let changed = (1..=stack)
             .rev()
-            .find(|&k| self.task_sets[k].task.get(name) != self.task_sets[k - 1].task.get(name));
+            .find(|&k| parameters(k - 1).is_some_and(|before| parameters(k) != Some(before)));
         match changed {
             Some(stack) => vec!["event".to_owned(), (stack - 1).to_string(), "set".to_owned()],
             None => ["task", name].iter().chain(rest).map(|&part| part.to_owned()).collect(),

@@ -21,6 +21,7 @@ mod servo_gain;
 mod singular_postures;
 mod source;
 mod streamed;
+mod surface_axes;
 mod task_kinds;
 mod task_metrics;
 mod unreached_goals;

@@ -40,6 +40,17 @@ fn run(experiment: &Experiment) -> (Recording, Summary) {
     (recording, summary)
 }
 
+/// The pen is lifted and put down again: without the time in which the force settles, the approach counts.
+#[test]
+fn force_settles_anew_when_a_task_begins_again() {
+    let error_n = |settle_s: &str| {
+        let settings = [settle_s, "duration_s=9.5"];
+        run(&experiment("draw-letter", &settings)).1.metrics.contact.force_rms_n.unwrap()
+    };
+    let (settled, unsettled) = (error_n("settle_s=1.0"), error_n("settle_s=0.01"));
+    assert!(settled < 0.1 && unsettled > 0.5, "{settled} {unsettled}");
+}
+
 /// Compared: the metrics of a force task, and the force of its wall in the log, computed here.
 #[test]
 fn force_task_is_judged_by_the_true_contact_force() {

@@ -2,8 +2,8 @@
 
 use super::run_log::Run;
 use crate::run::experiment::Experiment;
-use nalgebra::{Matrix3, Vector3};
-use opspace_backend::signal_names::{self, MODES, TASK_SET};
+use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
+use opspace_backend::signal_names::{self, AXES, MODES, TASK_SET};
 use opspace_control::{
     AxesFrame, AxisMode, CartesianParameters, CartesianReference, ControlledFrame, TaskParameters,
 };
@@ -46,6 +46,13 @@ impl TaskAxes {
             force: translation(AxisMode::Force),
             ..self
         }
+    }
+
+    /// Axes with the directions of a row of the log: those of a task that turns with a surface.
+    fn with_directions(self, quaternion: &[f64]) -> Self {
+        let &[w, x, y, z] = quaternion else { return self };
+        let rotation = UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z)).to_rotation_matrix();
+        Self { directions: AxesFrame::Fixed(rotation.into_inner()), ..self }
     }
 
     /// True if the axes are those of the coordinates of the pose: of the world, or of the frame that the task is relative to.
@@ -99,14 +106,15 @@ impl AxesOfTask {
     /// Axes of the task if they are the same during the whole run.
     pub(crate) fn constant(&self, run: &Run<'_>) -> Option<TaskAxes> {
         let first = (*self.sets.first()?)?;
-        let is_constant = self.sets.iter().all(|axes| *axes == Some(first));
-        (is_constant && run.tick.signal(&signal_names::of(&self.name, MODES)).is_none()).then_some(first)
+        let is_logged =
+            [MODES, AXES].iter().any(|name| run.tick.signal(&signal_names::of(&self.name, name)).is_some());
+        (!is_logged && self.sets.iter().all(|axes| *axes == Some(first))).then_some(first)
     }
 
     /// Rows of the joints during control.
     pub(crate) fn rows(&self, run: &Run<'_>) -> Vec<TaskRow> {
-        let (set_in_force, modes) =
-            (run.tick.signal(TASK_SET), run.tick.signal(&signal_names::of(&self.name, MODES)));
+        let signal = |name: &str| run.tick.signal(&signal_names::of(&self.name, name));
+        let (set_in_force, modes, turned) = (run.tick.signal(TASK_SET), signal(MODES), signal(AXES));
         let axes_at = |k: usize| {
             let set = match &set_in_force {
                 // The number is logged if a program can change it too.
@@ -116,9 +124,16 @@ impl AxesOfTask {
                     run.experiment.task().events.iter().filter(|e| e.time_s <= since_start_s).count()
                 }
             };
-            let axes = self.sets.get(set).copied().flatten()?;
-            // Modes stay as they are through missed cycles.
-            Some(modes.zip(run.tick_up_to(k)).map_or(axes, |(modes, tick)| axes.with_modes(modes.row(tick))))
+            let mut axes = self.sets.get(set).copied().flatten()?;
+            // They stay as they are through missed cycles.
+            let tick = run.tick_up_to(k);
+            if let Some((modes, tick)) = modes.zip(tick) {
+                axes = axes.with_modes(modes.row(tick));
+            }
+            if let Some((turned, tick)) = turned.zip(tick) {
+                axes = axes.with_directions(turned.row(tick));
+            }
+            Some(axes)
         };
         let world = AxesFrame::Fixed(Matrix3::identity());
         let directions = |k: usize| axes_at(k).map_or(world, |axes| axes.directions);

@@ -197,6 +197,7 @@ impl CartesianErrors {
         let reference_velocity = signal(REFERENCE_VELOCITY);
         let (target, made, passivity) = (signal(TARGET_FORCE), signal(CONTACT), signal(PASSIVITY_TIME));
         let settled = run.settled(run.joints.0);
+        let settle_s = run.from_s - run.start_s - run.same_s;
         for row in self.axes.rows(run) {
             let TaskRow { k, pose, rotation, in_world, axes } = row;
             let Some(axes) = axes else {
@@ -227,6 +228,8 @@ impl CartesianErrors {
                     let contact = self.contact.get_or_insert_default();
                     let target = force_target(&axes, target, made);
                     let since_start_s = run.joints.0[k] - run.start_s;
+                    let since_s = *contact.controlled_since_s.get_or_insert(since_start_s);
+                    let is_settled = is_settled && since_start_s >= since_s + settle_s;
                     contact.add(&force, &axes.force, target, since_start_s, is_settled, is_resting);
                     contact.reduced_s = passivity
                         .zip(tick)
@@ -282,6 +285,8 @@ struct ContactForce {
     moving_n: RmsMax,
     touching: Mean,
     begin_s: Option<f64>,
+    /// Time since which the task has controlled a force, s; `None` while it does not.
+    controlled_since_s: Option<f64>,
     /// Time since which the error has been small, s.
     small_since_s: Option<f64>,
     settled_s: Option<f64>,
@@ -335,9 +340,10 @@ impl ContactForce {
         }
     }
 
-    /// Notes that the task controls no force: contact that ends until it does again is not lost.
+    /// Notes that the task controls no force: contact that ends until it does again is not lost, and the force settles anew.
     fn leave(&mut self) {
         self.touched = false;
+        self.controlled_since_s = None;
     }
 
     fn finish(self, metrics: &mut TaskMetrics) {
