@@ -84,6 +84,14 @@ pub const TASK_SET: &str = "task_set";
 pub const RAW: &str = "raw";
 /// Tared reading of a force sensor, in world axes (6; N, Nm).
 pub const WRENCH: &str = "wrench";
+/// Estimated bias of a force sensor in its axes (6; N, Nm).
+pub const BIAS: &str = "bias";
+/// Estimated load beyond a force sensor: mass, and first moment in its axes (4; kg, kg m).
+pub const LOAD: &str = "load";
+/// Elements of a load.
+pub const LOAD_ELEMENTS: [&str; 4] = ["m", "mx", "my", "mz"];
+/// 1 while something touches beyond a force sensor, whose estimate then rests.
+pub const TOUCHES: &str = "touches";
 /// Components of a wrench.
 pub const WRENCH_AXES: [&str; 6] = ["fx", "fy", "fz", "mx", "my", "mz"];
 /// Torques that the motors, gravity and friction do not explain, from which a force is estimated (n; Nm).

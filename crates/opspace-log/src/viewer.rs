@@ -5,7 +5,7 @@
 //! | `/robot_description` | `std_msgs/msg/String`: the URDF | once |
 //! | `/tf_static` | `foxglove.FrameTransforms`: the base in the world, and frames that are fixed to a link | once |
 //! | `/scene/environment` | `foxglove.SceneUpdate`: walls | once |
-//! | `/scene/collision` | `foxglove.SceneUpdate`: capsules of the links, and obstacles | once |
+//! | `/scene/collision` | `foxglove.SceneUpdate`: capsules of the links, obstacles and cylinders | once |
 //! | `/joint_states` | `foxglove.JointStates` | 50 Hz |
 //! | `/tf` | `foxglove.FrameTransforms`: each moving link in its parent, as in the URDF | 50 Hz |
 //! | `/TASK/reference`, `/TASK/controlled_frame` | `foxglove.PoseInFrame` | 50 Hz |

@@ -134,7 +134,8 @@ impl ControlLoop {
         let nan = DVector::from_element(n, f64::NAN);
         let estimator = {
             let forces = config.estimated_forces.len();
-            StateEstimator::new(&model, &capabilities, &config.estimator, &safety, forces)?
+            let sensors = config.sensors;
+            StateEstimator::new(&model, &capabilities, &config.estimator, &safety, sensors, forces)?
         };
         let guard = Guard::new(
             capabilities.command,
@@ -288,7 +289,8 @@ impl ControlLoop {
     fn rest(&mut self, sample: &Sample) -> Result<(), Fault> {
         let observed = self.observe(sample);
         self.count_cycles();
-        self.state.estimator.tare();
+        let State { model, data, estimator, .. } = &mut self.state;
+        estimator.rest(model, data);
         observed
     }
 

@@ -3,6 +3,7 @@
 use crate::collision_detector::{CollisionDetector, CollisionReaction};
 use crate::estimated_force::EstimatedForce;
 use crate::safety::SafetyParameters;
+use crate::sensor_compensation::SensorCompensation;
 use opspace_backend::{Capabilities, CommandKind};
 use opspace_control::Controller;
 use opspace_model::{Model, UnknownFrame};
@@ -31,6 +32,8 @@ pub struct LoopConfig {
     /// Observer of the friction that the compensation leaves, if any. It needs a force sensor: otherwise it would oppose all
     /// contact.
     pub friction_observer: Option<FrictionObserver>,
+    /// Compensation of the bias of each force sensor, and of the load beyond it.
+    pub sensors: Vec<SensorCompensation>,
     /// Estimated forces, which follow those of the force sensors in the measurement. Without measured motor torque they need
     /// a controller that commands torques.
     pub estimated_forces: Vec<EstimatedForce>,
@@ -57,6 +60,10 @@ impl LoopConfig {
             torque_limits: model.joints().iter().map(|joint| joint.limits.effort).collect(),
             friction: FrictionCompensation::none(model.n()),
             friction_observer: None,
+            sensors: vec![
+                SensorCompensation::new(None, None, capabilities.period_s);
+                capabilities.force_sensors.len()
+            ],
             estimated_forces: Vec::new(),
             collision: None,
             command_delay_s: 0.0,
@@ -94,6 +101,10 @@ impl LoopConfig {
             if found != joints {
                 return Err(LoopError::Length { what, found, joints });
             }
+        }
+        let (found, sensors) = (self.sensors.len(), capabilities.force_sensors.len());
+        if found != sensors {
+            return Err(LoopError::Sensors { found, sensors });
         }
         let value = |what, allowed, found| Err(LoopError::Value { what, allowed, found });
         if !(capabilities.period_s.is_finite() && capabilities.period_s > 0.0) {
@@ -138,6 +149,14 @@ pub enum LoopError {
     /// Force sensor on a frame that the model does not have.
     #[error("force sensor: {0}")]
     Sensor(#[from] UnknownFrame),
+    /// A number of compensations that is not that of the force sensors.
+    #[error("`sensors` has {found} values for {sensors} force sensors")]
+    Sensors {
+        /// Number of compensations.
+        found: usize,
+        /// Number of force sensors.
+        sensors: usize,
+    },
     /// Joints that differ from the model's.
     #[error("the robot's joints {robot:?} are not the model's joints {model:?}")]
     Joints {

@@ -2,15 +2,18 @@
 
 use crate::fault::Fault;
 use crate::safety::SafetyParameters;
+use crate::sensor_compensation::{SensorCompensation, SensorMotion};
 use crate::supervisor::{SampleGap, Supervisor};
-use nalgebra::Vector3;
+use nalgebra::{Matrix3, Vector3};
 use opspace_backend::signal_names::{
-    DEVICE_LIMITED, DQ, DQ_MEASURED, JOINT_TORQUE, MISSED_CYCLES, MOTOR_TORQUE, Q, RAW, STATUS, WRENCH,
-    WRENCH_AXES,
+    BIAS, DEVICE_LIMITED, DQ, DQ_MEASURED, JOINT_TORQUE, LOAD, LOAD_ELEMENTS, MISSED_CYCLES, MOTOR_TORQUE, Q,
+    RAW, STATUS, TOUCHES, WRENCH, WRENCH_AXES,
 };
 use opspace_backend::{Capabilities, Observable, Sample, SignalRecorder};
 use opspace_control::Measurement;
-use opspace_model::{Data, Force, FrameId, JointUnits, Model, UnknownFrame, frame_placement, update};
+use opspace_model::{
+    Data, Force, FrameId, JointUnits, Model, Motion, UnknownFrame, frame_placement, frame_velocity, update,
+};
 use opspace_transformer::{EstimatorParameters, Transformer, VelocityEstimator, VelocitySource};
 
 /// State estimator: velocity estimate, model update, tared force sensors in world axes, and supervision.
@@ -24,8 +27,8 @@ pub(crate) struct StateEstimator {
     supervisor: Supervisor,
     sample: Sample,
     measurement: Measurement,
-    tare: Vec<Force>,
-    tare_count: f64,
+    /// Compensation of each sensor.
+    sensors: Vec<SensorCompensation>,
     start_s: Option<f64>,
     gap: SampleGap,
     /// True if the measurement belongs to the last sample.
@@ -33,8 +36,8 @@ pub(crate) struct StateEstimator {
 }
 
 impl StateEstimator {
-    /// Returns an estimator for a robot with these capabilities. Its measurement has place for `estimated_forces` after the
-    /// wrenches of the sensors.
+    /// Returns an estimator for a robot with these capabilities, and one `compensation` for each of its force sensors. Its
+    /// measurement has place for `estimated_forces` after the wrenches of the sensors.
     ///
     /// # Errors
     /// If a force sensor is on a frame that the model does not have.
@@ -43,6 +46,7 @@ impl StateEstimator {
         capabilities: &Capabilities,
         estimator: &EstimatorParameters,
         safety: &SafetyParameters,
+        compensation: Vec<SensorCompensation>,
         estimated_forces: usize,
     ) -> Result<Self, UnknownFrame> {
         let n = model.n();
@@ -61,8 +65,7 @@ impl StateEstimator {
             supervisor: Supervisor::new(model, safety, capabilities.period_s),
             sample: Sample::new(capabilities),
             measurement,
-            tare: vec![Force::zero(); sensors.len()],
-            tare_count: 0.0,
+            sensors: compensation,
             start_s: None,
             gap: SampleGap::Tolerated { missed: 0 },
             current: false,
@@ -106,11 +109,11 @@ impl StateEstimator {
         self.measurement.q.iter().all(|q| q.is_finite())
     }
 
-    /// Adds the present readings of the force sensors to their mean at rest.
-    pub(crate) fn tare(&mut self) {
-        self.tare_count += 1.0;
-        for (tare, raw) in self.tare.iter_mut().zip(&self.sample.wrenches) {
-            *tare += (force(raw) - *tare) * (1.0 / self.tare_count);
+    /// Adds the present readings of the force sensors at rest, where nothing touches.
+    pub(crate) fn rest(&mut self, model: &Model, data: &Data) {
+        for (s, &frame) in self.sensor_frames.iter().enumerate() {
+            let axes = frame_placement(model, data, frame).rotation;
+            self.sensors[s].rest(&force(&self.sample.wrenches[s]), &sensor_motion(model, data, frame, &axes));
         }
     }
 
@@ -162,8 +165,13 @@ impl StateEstimator {
         }
         for (s, &frame) in self.sensor_frames.iter().enumerate() {
             let axes = frame_placement(model, data, frame).rotation;
-            let tared = force(&sample.wrenches[s]) - self.tare[s];
-            measurement.wrenches[s] = Force { linear: axes * tared.linear, angular: axes * tared.angular };
+            let (reading, motion) = (force(&sample.wrenches[s]), sensor_motion(model, data, frame, &axes));
+            let contact = match self.start_s {
+                Some(_) => self.sensors[s].update(&reading, &motion),
+                None => self.sensors[s].contact(&reading, &motion.gravity),
+            };
+            measurement.wrenches[s] =
+                Force { linear: axes * contact.linear, angular: axes * contact.angular };
         }
         self.supervisor.check_dropout(self.gap)?;
         self.supervisor.check_state(measurement)
@@ -198,7 +206,20 @@ impl Observable for StateEstimator {
             let wrench = [linear.x, linear.y, linear.z, angular.x, angular.y, angular.z];
             out.signal((&sensor.name, WRENCH), "N,Nm", &WRENCH_AXES, &wrench);
         }
+        for (sensor, compensation) in sensors.iter().zip(&self.sensors) {
+            let Some(estimate) = &compensation.estimate else { continue };
+            out.signal((&sensor.name, BIAS), "N,Nm", &WRENCH_AXES, &compensation.bias());
+            out.signal((&sensor.name, LOAD), "kg,kg m", &LOAD_ELEMENTS, &compensation.load());
+            out.scalar((&sensor.name, TOUCHES), "1", f64::from(u8::from(estimate.touches())));
+        }
     }
+}
+
+/// Motion of a force sensor with these `axes`.
+fn sensor_motion(model: &Model, data: &Data, frame: FrameId, axes: &Matrix3<f64>) -> SensorMotion {
+    let Motion { linear, angular } = frame_velocity(model, data, frame);
+    let velocity = Motion { linear: axes.tr_mul(&linear), angular: axes.tr_mul(&angular) };
+    SensorMotion { gravity: axes.tr_mul(&model.gravity()), velocity }
 }
 
 /// Converts a force sensor's reading (N, Nm) to a [`Force`] in the sensor's axes.

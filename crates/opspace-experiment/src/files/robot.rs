@@ -10,7 +10,10 @@ use crate::files::tool::{self, ToolFile};
 use opspace_backend::quantity::Positive;
 use opspace_backend::{Capabilities, CommandKind, Measured, Setting};
 use opspace_control::JointLimits;
-use opspace_loop::{CollisionDetectionParameters, EstimatedForceParameters, SafetyParameters};
+use opspace_loop::{
+    CollisionDetectionParameters, EstimatedForceParameters, SafetyParameters, SensorEstimateParameters,
+    SensorLoadParameters,
+};
 use opspace_model::collision::{CapsuleWarning, LinkCapsule};
 use opspace_model::{FrameId, Model, ParsedUrdf, UrdfOptions, UrdfWarning};
 use opspace_sim::SimulatedParameters;
@@ -74,6 +77,13 @@ pub struct RobotFile {
 pub struct ForceSensorFile {
     /// URDF link whose origin and axes are those of the measurements.
     pub frame: String,
+    /// Load beyond the sensor, whose weight is taken off the readings; none if absent.
+    #[serde(default)]
+    pub load: Option<SensorLoadParameters>,
+    /// Estimation of the bias and of the load beyond the sensor while nothing touches. Without it the bias is that at rest
+    /// before control begins, and the load is the stated one.
+    #[serde(default)]
+    pub estimate: Option<SensorEstimateParameters>,
 }
 
 /// Robot definition, read from its files and checked.

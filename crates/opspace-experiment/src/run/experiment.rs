@@ -17,7 +17,9 @@ use opspace_control::{
     ControlContext, ControlError, Controller, InverseKinematicsController, LimitParameters,
     OperationalSpaceController, Reason, ServoLead, TaskParameters, TaskSet, TaskSetParameters,
 };
-use opspace_loop::{CollisionDetector, ControlLoop, EstimatedForce, LoopConfig, LoopError};
+use opspace_loop::{
+    CollisionDetector, ControlLoop, EstimatedForce, LoopConfig, LoopError, SensorCompensation,
+};
 use opspace_model::{Limits, Placement};
 use opspace_sim::{ArmConfig, Key, PhysicsEngine, PlantError, Scene, SimulatedArm, SimulationError};
 use opspace_transformer::{
@@ -441,6 +443,7 @@ impl Experiment {
             servo_gains: self.servo_gains()?,
             setpoint_limits: self.setpoint_limits(),
             estimator: self.profile.estimator.clone(),
+            sensors: self.sensor_compensation(),
             estimated_forces: self.estimated_forces(&joints),
             collision: self.collision_detector(),
             friction_observer: friction.observer_rad_per_s.map(|corner_rad_per_s| {
@@ -458,6 +461,14 @@ impl Experiment {
         let parameters = self.robot.file.collision_detection.as_ref()?;
         let friction: Vec<_> = self.robot.joints().into_iter().map(|joint| joint.friction).collect();
         Some(CollisionDetector::new(parameters, &friction, &self.robot.torque_limits()))
+    }
+
+    fn sensor_compensation(&self) -> Vec<SensorCompensation> {
+        let sensors = self.robot.file.force_sensor.values();
+        let period_s = self.profile.period_s();
+        sensors
+            .map(|sensor| SensorCompensation::new(sensor.load.as_ref(), sensor.estimate.as_ref(), period_s))
+            .collect()
     }
 
     fn estimated_forces(&self, joints: &[JointParameters]) -> Vec<EstimatedForce> {

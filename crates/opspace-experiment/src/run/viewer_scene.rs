@@ -2,6 +2,7 @@
 
 use crate::files::collision::{HalfSpaceObstacle, ObstacleFile};
 use crate::run::experiment::Experiment;
+use nalgebra::Vector3;
 use opspace_backend::signal_names::{self, FORCE, TICK_CHANNEL, TRUTH_CHANNEL, WRENCH};
 use opspace_control::TaskParameters;
 use opspace_log::{ForceArrow, Scene, SceneCapsule, Wall};
@@ -35,6 +36,21 @@ impl Experiment {
             end_m: capsule.end_m,
             radius_m: capsule.radius_m,
         });
+        // Half a metre of it to either side; it has no ends.
+        let cylinder = |(name, object): (&String, &EnvironmentObjectParameters)| match object {
+            EnvironmentObjectParameters::Cylinder(cylinder) => {
+                let half = Vector3::from(cylinder.axis).normalize() * 0.5;
+                let point = Vector3::from(cylinder.point_m);
+                Some(SceneCapsule {
+                    name: name.clone(),
+                    frame: None,
+                    start_m: (point - half).into(),
+                    end_m: (point + half).into(),
+                    radius_m: cylinder.radius_m.get(),
+                })
+            }
+            _ => None,
+        };
         let obstacle = |(name, obstacle): (&String, &ObstacleFile)| match obstacle.shape() {
             CollisionShape::Capsule(Capsule { start_m, end_m, radius_m }) => Some(SceneCapsule {
                 name: name.clone(),
@@ -71,7 +87,10 @@ impl Experiment {
                 .filter_map(wall)
                 .chain(file.obstacle.iter().filter_map(plane))
                 .collect(),
-            capsules: links.chain(file.obstacle.iter().filter_map(obstacle)).collect(),
+            capsules: links
+                .chain(file.environment.iter().filter_map(cylinder))
+                .chain(file.obstacle.iter().filter_map(obstacle))
+                .collect(),
             forces: contacts.chain(sensors).collect(),
         }
     }

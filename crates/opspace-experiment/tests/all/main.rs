@@ -7,6 +7,7 @@ mod drives;
 mod log_header;
 mod margins;
 mod metrics;
+mod moment_axes;
 mod overrides;
 mod panicking_task;
 mod physics;
