@@ -11,6 +11,7 @@ mod moment_axes;
 mod overrides;
 mod panicking_task;
 mod physics;
+mod random_arms;
 mod random_servos;
 mod real_robot;
 mod recorded;

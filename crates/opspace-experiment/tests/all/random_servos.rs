@@ -5,6 +5,7 @@
 #![expect(clippy::unwrap_used, reason = "a test that can't go on has failed")]
 
 use opspace_backend::CommandKind;
+use opspace_experiment::preflight::floors;
 use opspace_experiment::{Experiment, Files, Progress, RunOptions};
 use opspace_log::Recording;
 use opspace_loop::RunOutcome;
@@ -12,8 +13,8 @@ use opspace_transformer::{ServoParameters, TransformerKind};
 use std::io::Cursor;
 use std::path::Path;
 
-/// Largest error of interval means, relative to the desired torque.
-const LARGEST_ERROR: f64 = 0.06;
+/// Largest error of interval means, relative to the desired torque, beside what the resolution of encoders causes.
+const LARGEST_ERROR: f64 = 0.04;
 
 /// Tasks of three robots.
 const TASKS: [&str; 5] =
@@ -23,32 +24,32 @@ const TASKS: [&str; 5] =
 const STIFFNESS_NM_PER_RAD: [f64; 2] = [20e3, 5e3];
 
 /// Pseudo-random numbers.
-struct Random(u64);
+pub struct Random(pub u64);
 
 impl Random {
-    fn between(&mut self, low: f64, high: f64) -> f64 {
+    pub fn between(&mut self, low: f64, high: f64) -> f64 {
         self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
         low + (high - low) * (self.0 >> 11) as f64 / (1_u64 << 53) as f64
     }
 
-    fn one_of(&mut self, values: &[f64]) -> f64 {
+    pub fn one_of(&mut self, values: &[f64]) -> f64 {
         values[self.between(0.0, values.len() as f64) as usize]
     }
 }
 
-fn load(task: &str, settings: &[String]) -> Experiment {
-    let path = format!("{}/../../tasks/{task}.toml", env!("CARGO_MANIFEST_DIR"));
+/// Experiment of 3 s of the task file `task`.
+pub fn load(task: &Path, settings: &[String]) -> Experiment {
     let options = RunOptions {
         backend: CommandKind::Position,
         transformer: TransformerKind::named("extrapolation+current"),
         duration_s: Some(3.0),
         ..RunOptions::default()
     };
-    Experiment::load(Files::Disk, Path::new(&path), None, options, settings).unwrap()
+    Experiment::load(Files::Disk, task, None, options, settings).unwrap()
 }
 
 /// Settings of a random robot: gains of the servos, true gains, delay and gears.
-fn random_settings(nominal: &Experiment, random: &mut Random) -> Vec<String> {
+pub fn random_settings(nominal: &Experiment, random: &mut Random) -> Vec<String> {
     let (name, profile) = nominal.profile();
     let joints = nominal.robot().model.joints();
     let mut settings = Vec::new();
@@ -79,20 +80,36 @@ fn random_settings(nominal: &Experiment, random: &mut Random) -> Vec<String> {
     settings
 }
 
+/// Runs a task, and checks that it completes with a small torque error. `number` tells which draw it is.
+///
+/// The resolution Δ of the encoders causes the error kv Δ/(√12 T) of a mean torque, whatever the transformer: up to 5.5 % of the
+/// desired torque, where a stiff drive carries little.
+pub fn check(task: &Path, settings: &[String], number: &str) {
+    let experiment = load(task, settings);
+    let finished = experiment.run(Cursor::new(Vec::new()), &Progress::default()).unwrap();
+    let failed = format!("{number}, {} with {settings:#?}", task.display());
+    assert!(matches!(finished.outcome, RunOutcome::Completed), "{:?}: {failed}", finished.outcome);
+    let log = Recording::from_bytes(finished.sink.get_ref()).unwrap();
+    let summary = experiment.summary(&log, &finished.record, None);
+    let error = summary.metrics.torque_error_interval.unwrap();
+    let error_nm = norm(summary.joints.values().map(|joint| joint.torque_error_rms_nm.unwrap()));
+    let floor_nm = norm(floors(&experiment).unwrap().iter().map(|joint| joint.floor_nm));
+    let largest = LARGEST_ERROR.hypot(floor_nm * error / error_nm);
+    assert!(error < largest, "{error} above {largest}: {failed}");
+}
+
+fn norm(values: impl Iterator<Item = f64>) -> f64 {
+    values.map(|value| value * value).sum::<f64>().sqrt()
+}
+
 /// Runs `rounds` random robots in each task.
 fn run(rounds: usize, seed: u64) {
     let mut random = Random(seed);
     for task in TASKS {
+        let task = format!("{}/../../tasks/{task}.toml", env!("CARGO_MANIFEST_DIR"));
         for _ in 0..rounds {
-            let settings = random_settings(&load(task, &[]), &mut random);
-            let experiment = load(task, &settings);
-            let finished = experiment.run(Cursor::new(Vec::new()), &Progress::default()).unwrap();
-            let failed = format!("seed {seed}, {task} with {settings:#?}");
-            assert!(matches!(finished.outcome, RunOutcome::Completed), "{:?}: {failed}", finished.outcome);
-            let log = Recording::from_bytes(finished.sink.get_ref()).unwrap();
-            let error =
-                experiment.summary(&log, &finished.record, None).metrics.torque_error_interval.unwrap();
-            assert!(error < LARGEST_ERROR, "{error}: {failed}");
+            let settings = random_settings(&load(Path::new(&task), &[]), &mut random);
+            check(Path::new(&task), &settings, &format!("seed {seed}"));
         }
     }
 }
