@@ -72,6 +72,13 @@ const LONGEST_HORIZON: u32 = 16;
 /// Largest number of intervals without a sample over which the drives are followed: more is forgotten by them anyway.
 const LONGEST_GAP: u32 = 100;
 
+/// Fraction of the acceleration limit that the noise of a setpoint may have, rms.
+const OF_ACCELERATION: f64 = 0.08;
+
+/// Fraction of the jerk limit that this noise may have if it changes within one cycle. A rounding error changes by √12 times its rms
+/// value at most: by 55 % of the limit.
+const OF_JERK: f64 = 0.16;
+
 /// Bound on δ, as a multiple of the torque limit.
 const LIMIT: f64 = 3.0;
 
@@ -101,13 +108,24 @@ pub struct ExtrapolationSetup {
     pub current: Option<GainAdaptationParameters>,
 }
 
-/// Noise of measured positions that must not reach the acceleration of setpoints.
+/// Noise of measured positions that must not reach the acceleration and the jerk of setpoints.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SetpointNoise {
     /// Rms noise of measured positions, rad (m).
     pub position_noise: f64,
     /// Largest acceleration of setpoints, rad/s² (m/s²).
     pub acceleration_limit: f64,
+    /// Largest jerk of setpoints, rad/s³ (m/s³), if it is limited.
+    pub jerk_limit: Option<f64>,
+}
+
+impl SetpointNoise {
+    /// Rms noise that the acceleration of setpoints may have, rad/s² (m/s²), with a setpoint every `period_s` (s). More noise
+    /// meets the limits, and delays setpoints more than a slower filter would.
+    fn allowed(&self, period_s: f64) -> f64 {
+        let of_jerk = self.jerk_limit.map_or(f64::INFINITY, |limit| OF_JERK * limit * period_s);
+        of_jerk.min(OF_ACCELERATION * self.acceleration_limit)
+    }
 }
 
 /// Transformer that extrapolates each joint: see the [module](self).
@@ -242,8 +260,8 @@ impl Joint {
         let law = ServoLaw::new(servo, ticks.servo_period_s)?;
         let period_s = ticks.period_s();
         let gains = match setup.setpoint_noise.get(i) {
-            Some(&Some(noise)) => {
-                MotionGains::of_limited(noise.position_noise, noise.acceleration_limit, period_s)
+            Some(Some(noise)) => {
+                MotionGains::of_limited(noise.position_noise, noise.allowed(period_s), period_s)
             }
             _ => MotionGains::Difference {
                 gain: low_pass::gain(setup.estimator.velocity_filter_hz.get(), period_s),
@@ -444,11 +462,12 @@ impl ExtrapolatingTransformer {
         let share = 1.0 / f64::from(all_ticks);
         let was_asked = self.known >= 2;
         for (i, joint) in self.joints.iter_mut().enumerate() {
-            let from = joint.motion.position;
+            let estimated = joint.motion.position;
             joint.motion.update(u64::from(self.elapsed), sample.q[i]);
             if !self.begun {
                 continue;
             }
+            let from = joint.motion.before(self.elapsed, estimated);
             let step = (joint.motion.position - from) * share;
             let mut mean = Interval::default();
             let setpoint_before = joint.setpoint;

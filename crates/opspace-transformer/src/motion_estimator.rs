@@ -9,9 +9,8 @@
 //! ```text
 //! q⁻ = q + T v        q = q⁻ + α (y − q⁻)        v = v + (β/T) (y − q⁻)        β = 2 (2 − α) − 4 √(1 − α)
 //! ```
-
-/// Fraction of the acceleration limit that the noise of a setpoint may have.
-const NOISE: f64 = 0.03;
+//!
+//! Its velocity lags by T (α/β − 1/2) at constant acceleration.
 
 /// Largest gain β: that of a filter which takes positions as exact would be 2.
 const LARGEST: f64 = 0.8;
@@ -26,10 +25,10 @@ pub(crate) enum MotionGains {
 }
 
 impl MotionGains {
-    /// Returns a filter for positions with this rms noise (rad, m) every `period_s` (s), whose velocity may serve for a
-    /// setpoint with this limit of acceleration (rad/s², m/s²).
-    pub(crate) fn of_limited(noise: f64, acceleration_limit: f64, period_s: f64) -> Self {
-        let velocity = (NOISE * acceleration_limit * period_s * period_s / noise).min(LARGEST);
+    /// Returns a filter for positions with this rms noise (rad, m) every `period_s` (s), whose velocity has an acceleration noise
+    /// of at most `acceleration_noise` (rad/s², m/s²).
+    pub(crate) fn of_limited(noise: f64, acceleration_noise: f64, period_s: f64) -> Self {
+        let velocity = (acceleration_noise * period_s * period_s / noise).min(LARGEST);
         // β = 2 (2 − α) − 4 √(1 − α), solved for α: with r = √(1 − α), β = 2 (1 − r)².
         let rest = 1.0 - (0.5 * velocity).sqrt();
         Self::Filter { position: 1.0 - rest * rest, velocity }
@@ -76,6 +75,15 @@ impl MotionEstimator {
                 self.position += elapsed_s * self.velocity + to_position * innovation;
                 self.velocity += velocity / elapsed_s * innovation;
             }
+        }
+    }
+
+    /// Position `periods` periods ago: the one that was estimated then, `estimated`, or that of a motion at the present velocity.
+    /// The difference of two estimates is α/β times as noisy as the velocity.
+    pub(crate) fn before(&self, periods: u32, estimated: f64) -> f64 {
+        match self.gains {
+            MotionGains::Difference { .. } => estimated,
+            MotionGains::Filter { .. } => self.position - f64::from(periods) * self.period_s * self.velocity,
         }
     }
 

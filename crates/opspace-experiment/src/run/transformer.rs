@@ -229,7 +229,8 @@ impl Experiment {
             let declared = self.profile.estimator.position_noise_rad;
             // A rounding error is uniform over one count.
             let position_noise = declared.map_or(joint.rotor.resolution_rad() / 12f64.sqrt(), Positive::get);
-            Some(SetpointNoise { position_noise, acceleration_limit })
+            let jerk_limit = limits.jerk_rad_per_s3.map(Positive::get);
+            Some(SetpointNoise { position_noise, acceleration_limit, jerk_limit })
         };
         self.setpoint_limits().into_iter().zip(self.robot.joints()).map(noise).collect()
     }

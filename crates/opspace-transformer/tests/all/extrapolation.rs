@@ -11,7 +11,7 @@ use opspace_transformer::estimator::VelocityEstimator;
 use opspace_transformer::moving_joint::{MovingJoint, SampledDrive};
 use opspace_transformer::{
     EstimatorParameters, ExtrapolatingTransformer, ExtrapolationSetup, GainAdaptationParameters, ServoLaw,
-    ServoParameters, Transformer,
+    ServoParameters, SetpointNoise, Transformer,
 };
 use std::f64::consts::TAU;
 
@@ -183,5 +183,45 @@ fn feed_forward_and_filters_are_inverted_exactly() {
                 assert!(error < EXACT, "{more} {setpoints:?} {delay}: {error:e}");
             }
         }
+    }
+}
+
+/// Compared: noise of the setpoints' acceleration behind positions with a rounding error, at a constant velocity, and the limits of the drive.
+#[test]
+fn noise_of_positions_stays_within_limits_of_setpoints() {
+    let cascade =
+        "kp_per_s = 10.0, kv_nms_per_rad = 90.0, velocity_filter_hz = 600.0, velocity_feed_forward = 1.0";
+    let servo: ServoParameters = toml::from_str(&format!("cascaded = {{ {cascade} }}")).unwrap();
+    let timing = DriveTiming {
+        servo_period_s: 2e-4,
+        servo_ticks_per_cycle: 5,
+        delay: 0,
+        setpoints: Setpoints::Interpolated,
+    };
+    let resolution = 3.5e-5;
+    for (acceleration_limit, jerk_limit, largest) in
+        [(10.0, None, 1.0), (10.0, Some(5000.0), 1.0), (1000.0, Some(5000.0), 1.0), (20.0, None, 2.0)]
+    {
+        let noise =
+            SetpointNoise { position_noise: resolution / 12f64.sqrt(), acceleration_limit, jerk_limit };
+        let mut transformer = ExtrapolatingTransformer::new(&ExtrapolationSetup {
+            servos: vec![servo.clone(); 2],
+            timing,
+            setpoint_noise: vec![Some(noise); 2],
+            ..setup(CASE)
+        })
+        .unwrap();
+        let (model, mut setpoints) = (model(false), Vec::new());
+        let data = Data::new(&model);
+        let velocity = VelocityEstimator::new(2, &setup(CASE).estimator, 1e-3);
+        let sample = sample(CommandKind::Position, false);
+        let mut arm = MovingJoint::new(&mut transformer, &data, 0, velocity, sample);
+        for cycle in 0..3000 {
+            let position = 0.3137e-3 * f64::from(cycle);
+            setpoints.push(arm.cycle((position / resolution).round() * resolution, 0.0, |_| 2.0));
+        }
+        let accelerations = setpoints[1000..].windows(3).map(|x| (x[2] - 2.0 * x[1] + x[0]) / 1e-6);
+        let rms = (accelerations.map(|a| a * a).sum::<f64>() / 1998.0).sqrt();
+        assert!(rms < largest && rms > 0.3 * largest, "{noise:?}: {rms}");
     }
 }
