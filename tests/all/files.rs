@@ -69,6 +69,12 @@ macro_rules! refused {
 }
 
 refused! {
+    event_on_the_contact_of_a_task_that_does_not_approach_is_refused: "task.toml",
+        "[task.hand.cartesian]" => "[[event]]\ntime_s = 2.0\ncontact = { task = \"hand\", is = \"made\" }\nset = []\n[task.hand.cartesian]",
+        Some("contact = "), ["no task 'hand' that approaches is active before this event", "`force.contact`"];
+    surface_without_a_force_axis_is_refused: "task.toml",
+        "[task.hand.cartesian]" => "[task.hand.cartesian]\naxes_frame = { surface = {} }",
+        Some("axes_frame"), ["a surface has one normal: make exactly one of x, y and z `force`"];
     mistyped_key_is_refused: "task.toml", "settle_s = " => "setle_s = ", Some("setle_s"),
         ["unknown key `setle_s`", "did you mean `settle_s`?", "allowed here"];
     estimated_force_with_the_name_of_a_sensor_is_refused: "robot.toml",

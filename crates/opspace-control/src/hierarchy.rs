@@ -1,5 +1,6 @@
 //! Strict task priorities: the priority levels and the null space that each level leaves.
 
+pub mod contact_condition;
 pub(crate) mod displaced_task;
 pub(crate) mod escape;
 pub(crate) mod mobility_spectrum;

@@ -92,6 +92,7 @@ pub mod tasks;
 pub use context::ControlContext;
 pub use controller::{ControlInput, Controller, StaleTarget};
 pub use error::{ControlError, Reason};
+pub use hierarchy::contact_condition::ContactCondition;
 pub use hierarchy::rank;
 pub use hierarchy::task_parameters::{Compensation, RegisteredTask, TaskParameters, TaskSetParameters};
 pub use hierarchy::task_set::{TaskSet, TaskSetBuilder};

@@ -14,6 +14,7 @@
 use crate::context::ControlContext;
 use crate::controller::{ControlInput, Controller, StaleTarget};
 use crate::error::ControlError;
+use crate::hierarchy::contact_condition::ContactCondition;
 use crate::hierarchy::priority_level::PriorityLevel;
 use crate::hierarchy::products::multiply;
 use crate::hierarchy::task_parameters::{Compensation, TaskSetParameters};
@@ -124,7 +125,13 @@ impl OperationalSpaceController {
     /// Schedules `tasks`: they become active at `time_s`, s after the start. The log contains them if they are
     /// scheduled before the start.
     pub fn schedule(&mut self, time_s: f64, tasks: TaskSet) {
-        self.schedule.schedule(time_s, tasks);
+        self.schedule.schedule(time_s, None, tasks);
+    }
+
+    /// Schedules `tasks` as [`schedule`](Self::schedule) does, for `time_s` or for a contact before this time. The
+    /// contact counts when all sets that are scheduled for earlier times are or were active.
+    pub fn schedule_at_contact(&mut self, time_s: f64, contact: ContactCondition, tasks: TaskSet) {
+        self.schedule.schedule(time_s, Some(contact), tasks);
     }
 
     /// Adds a task set that can be activated by its number ([`Targets::choose_task_set`]) and returns the number. The

@@ -5,6 +5,7 @@ mod collision_views;
 mod comparisons;
 pub mod document;
 mod environment_shapes;
+mod event_times;
 pub mod figure;
 pub mod html;
 mod lines;

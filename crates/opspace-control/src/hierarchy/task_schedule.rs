@@ -3,6 +3,7 @@
 use crate::context::ControlContext;
 use crate::controller::ControlInput;
 use crate::error::{ControlError, Reason};
+use crate::hierarchy::contact_condition::{AwaitedContact, ContactCondition};
 use crate::hierarchy::task_hierarchy::TaskHierarchy;
 use crate::hierarchy::task_parameters::TaskSetParameters;
 use crate::hierarchy::task_set::TaskSet;
@@ -20,8 +21,10 @@ pub(crate) struct TaskSchedule {
     /// Never empty; the first one is active at the start.
     sets: Vec<TaskSet>,
     in_force: usize,
-    /// Times (s after the start) and numbers of scheduled sets, in descending order of time.
-    scheduled: Vec<(f64, usize)>,
+    /// Scheduled sets, in descending order of time.
+    scheduled: Vec<Scheduled>,
+    /// True if a contact can activate a set.
+    awaits_contact: bool,
     /// Number of the set that the schedule selects.
     due: usize,
     /// Number of the set that the targets request.
@@ -34,6 +37,15 @@ pub(crate) struct TaskSchedule {
     /// True if sets can be chosen by number even if no task has inputs.
     numbered: bool,
     started: bool,
+}
+
+/// A scheduled set.
+struct Scheduled {
+    /// Latest time, s after the start.
+    at_s: f64,
+    /// Contact that activates it earlier.
+    contact: Option<AwaitedContact>,
+    number: usize,
 }
 
 /// A group of a task's signals in the log, independent of the active task set.
@@ -84,6 +96,7 @@ impl TaskSchedule {
             sets: vec![current],
             in_force: 0,
             scheduled: Vec::new(),
+            awaits_contact: false,
             due: 0,
             requested: None,
             recorded,
@@ -183,10 +196,13 @@ impl TaskSchedule {
         self.sets.len() - 1
     }
 
-    pub(crate) fn schedule(&mut self, time_s: f64, tasks: TaskSet) {
+    /// Schedules a set for `time_s`, or for a contact before this time and after the sets that are scheduled before it.
+    pub(crate) fn schedule(&mut self, time_s: f64, contact: Option<ContactCondition>, tasks: TaskSet) {
         let number = self.push(tasks);
-        let place = self.scheduled.partition_point(|(other, _)| *other > time_s);
-        self.scheduled.insert(place, (time_s, number));
+        self.awaits_contact |= contact.is_some();
+        let contact = contact.map(AwaitedContact::new);
+        let place = self.scheduled.partition_point(|other| other.at_s > time_s);
+        self.scheduled.insert(place, Scheduled { at_s: time_s, contact, number });
     }
 
     /// Replaces the active task set by `tasks` and returns the replaced set.
@@ -216,9 +232,13 @@ impl TaskSchedule {
             Some(_) => {}
         }
         let time_s = input.measurement.time_s;
-        while let Some(&(at_s, number)) = self.scheduled.last()
-            && at_s <= time_s + EARLY_S
-        {
+        while let Some(Scheduled { at_s, contact, number }) = self.scheduled.last_mut() {
+            let active = &self.sets[self.in_force].0;
+            let touches = contact.as_mut().is_some_and(|contact| contact.is_met(active, time_s));
+            if !touches && *at_s > time_s + EARLY_S {
+                break;
+            }
+            let number = *number;
             self.scheduled.pop();
             self.due = number;
             if self.requested.is_none() {
@@ -242,7 +262,7 @@ impl Observable for TaskSchedule {
                 out.block(&slot.signals, &[]);
             }
         }
-        if !self.targets.row().is_empty() {
+        if self.awaits_contact || !self.targets.row().is_empty() {
             out.scalar(TASK_SET, "1", self.in_force as f64);
         }
     }

@@ -758,6 +758,10 @@ impl Task for CartesianTask {
         self.streamed.as_ref().and_then(|streamed| streamed.freshness().stop_for_age_s())
     }
 
+    fn contact_made(&self) -> Option<bool> {
+        self.force.as_ref()?.contact_made()
+    }
+
     fn record_target(&self, out: &mut SignalRecorder<'_>) {
         if let Some(streamed) = &self.streamed {
             streamed.freshness().record(&self.name, out);

@@ -189,6 +189,13 @@ impl ForceFeedback {
         self.sensed[axis] - self.axes[axis].target
     }
 
+    /// True if all axes that approach until they touch are in contact; `None` if there is no such axis.
+    pub(crate) fn contact_made(&self) -> Option<bool> {
+        let mut made = self.axes.iter().filter_map(ForceAxis::contact_made).peekable();
+        made.peek()?;
+        Some(made.all(|made| made))
+    }
+
     /// Velocity of an axis while it approaches, m/s; `None` in contact.
     pub(crate) fn approach_velocity(&self, axis: usize) -> Option<f64> {
         let axis = &self.axes[axis];

@@ -174,6 +174,12 @@ impl ForceAxis {
         self.settings.approach.is_some() && self.mode == AxisMode::Force && !self.contact.is_made
     }
 
+    /// True if the axis is in contact; `None` if it does not approach without contact.
+    pub(crate) fn contact_made(&self) -> Option<bool> {
+        let approaches = self.settings.approach.is_some() && self.mode == AxisMode::Force;
+        approaches.then_some(self.contact.is_made)
+    }
+
     /// Contact of the axis for the log: 1 made, 0 approaching, NaN without force control.
     pub(crate) fn contact_code(&self) -> f64 {
         if self.mode == AxisMode::Force { f64::from(u8::from(!self.approaches())) } else { f64::NAN }

@@ -128,6 +128,12 @@ pub trait Task: Any + Send {
         None
     }
 
+    /// True if all force axes that approach until they touch are in contact, false if one of them approaches; `None` for a
+    /// task without such axes.
+    fn contact_made(&self) -> Option<bool> {
+        None
+    }
+
     /// Records the signals of the streamed target.
     fn record_target(&self, _out: &mut SignalRecorder<'_>) {}
 

@@ -10,7 +10,8 @@ use crate::files::task_kinds::TaskKinds;
 use opspace_backend::quantity::{NonNegative, Positive};
 use opspace_control::hierarchy::task_parameters::UNUSED_DAMPING_PER_S;
 use opspace_control::{
-    CartesianReference, Compensation, LimitParameters, RecordedReason, TaskParameters, recorded,
+    AxisMode, CartesianReference, Compensation, ContactCondition, LimitParameters, RecordedReason,
+    TaskParameters, recorded,
 };
 use opspace_sim::EnvironmentObjectParameters;
 use opspace_transformer::FrictionCompensationParameters;
@@ -82,16 +83,73 @@ pub struct TaskFile {
 pub struct EventFile {
     /// Time of the change, s after the start of control.
     pub time_s: Positive,
+    /// Contact at which the change takes place before `time_s`, but after the event before it.
+    #[serde(default)]
+    pub contact: Option<EventContact>,
     /// Settings from this time on, written as on the command line: `"task.hand.cartesian.axes.x=compliant"`,
     /// `"priority=[\"hand\"]"`. Only `task` and `priority` can change.
     pub set: Vec<String>,
 }
 
+/// Contact of a task that approaches (`force.contact`).
+#[derive(Clone, Debug, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(deny_unknown_fields)]
+#[non_exhaustive]
+pub struct EventContact {
+    /// Name of the task.
+    pub task: String,
+    /// Contact is made, or lost.
+    pub is: ContactChange,
+    /// Time for which this must last, s; 0.1 if absent.
+    #[serde(default = "default_lasting")]
+    pub for_s: NonNegative,
+}
+
+const fn default_lasting() -> NonNegative {
+    NonNegative::literal(0.1)
+}
+
+/// Change of a contact.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(rename_all = "kebab-case")]
+pub enum ContactChange {
+    /// All force axes of the task touch.
+    Made,
+    /// One of them does not touch.
+    Lost,
+}
+
+impl ContactChange {
+    /// Name in the file.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Made => "made",
+            Self::Lost => "lost",
+        }
+    }
+}
+
+impl EventContact {
+    /// The condition for the controller.
+    pub(crate) fn condition(&self) -> ContactCondition {
+        ContactCondition {
+            task: self.task.clone(),
+            made: self.is == ContactChange::Made,
+            for_s: self.for_s.get(),
+        }
+    }
+}
+
 /// Task set that is active from a given time.
 #[derive(Clone, Debug)]
 pub struct StackFile {
-    /// Time from which the set is active, s after the start of control.
+    /// Latest time from which the set is active, s after the start of control.
     pub time_s: f64,
+    /// Contact from which the set is active before this time.
+    pub contact: Option<ContactCondition>,
     /// Names of the tasks, in order of decreasing priority.
     pub priority: Vec<String>,
     /// Parameters of the tasks, by name.
@@ -270,9 +328,30 @@ fn after_events(source: &Source, file: &TaskFile, kinds: &TaskKinds) -> Result<V
         let changed = overrides::apply(source, &settings).and_then(|changed| parse_task(&changed, kinds));
         let changed = changed
             .map_err(|error| at("set", error.message().to_owned(), error.help().map(str::to_owned)))?;
-        stacks.push(StackFile { time_s, priority: changed.priority, task: changed.task });
+        let contact = match &event.contact {
+            Some(contact) => {
+                let before =
+                    stacks.last().map_or((&file.priority, &file.task), |set| (&set.priority, &set.task));
+                if !approaches(before, &contact.task) {
+                    let message =
+                        format!("no task '{}' that approaches is active before this event", contact.task);
+                    let help = "name a task with a `force` axis and `force.contact`".to_owned();
+                    return Err(at("contact", message, Some(help)));
+                }
+                Some(contact.condition())
+            }
+            None => None,
+        };
+        stacks.push(StackFile { time_s, contact, priority: changed.priority, task: changed.task });
     }
     Ok(stacks)
+}
+
+/// True if a task of a set has axes that approach until they touch.
+fn approaches((priority, tasks): (&Vec<String>, &BTreeMap<String, TaskParameters>), name: &str) -> bool {
+    let Some(TaskParameters::Cartesian(task)) = tasks.get(name) else { return false };
+    let touches = task.force.as_ref().is_some_and(|force| force.contact.is_some());
+    priority.iter().any(|other| other == name) && task.axes.modes().contains(&AxisMode::Force) && touches
 }
 
 /// Removes from each task set the tasks that have a priority only in other sets.

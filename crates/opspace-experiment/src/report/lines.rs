@@ -3,7 +3,6 @@
 use crate::evaluate::metrics::run_log::Run;
 use crate::evaluate::table::format_short;
 use crate::report::figure::{Figure, Panel, Series, Style};
-use crate::run::experiment::Experiment;
 use opspace_backend::signal_names::Q;
 use opspace_log::{ChannelData, Column};
 
@@ -134,28 +133,27 @@ pub(super) fn append(figures: &mut Vec<Figure>, next: Vec<Figure>) {
     }
 }
 
-/// Completes figures over time whose lines are complete: marks events, draws limits, and removes lines without a finite
+/// Completes figures over time whose lines are complete: marks events at times since the start of control (s), draws limits, and removes lines without a finite
 /// value.
-pub(super) fn complete(experiment: &Experiment, mut figures: Vec<Figure>) -> Vec<Figure> {
+pub(super) fn complete(events_s: &[f64], mut figures: Vec<Figure>) -> Vec<Figure> {
     for figure in &mut figures {
         for panel in &mut figure.panels {
             panel.series.retain(|series| series.y.iter().any(|value| value.is_finite()));
         }
         figure.panels.retain(|panel| !panel.series.is_empty());
         draw_limits(figure);
-        mark_events(figure, experiment);
+        mark_events(figure, events_s);
     }
     figures.retain(|figure| !figure.panels.is_empty());
     figures
 }
 
-/// Marks the events of a task file that occurred while the lines of a figure were logged.
-fn mark_events(figure: &mut Figure, experiment: &Experiment) {
+/// Marks the events that occurred while the lines of a figure were logged.
+fn mark_events(figure: &mut Figure, events_s: &[f64]) {
     let x =
         || figure.panels.iter().flat_map(|panel| &panel.series).flat_map(|series| series.x.iter().copied());
     let end = x().filter(|x| x.is_finite()).fold(0.0, f64::max);
-    let times = experiment.task().events.iter().map(|event| event.time_s);
-    let times: Vec<f64> = times.filter(|time_s| *time_s <= end).collect();
+    let times: Vec<f64> = events_s.iter().copied().filter(|time_s| *time_s <= end).collect();
     if times.is_empty() {
         return;
     }

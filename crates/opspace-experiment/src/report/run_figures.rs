@@ -4,6 +4,7 @@ use crate::evaluate::metrics::run_log::{Control, Run};
 use crate::evaluate::metrics::times::CycleTimes;
 use crate::evaluate::spectrum::Welch;
 use crate::report::collision_moments::{CollisionMoment, CollisionMoments};
+use crate::report::event_times::EventTimes;
 use crate::report::figure::{Figure, Panel, Scale, Series, Style};
 use crate::report::lines::{COLUMNS, append, complete, element, joint_figure, label_of, time_panel};
 use crate::report::slack_figure::slack_figure;
@@ -28,6 +29,7 @@ pub(super) struct RunFigures<'a> {
     /// Joint, axis label and spectrum of the torque error of each joint, at servo rate, after settling.
     errors: Vec<(String, String, Welch)>,
     times: CycleTimes,
+    events: EventTimes<'a>,
     /// `None` without collision geometry.
     collisions: Option<CollisionMoments<'a>>,
 }
@@ -40,6 +42,7 @@ impl<'a> RunFigures<'a> {
             figures: Vec::new(),
             errors: Vec::new(),
             times: CycleTimes::new(),
+            events: EventTimes::new(experiment),
             collisions: CollisionMoments::new(experiment),
         }
     }
@@ -54,6 +57,7 @@ impl<'a> RunFigures<'a> {
         next.extend(distance_figure(&run));
         next.extend(setpoint_figure(&run));
         append(&mut self.figures, next);
+        self.events.add(&run);
         if let Some(collisions) = &mut self.collisions {
             collisions.add(&run);
         }
@@ -87,7 +91,7 @@ impl<'a> RunFigures<'a> {
         if self.control.start_s.is_none() {
             return (Vec::new(), Vec::new());
         }
-        let mut figures = complete(self.experiment, self.figures);
+        let mut figures = complete(&self.events.finish(), self.figures);
         figures.extend(torque_error_spectrum(self.experiment, self.errors));
         figures.extend(computing_times(&self.times));
         (figures, self.collisions.map_or_else(Vec::new, CollisionMoments::finish))

@@ -108,9 +108,12 @@ impl RunSection {
 fn facts_of(experiment: &Experiment) -> Vec<(String, String)> {
     let file = &experiment.task().file;
     let mut facts = vec![("settle_s".to_owned(), file.settle_s.get().to_string())];
-    facts.extend(
-        file.event.iter().map(|event| (format!("event at {} s", event.time_s.get()), event.set.join("\n"))),
-    );
+    facts.extend(file.event.iter().map(|event| {
+        let contact = event.contact.as_ref().map_or_else(String::new, |contact| {
+            format!(", or earlier when the contact of '{}' is {}", contact.task, contact.is.name())
+        });
+        (format!("event at {} s{contact}", event.time_s.get()), event.set.join("\n"))
+    }));
     let velocities = if experiment.velocity_source() == VelocitySource::Observer {
         "estimated by an observer with the model of the arm"
     } else {

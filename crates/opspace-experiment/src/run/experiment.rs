@@ -279,7 +279,11 @@ impl Experiment {
                 let mut osc = OperationalSpaceController::new(model, &stack, &facts).map_err(wrong)?;
                 for (number, event) in events.iter().enumerate() {
                     let stack = osc.prepare(model, &self.stack(&event.priority, &event.task));
-                    osc.schedule(event.time_s, stack.map_err(|e| self.event_error(number, &e))?);
+                    let stack = stack.map_err(|e| self.event_error(number, &e))?;
+                    match &event.contact {
+                        Some(contact) => osc.schedule_at_contact(event.time_s, contact.clone(), stack),
+                        None => osc.schedule(event.time_s, stack),
+                    }
                 }
                 Ok(Box::new(osc))
             }
@@ -289,7 +293,11 @@ impl Experiment {
                 let mut ik = InverseKinematicsController::new(model, &stack, &facts, lead).map_err(wrong)?;
                 for (number, event) in events.iter().enumerate() {
                     let stack = ik.prepare(model, &self.stack(&event.priority, &event.task));
-                    ik.schedule(event.time_s, stack.map_err(|e| self.event_error(number, &e))?);
+                    let stack = stack.map_err(|e| self.event_error(number, &e))?;
+                    match &event.contact {
+                        Some(contact) => ik.schedule_at_contact(event.time_s, contact.clone(), stack),
+                        None => ik.schedule(event.time_s, stack),
+                    }
                 }
                 Ok(Box::new(ik))
             }

@@ -40,7 +40,6 @@ fn moment_axis_settles_on_stiff_tables() {
             .map(|k| (sensed.row(k)[3] - TARGET_NM).powi(2))
             .collect();
         let rms = (errors.iter().sum::<f64>() / errors.len() as f64).sqrt();
-        println!("{backend:?}, {stiffness} N/m: moment error {rms:.4} Nm rms");
         assert!(rms < 0.1, "{rms} Nm");
     }
 }

@@ -102,6 +102,5 @@ fn axes_that_do_not_turn_press_worse() {
         (squares / rows.len() as f64).sqrt()
     };
     let (turning, fixed) = (rms_n("{ surface = {} }"), rms_n("world"));
-    println!("true normal force: {turning:.3} N with axes that turn, {fixed:.3} N without");
-    assert!(fixed > 3.0 * turning);
+    assert!(fixed > 3.0 * turning, "{fixed} N, {turning} N");
 }

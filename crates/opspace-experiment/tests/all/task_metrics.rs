@@ -40,6 +40,33 @@ fn run(experiment: &Experiment) -> (Recording, Summary) {
     (recording, summary)
 }
 
+/// An event on contact takes place when contact has lasted, at the latest at its time, and after the event before it.
+#[test]
+fn event_waits_for_contact_and_not_beyond_its_time() {
+    let changes = |settings: &[&str]| {
+        let (recording, _) = run(&experiment("draw-letter", settings));
+        let tick = recording.channel("tick").unwrap();
+        let set = tick.signal("task_set").unwrap();
+        let contact = tick.signal("draw.contact").unwrap();
+        let start = (0..tick.len()).find(|&k| set.row(k)[0].is_finite()).unwrap();
+        let times: Vec<f64> = (start + 1..tick.len())
+            .filter(|&k| set.row(k)[0] != set.row(k - 1)[0])
+            .map(|k| tick.time_s[k])
+            .collect();
+        let made = (start..tick.len()).find(|&k| contact.row(k)[2] == 1.0).map(|k| tick.time_s[k]);
+        (times, made)
+    };
+    let (times, made) = changes(&["duration_s=4.0"]);
+    let made = made.unwrap();
+    let within = 6e-3;
+    assert!((times[0] - 1.2).abs() < within, "{times:?}");
+    assert!((times[1] - (made + 0.3)).abs() < within && times[1] < 2.4, "{times:?} after {made}");
+    // The paper is out of reach before the time of the event.
+    let (times, made) = changes(&["duration_s=4.0", "environment.paper.wall.point_m=[0.36, 0.0, -0.3]"]);
+    assert!(made.is_none_or(|made| made > 2.5));
+    assert!((times[1] - 2.5).abs() < within, "{times:?}");
+}
+
 /// The pen is lifted and put down again: without the time in which the force settles, the approach counts.
 #[test]
 fn force_settles_anew_when_a_task_begins_again() {
