@@ -430,7 +430,6 @@ mod tests {
             let away = Vector3::new(-1.2, -0.9, 0.5);
             let [force, moment] = hand.turn(&mut sensor, away, &Force::zero());
             let load = sensor.load();
-            println!("seed {seed}: {force:.3} N, {moment:.4} Nm; {:.3} of {:.3} kg", load[0], hand.mass);
             assert!(force < 0.25 && moment < 0.025, "{force} N, {moment} Nm");
             assert!((load[0] - hand.mass).abs() < 0.02, "{} for {} kg", load[0], hand.mass);
         }

@@ -73,9 +73,6 @@ fn the_axis_of_the_force_follows_the_normal_of_a_cylinder() {
         let Polished { angles_rad, turned_rad, error_n } = polished(command, axis, radius_m, friction);
         let largest = angles_rad.iter().copied().fold(0.0, f64::max);
         let rms = (angles_rad.iter().map(|x| x * x).sum::<f64>() / angles_rad.len() as f64).sqrt();
-        println!(
-            "{command:?}: turned {turned_rad:.2} rad, error {rms:.3} rad rms, {largest:.3} largest; {error_n:.3} N"
-        );
         assert!(turned_rad > 0.15, "the hand did not go round: {turned_rad}");
         assert!(rms < 2.0 * 0.003 / radius_m, "{rms}");
         assert!(largest < 6.0 * 0.003 / radius_m, "{largest}");
