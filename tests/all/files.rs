@@ -83,6 +83,22 @@ refused! {
     estimated_force_on_an_unknown_frame_is_refused: "robot.toml",
         "[force_sensor.wrist]" => "[estimated_force.motors]\nframe = \"hnad\"\n[force_sensor.wrist]",
         Some("frame = \"hnad\""), ["the robot has no frame 'hnad'", "did you mean 'hand'?"];
+    retraction_above_a_speed_limit_is_refused: "robot.toml",
+        "[force_sensor.wrist]" =>
+            "[collision_detection]\nreaction.retract = { distance_rad = 3.0 }\n[force_sensor.wrist]",
+        Some("reaction.retract = "),
+        ["1.875 distance_rad/duration_s = 9.375 rad/s (m/s); joint 'shoulder_pitch' at most at 8", "a larger duration_s"];
+    retraction_by_no_distance_is_refused: "robot.toml",
+        "[force_sensor.wrist]" =>
+            "[collision_detection]\nreaction.retract = { distance_rad = 0.0 }\n[force_sensor.wrist]",
+        Some("reaction.retract = "), ["expected a number above 0, got 0"];
+    mistyped_key_of_a_retraction_is_refused: "robot.toml",
+        "[force_sensor.wrist]" =>
+            "[collision_detection]\nreaction.retract = { distance_m = 0.1 }\n[force_sensor.wrist]",
+        Some("reaction.retract = "), ["distance_m", "distance_rad"];
+    unknown_reaction_is_refused: "robot.toml",
+        "[force_sensor.wrist]" => "[collision_detection]\nreaction = \"retreat\"\n[force_sensor.wrist]",
+        Some("reaction = "), ["retreat", "retract"];
     mistyped_task_key_is_refused: "task.toml", "damping_ratio = 1.0" => "damping_rato = 1.0", Some("damping_rato"),
         ["unknown key `damping_rato`", "did you mean `damping_ratio`?"];
     mistyped_kind_is_refused: "task.toml", "[task.hand.cartesian]" => "[task.hand.cartesan]", Some("cartesan"),

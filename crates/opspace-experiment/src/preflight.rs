@@ -125,7 +125,8 @@ pub fn collision_thresholds(experiment: &Experiment) -> Vec<(String, f64)> {
     let Some((detector, case)) = experiment.collision_detector().zip(PreflightCase::new(experiment)) else {
         return Vec::new();
     };
-    let thresholds = detector.thresholds_at_rest(case.data.gravity.as_slice());
+    let thresholds =
+        detector.thresholds_at_rest(case.data.gravity.as_slice(), experiment.capabilities().period_s);
     case.model.joints().iter().map(|joint| joint.name.clone()).zip(thresholds).collect()
 }
 

@@ -1,13 +1,20 @@
 //! Detection of collisions from the torques of the motors, and the reaction to them.
 //!
 //! ```text
-//! |r| > θ          θ = Fs − Fc + ε (Fs + Fv |q̇|) + μ |τ_m| + ν                            (T56)
+//! |r| > θ
+//! θ = LP[ Fs − Fc + Fc exp(−s/δ) + ε (Fs + Fv |q̇|) + μ max(|τ_m|, |τ_m − n̂ + r|) + ν ]      (T56)
+//! ν = 5 σ √(Ko T/(2 + Ko T))
 //! ```
 //!
-//! r is the residual of the [`MomentumObserver`] with the whole nominal friction among the known torques. The threshold θ of
-//! each joint is what r may be without a collision: the breakaway friction that is not in the nominal one, the relative
-//! errors ε of the friction and μ of the model (weight, inertia, gains of the current measurement), and the noise ν.
+//! r is the residual of the [`MomentumObserver`] with the whole nominal friction n̂ among the known torques. The threshold θ of
+//! each joint is what r may be without a collision: the breakaway friction that is not in the nominal one; the friction that
+//! is unknown until the joint has moved by a path s beyond its presliding displacement δ; the relative errors ε of the
+//! friction, and μ of the measured torque τ_m, or of the model's torque τ_m − n̂ + r for the measured motion; and the noise ν, of motor
+//! torques with the rms noise σ. LP is the low-pass of the observer: a bound of its input, low-passed, is a bound of its output.
+//!
+//! n̂ and s follow positions with a play of δ/20, so that noise of the encoders below it is no motion.
 
+use crate::retraction::RetractionParameters;
 use nalgebra::DVector;
 use opspace_backend::quantity::{NonNegative, Positive};
 use opspace_model::Data;
@@ -33,19 +40,19 @@ pub struct CollisionDetectionParameters {
     /// Corner frequency of the observer, rad/s.
     #[serde(default = "default_observer")]
     pub observer_rad_per_s: Positive,
-    /// Relative error of the joint friction.
+    /// Relative error of the joint friction, including what a creeping joint has above its static friction.
     #[serde(default = "default_friction_error")]
     pub friction_error: NonNegative,
     /// Error of the model and of the measured motor torques, relative to the motor torque.
     #[serde(default = "default_model_error")]
     pub model_error: NonNegative,
-    /// Noise of the residual, as a fraction of the torque limit of each joint.
+    /// Rms noise of the motor torques, as a fraction of the torque limit of each joint.
     #[serde(default = "default_noise")]
     pub noise_of_limit: NonNegative,
 }
 
 /// Reaction to a collision.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
@@ -55,6 +62,8 @@ pub enum CollisionReaction {
     Stop,
     /// Until the end of the run the robot balances its weight, and damps its motion, without any task.
     Compliant,
+    /// The robot moves away from the contact; then the run ends as with `stop`.
+    Retract(RetractionParameters),
 }
 
 /// Contact that is no collision.
@@ -75,7 +84,7 @@ const fn default_observer() -> Positive {
 }
 
 const fn default_friction_error() -> NonNegative {
-    NonNegative::literal(0.3)
+    NonNegative::literal(0.35)
 }
 
 const fn default_model_error() -> NonNegative {
@@ -83,7 +92,7 @@ const fn default_model_error() -> NonNegative {
 }
 
 const fn default_noise() -> NonNegative {
-    NonNegative::literal(0.01)
+    NonNegative::literal(0.005)
 }
 
 /// A collision: joint with the largest residual relative to its threshold.
@@ -94,14 +103,42 @@ pub(crate) struct Collision {
     pub(crate) threshold: f64,
 }
 
+/// Play of the positions that friction follows, as a fraction of the presliding displacement. It changes the friction that is known by up
+/// to a tenth of Fc while a joint reverses, when Fs − Fc is more than enough.
+const PLAY: f64 = 0.05;
+
+/// Noise that the thresholds allow for, in standard deviations: white noise exceeds it once in a million samples.
+const DEVIATIONS: f64 = 5.0;
+
+/// Noise of the residual that the thresholds allow for, relative to the rms noise of its input, which is white, at Ko T =
+/// `gain`.
+fn noise_of_residual(gain: f64) -> f64 {
+    DEVIATIONS * (gain / (2.0 + gain)).sqrt()
+}
+
+/// Friction of a joint, and what is known of its state.
+#[derive(Clone, Debug)]
+struct JointFriction {
+    coulomb: f64,
+    presliding: f64,
+    /// Share exp(−s/δ) of the bristles' deflection that is that before the first sample.
+    unknown: f64,
+}
+
 /// Detector of collisions: see the [module](self). Allocates only when it is created.
 #[derive(Clone, Debug)]
 pub struct CollisionDetector {
     pub(crate) reaction: CollisionReaction,
     pub(crate) expected: ExpectedContact,
+    corner_rad_per_s: f64,
     observer: MomentumObserver,
     friction: FrictionCompensation,
+    joints: Vec<JointFriction>,
+    /// Positions with play (n; rad, m).
+    q: DVector<f64>,
     model_error: f64,
+    /// Rms noise of the motor torques (n; Nm, N).
+    noise: Vec<f64>,
     /// Constant part of the thresholds (n; Nm, N).
     constant: Vec<f64>,
     /// Part of the thresholds per velocity (n; Nms/rad, Ns/m).
@@ -123,29 +160,39 @@ impl CollisionDetector {
             ..FrictionCompensationParameters::default()
         };
         let error = parameters.friction_error.get();
-        let constant = friction.iter().zip(torque_limits).map(|(friction, limit)| {
+        let constant = friction.iter().map(|friction| {
             let (breakaway, moving) = (friction.static_nm.get(), friction.coulomb_nm.get());
-            (breakaway - moving).max(0.0) + error * breakaway + parameters.noise_of_limit.get() * limit
+            (breakaway - moving).max(0.0) + error * breakaway
+        });
+        let joints = friction.iter().map(|friction| JointFriction {
+            coulomb: friction.coulomb_nm.get(),
+            presliding: friction.presliding_rad.get(),
+            unknown: 1.0,
         });
         Self {
             reaction: parameters.reaction,
             expected: parameters.expected,
+            corner_rad_per_s: parameters.observer_rad_per_s.get(),
+            joints: joints.collect(),
+            q: DVector::from_element(friction.len(), f64::NAN),
             observer: MomentumObserver::new(friction.len(), parameters.observer_rad_per_s),
             friction: FrictionCompensation::new(friction.iter(), &whole),
             model_error: parameters.model_error.get(),
+            noise: torque_limits.iter().map(|limit| parameters.noise_of_limit.get() * limit).collect(),
             constant: constant.collect(),
             viscous: friction.iter().map(|friction| error * friction.viscous_nms_per_rad.get()).collect(),
             threshold: DVector::zeros(friction.len()),
         }
     }
 
-    /// Thresholds of the joints at rest with these motor torques (n; Nm, N).
+    /// Thresholds of the joints at rest, after they have moved, with these motor torques (n; Nm, N) and this
+    /// period (s).
     #[must_use]
-    pub fn thresholds_at_rest(&self, motor_torque: &[f64]) -> Vec<f64> {
-        self.constant
-            .iter()
-            .zip(motor_torque)
-            .map(|(constant, torque)| constant + self.model_error * torque.abs())
+    pub fn thresholds_at_rest(&self, motor_torque: &[f64], period_s: f64) -> Vec<f64> {
+        let noise = noise_of_residual(self.corner_rad_per_s * period_s);
+        let parts = self.constant.iter().zip(&self.noise).zip(motor_torque);
+        parts
+            .map(|((constant, rms), torque)| constant + noise * rms + self.model_error * torque.abs())
             .collect()
     }
 
@@ -159,14 +206,24 @@ impl CollisionDetector {
         motor: &DVector<f64>,
         known: &mut DVector<f64>,
     ) -> Option<Collision> {
-        self.friction.advance(data.q.as_slice());
-        let mut largest: Option<Collision> = None;
+        let is_first = self.follow(data);
         for (i, known) in known.iter_mut().enumerate() {
             *known -= self.friction.torque(i, data.dq[i]);
-            self.threshold[i] =
-                self.constant[i] + self.viscous[i] * data.dq[i].abs() + self.model_error * motor[i].abs();
         }
         self.observer.update(elapsed_s, &data.momentum, known);
+        let gain = self.corner_rad_per_s * elapsed_s;
+        let noise = noise_of_residual(gain);
+        for (i, residual) in self.observer.residual().iter().enumerate() {
+            let model = motor[i] - self.friction.torque(i, data.dq[i]) + residual;
+            let bound = self.constant[i]
+                + noise * self.noise[i]
+                + self.joints[i].coulomb * self.joints[i].unknown
+                + self.viscous[i] * data.dq[i].abs()
+                + self.model_error * motor[i].abs().max(model.abs());
+            let before = if is_first { bound } else { self.threshold[i] };
+            self.threshold[i] = (before + gain * bound) / (1.0 + gain);
+        }
+        let mut largest: Option<Collision> = None;
         for (joint, (&torque, &threshold)) in self.observer.residual().iter().zip(&self.threshold).enumerate()
         {
             let ratio = |c: &Collision| c.torque.abs() / c.threshold;
@@ -177,6 +234,23 @@ impl CollisionDetector {
             }
         }
         largest
+    }
+
+    /// Moves the positions that friction follows. Returns true at the first sample.
+    fn follow(&mut self, data: &Data) -> bool {
+        let is_first = self.q.iter().any(|q| q.is_nan());
+        for ((joint, followed), &q) in self.joints.iter_mut().zip(&mut self.q).zip(&data.q) {
+            if is_first {
+                *followed = q;
+                joint.unknown = 1.0;
+            }
+            let play = PLAY * joint.presliding;
+            let step = (q - *followed) - (q - *followed).clamp(-play, play);
+            *followed += step;
+            joint.unknown *= (-step.abs() / joint.presliding).exp();
+        }
+        self.friction.advance(self.q.as_slice());
+        is_first
     }
 
     /// Residual torques r (n; Nm, N).
@@ -193,5 +267,6 @@ impl CollisionDetector {
     pub(crate) fn reset(&mut self) {
         self.observer.reset();
         self.friction.reset();
+        self.q.fill(f64::NAN);
     }
 }

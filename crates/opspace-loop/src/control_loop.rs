@@ -21,7 +21,7 @@
 //! references continue. After more, the robot is held until it stands still. Then the estimates start anew, the
 //! references are approached again from the robot's position, and torques ramp in as at the start.
 
-use crate::collision_detector::{Collision, CollisionReaction};
+use crate::collision_detector::Collision;
 use crate::external_torque::ExternalTorque;
 use crate::fault::Fault;
 use crate::guard::Guard;
@@ -37,10 +37,6 @@ use opspace_backend::{
 use opspace_control::{ControlInput, Controller, Measurement, Targets};
 use opspace_model::{Data, JointUnits, Model};
 use opspace_transformer::{FrictionCompensation, Transformer};
-
-/// Rate at which the momentum decays while the robot is compliant after a collision, 1/s: motion at 0.25 m/s ends within
-/// 5 cm, and a hand that pushes the robot away feels little of it.
-const COMPLIANT_DAMPING_PER_S: f64 = 5.0;
 
 /// Result of a cycle.
 #[derive(Clone, Copy, Debug)]
@@ -330,6 +326,8 @@ impl ControlLoop {
     fn act(&mut self, targets: &Targets) -> Result<(), Fault> {
         let asked_to_hold = targets.is_held();
         if self.state.estimator.is_lost() || asked_to_hold {
+            // The robot stands still after a hold: it does not go on retracting.
+            collision_fault(self.external_torque.as_ref().and_then(ExternalTorque::retracts_from))?;
             self.phase = Phase::Held;
             self.standstill.begin(self.state.estimator.measurement());
         }
@@ -372,8 +370,8 @@ impl ControlLoop {
     }
 
     fn command(&mut self, targets: &Targets) -> Result<(), Fault> {
-        let kind = self.controller.command_kind();
         self.observe_external_torque()?;
+        let kind = if self.is_reacting() { CommandKind::Torque } else { self.controller.command_kind() };
         if kind == CommandKind::Torque {
             self.compensate_friction();
         }
@@ -384,6 +382,10 @@ impl ControlLoop {
         if kind == CommandKind::Torque {
             self.announce_reference(targets);
             self.shape_torque();
+        }
+        if kind != self.controller.command_kind() {
+            // The signal has the unit of the controller's commands.
+            self.command.fill(f64::NAN);
         }
         let estimator = &self.state.estimator;
         let (measurement, missed) = (estimator.measurement(), estimator.missed());
@@ -414,29 +416,30 @@ impl ControlLoop {
         Ok(())
     }
 
-    /// Updates the observers of external torques. A collision is a fault if the robot stops for it.
+    /// Updates the observers of external torques. A collision is a fault once the run ends for it.
     fn observe_external_torque(&mut self) -> Result<(), Fault> {
         let State { model, data, estimator, .. } = &mut self.state;
         let Some(external) = &mut self.external_torque else { return Ok(()) };
         let missed = estimator.missed();
-        let found = external.update(model, data, estimator.measurement_mut(), &self.torque_desired, missed);
-        match found.filter(|_| external.reaction() == Some(CollisionReaction::Stop)) {
-            Some(Collision { joint, torque, threshold }) => {
-                Err(Fault::Collision { joint, torque, threshold })
-            }
-            None => Ok(()),
-        }
+        let torque = &self.torque_desired;
+        collision_fault(external.update(model, data, estimator.measurement_mut(), torque, missed))
     }
 
-    /// Computes the controller's command; after a collision, torques that balance the weight and damp the motion.
+    /// True since a collision to which the robot reacts without its controller.
+    fn is_reacting(&self) -> bool {
+        self.external_torque.as_ref().is_some_and(ExternalTorque::is_reacting)
+    }
+
+    /// Computes the controller's command; after a collision, the torques of the reaction.
     fn update_command(&mut self, targets: &Targets) {
-        if !self.external_torque.as_ref().is_some_and(ExternalTorque::is_compliant) {
+        let Some(external) = self.external_torque.as_mut().filter(|external| external.is_reacting()) else {
             self.controller.update(&self.state.input(targets), self.command.as_mut_slice());
             return;
-        }
+        };
+        external.reaction_torque(&self.state.data, &mut self.command);
         self.controller.observe_while_held(&self.state.input(targets));
         for i in 0..self.command.len() {
-            self.command[i] = self.holding_torque(i) - COMPLIANT_DAMPING_PER_S * self.state.data.momentum[i];
+            self.command[i] += self.holding_torque(i);
         }
     }
 
@@ -456,7 +459,14 @@ impl ControlLoop {
     fn announce_reference(&mut self, targets: &Targets) {
         let velocity = self.reference_velocity.as_mut_slice();
         let is_used = self.friction.follows_reference() || self.transformer.uses_reference_velocity();
-        if is_used && self.controller.reference_velocity(&self.state.input(targets), velocity) {
+        let is_known = match self.external_torque.as_ref().filter(|external| external.is_reacting()) {
+            Some(external) => {
+                external.reaction_velocity(velocity);
+                true
+            }
+            None => is_used && self.controller.reference_velocity(&self.state.input(targets), velocity),
+        };
+        if is_known {
             self.friction.set_reference_velocity(velocity);
             self.transformer.set_reference_velocity(velocity);
         }
@@ -566,6 +576,14 @@ impl Observable for ControlLoop {
 fn check_finite(command: &[f64]) -> Result<(), Fault> {
     match command.iter().position(|value| !value.is_finite()) {
         Some(joint) => Err(Fault::CommandNotFinite { joint }),
+        None => Ok(()),
+    }
+}
+
+/// Returns the collision, if there is one, as a fault.
+fn collision_fault(collision: Option<Collision>) -> Result<(), Fault> {
+    match collision {
+        Some(Collision { joint, torque, threshold }) => Err(Fault::Collision { joint, torque, threshold }),
         None => Ok(()),
     }
 }

@@ -132,6 +132,17 @@ impl LoopConfig {
         if reaction == Some(CollisionReaction::Compliant) && gives != CommandKind::Torque {
             return Err(LoopError::NotCompliant);
         }
+        if let Some(CollisionReaction::Retract(parameters)) = reaction {
+            let speed = parameters.top_speed();
+            if model.joints().iter().any(|joint| speed > joint.limits.velocity) {
+                let allowed = "at most the velocity limit of each joint";
+                return value(
+                    "the top speed of the retraction, 1.875 distance_rad/duration_s,",
+                    allowed,
+                    speed,
+                );
+            }
+        }
         if gives != CommandKind::Torque && gives != takes {
             return Err(LoopError::Kind { part: "controller", gives, takes });
         }

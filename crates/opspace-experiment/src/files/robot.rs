@@ -11,8 +11,8 @@ use opspace_backend::quantity::Positive;
 use opspace_backend::{Capabilities, CommandKind, Measured, Setting};
 use opspace_control::JointLimits;
 use opspace_loop::{
-    CollisionDetectionParameters, EstimatedForceParameters, SafetyParameters, SensorEstimateParameters,
-    SensorLoadParameters,
+    CollisionDetectionParameters, CollisionReaction, EstimatedForceParameters, SafetyParameters,
+    SensorEstimateParameters, SensorLoadParameters,
 };
 use opspace_model::collision::{CapsuleWarning, LinkCapsule};
 use opspace_model::{FrameId, Model, ParsedUrdf, UrdfOptions, UrdfWarning};
@@ -439,8 +439,19 @@ fn check_values(source: &Source, file: &RobotFile, model: &Model) -> Result<(), 
             return Err(FileError::at_key(source, ["profile", name, "servo_ticks_per_cycle"], message, None));
         }
     }
+    let detection = file.collision_detection.as_ref();
     for joint in model.joints() {
         let name = joint.name.as_str();
+        if let Some(CollisionReaction::Retract(parameters)) = detection.map(|detection| detection.reaction)
+            && parameters.top_speed() > joint.limits.velocity
+        {
+            let (speed, limit) = (parameters.top_speed(), joint.limits.velocity);
+            let message = format!(
+                "the retraction moves at up to 1.875 distance_rad/duration_s = {speed} rad/s (m/s); joint '{name}' at most at {limit}"
+            );
+            let help = Some("give a smaller distance_rad, or a larger duration_s".to_owned());
+            return Err(FileError::at_key(source, "collision_detection.reaction", message, help));
+        }
         let friction = file.joint.get(name).map(|j| &j.friction);
         let reflected = file.joint.get(name).map_or(0.0, |j| j.rotor.reflected_inertia());
         // Infinite if the square of the ratio overflows, NaN if its product with zero does.

@@ -7,7 +7,7 @@ use crate::common::cases::{Case, DURATION_S, cases};
 use crate::common::{self, KINDS, PERIOD_S, capabilities, config, gravity_controller, model, parsed};
 use opspace_backend::quantity::Positive;
 use opspace_backend::{CommandKind, DeviceFault, Layout, Sample, Sink, TICK};
-use opspace_loop::{CollisionDetector, ControlLoop, EstimatedForce, LoopConfig, Phase, Run};
+use opspace_loop::{CollisionDetector, ControlLoop, EstimatedForce, Fault, LoopConfig, Phase, Run};
 use opspace_testing::allocation::allocations;
 use opspace_transformer::{FrictionObserver, FrictionParameters};
 use std::sync::atomic::AtomicBool;
@@ -128,5 +128,38 @@ fn no_step_of_a_loop_allocates() {
         }
         assert_eq!(phases, [true; 5], "{kind:?}: all phases");
         let _ = control.stop();
+    }
+}
+
+/// Checks the detection of a collision and the retraction after it, up to the stop.
+#[test]
+fn no_cycle_of_a_retraction_allocates() {
+    for kind in KINDS {
+        let friction = [friction(), friction()];
+        let parameters = parsed("reaction = { retract = { distance_rad = 0.1, duration_s = 0.1 } }");
+        let mut parts = config(capabilities(kind), gravity_controller(3.0));
+        parts.collision = Some(CollisionDetector::new(&parameters, &friction, &[40.0, 20.0]));
+        // The arm does not move as its motors do.
+        parts.safety.watchdog = parsed("torque_deviation_share = 100.0\nsurplus_power_share = 100.0");
+        let mut control = ControlLoop::new(parts).expect("parts that fit");
+        let targets = control.targets();
+        let mut sample = Sample::new(&capabilities(kind));
+        let weight = common::gravity_at(&common::START);
+        let mut stopped = None;
+        for cycle in 0..300_u64 {
+            common::at_rest(cycle, &mut sample);
+            if let Some(torque) = &mut sample.motor_torque {
+                torque.copy_from_slice(weight.as_slice());
+                torque[0] -= if cycle >= 100 { 15.0 } else { 0.0 };
+            }
+            let count = allocations(|| {
+                let step = control.step(&sample, &targets);
+                if stopped.is_none() && matches!(step.fault, Some(Fault::Collision { .. })) {
+                    stopped = Some(cycle);
+                }
+            });
+            assert_eq!(count, 0, "{kind:?}, cycle {cycle}");
+        }
+        assert!(stopped.is_some_and(|cycle| cycle > 190), "{kind:?}: stopped in {stopped:?}");
     }
 }
