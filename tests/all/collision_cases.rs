@@ -146,3 +146,9 @@ pub fn hand_motion(numbers: &mut Numbers) -> Vec<String> {
         ),
     ]
 }
+
+/// Settings of four times the noise of encoders and motor currents.
+pub fn noise() -> Vec<String> {
+    let counts = JOINTS.map(|joint| format!("robot.joint.{joint}.rotor.encoder_counts_per_turn=4096"));
+    [vec!["robot.simulated.torque_noise_nm=0.12".to_owned()], counts.to_vec()].concat()
+}

@@ -2,7 +2,7 @@
 
 #![expect(clippy::print_stdout, reason = "figures of the long versions")]
 
-use crate::collision_cases::{cases, collision, load, norm};
+use crate::collision_cases::{cases, collision, load, noise, norm};
 use crate::common;
 use opspace_backend::signal_names::{COLLISION_DETECTED, TICK_CHANNEL, TRUTH_CHANNEL};
 use opspace_experiment::{Experiment, RunOptions};
@@ -27,31 +27,40 @@ fn detection(experiment: &Experiment) -> Option<(f64, f64)> {
     Some((at_s - truth.time_s[contact], until.map(force).fold(0.0, f64::max)))
 }
 
-/// Checks that collisions of the hand at 0.25 m/s with 10 kN/m are detected within 20 ms. With `OPSPACE_COLLISIONS=100` and
-/// `--nocapture` it prints the figures of 100.
+/// Checks that collisions of the hand at 0.25 m/s with 10 kN/m are detected within 8 ms with the nominal arm, and within 30 ms with
+/// friction 30 % off, a load and four times the noise. With `OPSPACE_COLLISIONS=100` and `--nocapture` it prints the figures of 100.
 #[test]
-fn collisions_are_detected_within_20_ms() {
-    for profile in ["a-med", "b-soft"] {
-        let (mut slowest, mut count, mut times, mut missed) = (0.0_f64, 0, Vec::new(), Vec::new());
+fn collisions_are_detected_within_8_ms() {
+    for (profile, is_nominal) in [("a-med", true), ("a-med", false), ("b-soft", true), ("b-soft", false)] {
+        let (mut times, mut early, mut late) = (Vec::new(), Vec::new(), Vec::new());
         for number in 0..cases("OPSPACE_COLLISIONS", 4) {
-            let experiment =
-                load("cartesian-tracking", "\"stop\"", &collision(number, 1e4), options(profile, 1.2));
-            let Some((after_s, force)) = experiment.as_ref().and_then(detection) else { continue };
-            count += 1;
-            if !(0.0..=0.02).contains(&after_s) {
-                missed.push(format!("case {number}: {after_s} s, {force} N"));
+            let mut settings = collision(number, 1e4);
+            if !is_nominal {
+                let friction = [0.7, 1.3][number as usize % 2];
+                settings.push(format!("robot.simulated.true_over_nominal={{friction={friction}}}"));
+                settings.push("robot.simulated.payload.load={frame=\"hand\",mass_kg=0.1}".to_owned());
+                settings.extend(noise());
             }
-            slowest = slowest.max(after_s);
+            let experiment = load("cartesian-tracking", "\"stop\"", &settings, options(profile, 1.2));
+            let Some((after_s, force)) = experiment.as_ref().and_then(detection) else { continue };
+            let limit_s = if is_nominal { 0.0081 } else { 0.0301 };
+            if after_s < 0.0 {
+                early.push(number);
+            } else if after_s > limit_s || after_s.is_nan() {
+                late.push((number, after_s, force));
+            }
             times.push(after_s);
         }
         times.sort_by(f64::total_cmp);
         let quick = times.iter().filter(|after_s| **after_s <= 0.0081).count();
         println!(
-            "{profile}: {count} collisions, {quick} within 8 ms, median {} s, slowest {slowest} s; {missed:?}",
-            times[times.len() / 2]
+            "{profile}, nominal {is_nominal}: {} collisions, {quick} within 8 ms, median {:.3} s, slowest {:.3} s; early {early:?}, late {late:?}",
+            times.len(),
+            times[times.len() / 2],
+            times[times.len() - 1]
         );
-        assert!(missed.is_empty(), "{profile}: {missed:?}");
-        assert!(count > 2, "{count} collisions");
+        assert!(early.is_empty() && late.is_empty(), "{profile}: early {early:?}, late {late:?}");
+        assert!(times.len() > 2, "{} collisions", times.len());
     }
 }
 

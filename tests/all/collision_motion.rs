@@ -2,9 +2,11 @@
 
 #![expect(clippy::print_stdout, reason = "figures of the long version")]
 
-use crate::collision_cases::{JOINTS, Numbers, cases, hand_motion, joint_motion, load};
+use crate::collision_cases::{JOINTS, Numbers, cases, hand_motion, joint_motion, load, noise};
 use crate::common;
-use opspace_backend::signal_names::{COLLISION_THRESHOLD, COLLISION_TORQUE, DQ, TICK_CHANNEL};
+use opspace_backend::signal_names::{
+    COLLISION_CHANGE, COLLISION_CHANGE_THRESHOLD, COLLISION_THRESHOLD, COLLISION_TORQUE, DQ, TICK_CHANNEL,
+};
 use opspace_experiment::{Experiment, RunOptions};
 
 /// Random motion, and random errors of the model: friction 30 %, inertia or load 10 %, four times the noise of encoders and
@@ -21,8 +23,7 @@ fn random_motion(number: u64, duration_s: f64) -> (String, Experiment) {
         ("joint-tracking", joint_motion(&mut numbers, duration_s))
     };
     settings.push(format!("robot.simulated.true_over_nominal={{friction={friction},inertia={inertia}}}"));
-    settings.push("robot.simulated.torque_noise_nm=0.12".to_owned());
-    settings.extend(JOINTS.map(|joint| format!("robot.joint.{joint}.rotor.encoder_counts_per_turn=4096")));
+    settings.extend(noise());
     settings.push(format!("seed={}", number + 1));
     if inertia == 1.0 {
         settings.push("robot.simulated.payload.load={frame=\"hand\",mass_kg=0.1}".to_owned());
@@ -68,28 +69,30 @@ fn motion_without_contact_is_no_collision() {
 /// Largest torque of a run relative to its threshold, and the joint and time of it.
 fn largest_share(experiment: &Experiment) -> (f64, String) {
     let run = common::run(experiment);
-    let torques = run.signal(TICK_CHANNEL, COLLISION_TORQUE);
-    let thresholds = run.signal(TICK_CHANNEL, COLLISION_THRESHOLD);
     let velocities = run.signal(TICK_CHANNEL, DQ);
     let times = &run.channel(TICK_CHANNEL).time_s;
-    let (mut largest, mut fastest, mut at) = (0.0, 0.0_f64, (0, 0));
-    for k in 0..times.len() {
-        for (joint, (torque, limit)) in torques.row(k).iter().zip(thresholds.row(k)).enumerate() {
-            fastest = fastest.max(velocities.row(k)[joint].abs());
-            if *limit > 0.0 && torque.abs() / limit > largest {
-                (largest, at) = (torque.abs() / limit, (k, joint));
+    let (mut largest, mut at) = (0.0, ("", 0, 0, 0.0));
+    for (name, threshold, from_s) in
+        [(COLLISION_TORQUE, COLLISION_THRESHOLD, 0.0), (COLLISION_CHANGE, COLLISION_CHANGE_THRESHOLD, 0.31)]
+    {
+        let (torques, thresholds) = (run.signal(TICK_CHANNEL, name), run.signal(TICK_CHANNEL, threshold));
+        for k in (0..times.len()).filter(|k| times[*k] >= from_s) {
+            for (joint, (torque, limit)) in torques.row(k).iter().zip(thresholds.row(k)).enumerate() {
+                if torque.abs() / limit > largest {
+                    (largest, at) = (torque.abs() / limit, (name, k, joint, *torque));
+                }
             }
         }
     }
-    let (k, joint) = at;
+    let (name, k, joint, torque) = at;
+    let fastest =
+        (0..times.len()).flat_map(|k| velocities.row(k)).fold(0.0, |most, dq| f64::max(most, dq.abs()));
     let what = format!(
-        "{} at {:.2} s of {:.1} s, {:.2} Nm, {:.2} rad/s; up to {fastest:.1} rad/s; {:?}",
+        "{name} of {} at {:.2} s of {:.1} s: {torque:.2} Nm, {:.2} rad/s; up to {fastest:.1} rad/s",
         JOINTS[joint],
         times[k],
         times[times.len() - 1],
-        torques.row(k)[joint],
         velocities.row(k)[joint],
-        run.ending
     );
     (largest, what)
 }

@@ -56,6 +56,10 @@ pub const FRICTION_OBSERVER: &str = "friction_observer";
 pub const COLLISION_TORQUE: &str = "collision_torque";
 /// Thresholds of a collision (n; Nm).
 pub const COLLISION_THRESHOLD: &str = "collision_threshold";
+/// Fast changes of the torques that are compared with the thresholds of a collision (n; Nm).
+pub const COLLISION_CHANGE: &str = "collision_change";
+/// Thresholds of the fast changes (n; Nm).
+pub const COLLISION_CHANGE_THRESHOLD: &str = "collision_change_threshold";
 /// 1 since a collision was detected.
 pub const COLLISION_DETECTED: &str = "collision_detected";
 /// Setpoints of a position-controlled robot (n; rad).

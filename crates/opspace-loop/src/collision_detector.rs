@@ -12,8 +12,11 @@
 //! friction, and μ of the measured torque τ_m, or of the model's torque τ_m − n̂ + r for the measured motion; and the noise ν, of motor
 //! torques with the rms noise σ. LP is the low-pass of the observer: a bound of its input, low-passed, is a bound of its output.
 //!
+//! Fast changes of the residual are compared with smaller thresholds: the file `fast_residual.rs`.
+//!
 //! n̂ and s follow positions with a play of δ/20, so that noise of the encoders below it is no motion.
 
+use crate::fast_residual::{FastResidual, Inputs, PLAY, noise_of_residual};
 use crate::retraction::RetractionParameters;
 use nalgebra::DVector;
 use opspace_backend::quantity::{NonNegative, Positive};
@@ -49,6 +52,9 @@ pub struct CollisionDetectionParameters {
     /// Rms noise of the motor torques, as a fraction of the torque limit of each joint.
     #[serde(default = "default_noise")]
     pub noise_of_limit: NonNegative,
+    /// True if fast changes of the external torque are also collisions: on by default. Without effect if contact is expected.
+    #[serde(default = "yes")]
+    pub fast_residual: bool,
 }
 
 /// Reaction to a collision.
@@ -79,6 +85,10 @@ pub enum ExpectedContact {
     Sensed,
 }
 
+const fn yes() -> bool {
+    true
+}
+
 const fn default_observer() -> Positive {
     Positive::literal(150.0)
 }
@@ -103,26 +113,11 @@ pub(crate) struct Collision {
     pub(crate) threshold: f64,
 }
 
-/// Play of the positions that friction follows, as a fraction of the presliding displacement. It changes the friction that is known by up
-/// to a tenth of Fc while a joint reverses, when Fs − Fc is more than enough.
-const PLAY: f64 = 0.05;
-
-/// Noise that the thresholds allow for, in standard deviations: white noise exceeds it once in a million samples.
-const DEVIATIONS: f64 = 5.0;
-
-/// Noise of the residual that the thresholds allow for, relative to the rms noise of its input, which is white, at Ko T =
-/// `gain`.
-fn noise_of_residual(gain: f64) -> f64 {
-    DEVIATIONS * (gain / (2.0 + gain)).sqrt()
-}
-
-/// Friction of a joint, and what is known of its state.
+/// Friction of a joint.
 #[derive(Clone, Debug)]
 struct JointFriction {
     coulomb: f64,
     presliding: f64,
-    /// Share exp(−s/δ) of the bristles' deflection that is that before the first sample.
-    unknown: f64,
 }
 
 /// Detector of collisions: see the [module](self). Allocates only when it is created.
@@ -136,6 +131,14 @@ pub struct CollisionDetector {
     joints: Vec<JointFriction>,
     /// Positions with play (n; rad, m).
     q: DVector<f64>,
+    /// Share exp(−s/δ) of the bristles' deflections that is that before the first sample (n).
+    unknown: DVector<f64>,
+    /// Nominal friction n̂ (n; Nm, N).
+    nominal: DVector<f64>,
+    fast: Option<FastResidual>,
+    /// Torques beyond their thresholds (n; Nm, N).
+    excess: DVector<f64>,
+    has_collided: bool,
     model_error: f64,
     /// Rms noise of the motor torques (n; Nm, N).
     noise: Vec<f64>,
@@ -167,9 +170,21 @@ impl CollisionDetector {
         let joints = friction.iter().map(|friction| JointFriction {
             coulomb: friction.coulomb_nm.get(),
             presliding: friction.presliding_rad.get(),
-            unknown: 1.0,
         });
+        let noise: Vec<f64> =
+            torque_limits.iter().map(|limit| parameters.noise_of_limit.get() * limit).collect();
+        let model_error = parameters.model_error.get();
+        let fast =
+            || FastResidual::new(parameters.observer_rad_per_s, friction, &noise, [error, model_error]);
+        // The delay of a force sensor would be a change of the residual.
+        let has_fast = parameters.fast_residual && parameters.expected == ExpectedContact::None;
+        let zero = DVector::zeros(friction.len());
         Self {
+            fast: has_fast.then(fast),
+            unknown: zero.clone(),
+            nominal: zero.clone(),
+            excess: zero.clone(),
+            has_collided: false,
             reaction: parameters.reaction,
             expected: parameters.expected,
             corner_rad_per_s: parameters.observer_rad_per_s.get(),
@@ -177,11 +192,11 @@ impl CollisionDetector {
             q: DVector::from_element(friction.len(), f64::NAN),
             observer: MomentumObserver::new(friction.len(), parameters.observer_rad_per_s),
             friction: FrictionCompensation::new(friction.iter(), &whole),
-            model_error: parameters.model_error.get(),
-            noise: torque_limits.iter().map(|limit| parameters.noise_of_limit.get() * limit).collect(),
+            model_error,
+            noise,
             constant: constant.collect(),
             viscous: friction.iter().map(|friction| error * friction.viscous_nms_per_rad.get()).collect(),
-            threshold: DVector::zeros(friction.len()),
+            threshold: zero,
         }
     }
 
@@ -207,30 +222,52 @@ impl CollisionDetector {
         known: &mut DVector<f64>,
     ) -> Option<Collision> {
         let is_first = self.follow(data);
-        for (i, known) in known.iter_mut().enumerate() {
-            *known -= self.friction.torque(i, data.dq[i]);
+        for i in 0..self.nominal.len() {
+            self.nominal[i] = self.friction.torque(i, data.dq[i]);
         }
+        *known -= &self.nominal;
         self.observer.update(elapsed_s, &data.momentum, known);
         let gain = self.corner_rad_per_s * elapsed_s;
         let noise = noise_of_residual(gain);
         for (i, residual) in self.observer.residual().iter().enumerate() {
-            let model = motor[i] - self.friction.torque(i, data.dq[i]) + residual;
+            let model = motor[i] - self.nominal[i] + residual;
             let bound = self.constant[i]
                 + noise * self.noise[i]
-                + self.joints[i].coulomb * self.joints[i].unknown
+                + self.joints[i].coulomb * self.unknown[i]
                 + self.viscous[i] * data.dq[i].abs()
                 + self.model_error * motor[i].abs().max(model.abs());
             let before = if is_first { bound } else { self.threshold[i] };
             self.threshold[i] = (before + gain * bound) / (1.0 + gain);
         }
+        if let Some(fast) = &mut self.fast {
+            let (momentum, friction, unknown, dq) = (&data.momentum, &self.nominal, &self.unknown, &data.dq);
+            let inputs = Inputs { momentum, known, motor, friction, unknown, dq };
+            fast.update(elapsed_s, &inputs, self.has_collided);
+        }
+        let found = self.compare();
+        self.has_collided |= found.is_some();
+        found
+    }
+
+    /// Compares the torques with their thresholds. Returns the largest one relative to its threshold, if it is beyond.
+    fn compare(&mut self) -> Option<Collision> {
         let mut largest: Option<Collision> = None;
-        for (joint, (&torque, &threshold)) in self.observer.residual().iter().zip(&self.threshold).enumerate()
+        self.excess.fill(0.0);
+        let settled = self.fast.as_ref().filter(|fast| fast.is_settled());
+        let slow = (self.observer.residual(), &self.threshold);
+        for (torques, thresholds) in
+            [Some(slow), settled.map(|f| (f.change(), f.threshold()))].into_iter().flatten()
         {
-            let ratio = |c: &Collision| c.torque.abs() / c.threshold;
-            let found = Collision { joint, torque, threshold };
-            let is_larger = largest.as_ref().is_none_or(|before| ratio(&found) > ratio(before));
-            if torque.abs() > threshold && is_larger {
-                largest = Some(found);
+            for (joint, (&torque, &threshold)) in torques.iter().zip(thresholds).enumerate() {
+                if torque.abs() <= threshold {
+                    continue;
+                }
+                self.excess[joint] += torque.signum() * (torque.abs() - threshold);
+                let ratio = |c: &Collision| c.torque.abs() / c.threshold;
+                let found = Collision { joint, torque, threshold };
+                if largest.as_ref().is_none_or(|before| ratio(&found) > ratio(before)) {
+                    largest = Some(found);
+                }
             }
         }
         largest
@@ -239,15 +276,15 @@ impl CollisionDetector {
     /// Moves the positions that friction follows. Returns true at the first sample.
     fn follow(&mut self, data: &Data) -> bool {
         let is_first = self.q.iter().any(|q| q.is_nan());
-        for ((joint, followed), &q) in self.joints.iter_mut().zip(&mut self.q).zip(&data.q) {
+        let states = self.q.iter_mut().zip(&mut self.unknown);
+        for ((joint, (followed, unknown)), &q) in self.joints.iter().zip(states).zip(&data.q) {
             if is_first {
-                *followed = q;
-                joint.unknown = 1.0;
+                (*followed, *unknown) = (q, 1.0);
             }
             let play = PLAY * joint.presliding;
             let step = (q - *followed) - (q - *followed).clamp(-play, play);
             *followed += step;
-            joint.unknown *= (-step.abs() / joint.presliding).exp();
+            *unknown *= (-step.abs() / joint.presliding).exp();
         }
         self.friction.advance(self.q.as_slice());
         is_first
@@ -263,9 +300,22 @@ impl CollisionDetector {
         &self.threshold
     }
 
-    /// Starts the observer anew.
+    /// Fast part of the residual, if it is used.
+    pub(crate) fn fast(&self) -> Option<&FastResidual> {
+        self.fast.as_ref()
+    }
+
+    /// Torques beyond their thresholds (n; Nm, N): each has the sign of the torque of a contact.
+    pub(crate) fn excess(&self) -> &DVector<f64> {
+        &self.excess
+    }
+
+    /// Starts the observers anew.
     pub(crate) fn reset(&mut self) {
         self.observer.reset();
+        if let Some(fast) = &mut self.fast {
+            fast.reset();
+        }
         self.friction.reset();
         self.q.fill(f64::NAN);
     }

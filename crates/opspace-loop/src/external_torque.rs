@@ -7,8 +7,8 @@ use crate::loop_config::LoopConfig;
 use crate::retraction::Retraction;
 use nalgebra::{DVector, Matrix6xX, Vector6};
 use opspace_backend::signal_names::{
-    COLLISION_DETECTED, COLLISION_THRESHOLD, COLLISION_TORQUE, FRICTION_OBSERVER, RESIDUAL, WRENCH,
-    WRENCH_AXES,
+    COLLISION_CHANGE, COLLISION_CHANGE_THRESHOLD, COLLISION_DETECTED, COLLISION_THRESHOLD, COLLISION_TORQUE,
+    FRICTION_OBSERVER, RESIDUAL, WRENCH, WRENCH_AXES,
 };
 use opspace_backend::{Observable, SignalRecorder};
 use opspace_control::Measurement;
@@ -126,7 +126,7 @@ impl ExternalTorque {
                 if is_first {
                     retraction.begin(&data.q);
                 }
-                retraction.update(elapsed_s, detector.residual(), detector.threshold());
+                retraction.update(elapsed_s, detector.excess());
                 retraction.is_over().then_some(collided)
             }
             _ => None,
@@ -200,6 +200,10 @@ impl Observable for ExternalTorque {
             let (joints, unit) = (&self.joints, &self.units.torque);
             out.signal(COLLISION_TORQUE, unit, joints, detector.residual().as_slice());
             out.signal(COLLISION_THRESHOLD, unit, joints, detector.threshold().as_slice());
+            if let Some(fast) = detector.fast() {
+                out.signal(COLLISION_CHANGE, unit, joints, fast.change().as_slice());
+                out.signal(COLLISION_CHANGE_THRESHOLD, unit, joints, fast.threshold().as_slice());
+            }
             out.scalar(COLLISION_DETECTED, "1", f64::from(u8::from(self.is_reacting())));
         }
         for force in &self.forces {

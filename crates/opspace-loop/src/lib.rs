@@ -57,6 +57,7 @@ pub mod drive;
 mod driving_torque;
 pub mod estimated_force;
 mod external_torque;
+mod fast_residual;
 pub mod fault;
 mod guard;
 pub mod link;

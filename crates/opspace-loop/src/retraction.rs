@@ -1,11 +1,11 @@
 //! Retraction of an arm from a collision, in joint space.
 //!
 //! ```text
-//! s = sign(r) max(|r| − θ, 0)/τ_max          a = Σ s/max |Σ s|                              (T57)
+//! s = sign(r) max(|r| − θ, 0)/τ_max          a = Σ s/max |Σ s|                              (T59)
 //! q_r = q₀ + D a σ(t/T)                      τ = M (q̈_r + 2 ω (q̇_r − q̇) + ω² (q_r − q)) + h
 //! ```
 //!
-//! A residual r beyond its threshold θ has the sign of the torque of the contact; the rest of it may be friction. Each joint
+//! A residual r, or its fast change, beyond its threshold θ has the sign of the torque of the contact; the rest of it may be friction. Each joint
 //! therefore moves with the torque of the contact, or not at all, and the contact does positive work on the motion:
 //! F · dx = τ_ext · dq > 0. So the touched point moves away to the side to which it was pushed, wherever it is on the arm;
 //! neither the point nor the force need be known. It is the reflex of Haddadin, De Luca, Albu-Schäffer, *Robot collisions: a
@@ -103,12 +103,12 @@ impl Retraction {
         self.reference[0].copy_from(q);
     }
 
-    /// Updates the reference with the residual and its thresholds (n; Nm, N), `elapsed_s` (s) after the previous cycle.
-    pub(crate) fn update(&mut self, elapsed_s: f64, residual: &DVector<f64>, threshold: &DVector<f64>) {
+    /// Updates the reference with the torques beyond their thresholds (n; Nm, N), `elapsed_s` (s) after the previous cycle.
+    pub(crate) fn update(&mut self, elapsed_s: f64, excess: &DVector<f64>) {
         self.elapsed_s += elapsed_s;
         let (mut is_pushed, mut along) = (false, 0.0);
-        for (i, (&torque, &threshold)) in residual.iter().zip(threshold).enumerate() {
-            let push = torque.signum() * (torque.abs() - threshold).max(0.0) * self.weight[i];
+        for (i, excess) in excess.iter().enumerate() {
+            let push = excess * self.weight[i];
             is_pushed |= push != 0.0;
             along += push * self.push[i];
             if !self.is_released {

@@ -83,6 +83,45 @@ fn external_torque_below_the_threshold_is_no_collision() {
     assert_eq!(record.outcome, RunOutcome::Completed);
 }
 
+/// Run of an arm at rest whose shoulder motor delivers 2 Nm less from 0.35 s on: less than the threshold.
+fn pressed_slightly(text: &str) -> Record {
+    let weight = gravity_at(&START);
+    scripted(text, move |cycle: u64, sample: &mut Sample| {
+        at_rest(cycle, sample);
+        if let Some(torque) = &mut sample.motor_torque {
+            torque.copy_from_slice(weight.as_slice());
+            torque[0] -= if cycle >= 350 { 2.0 } else { 0.0 };
+        }
+    })
+}
+
+/// Compared: time and torque of the fault, and the first cycle in which the closed form 2 (1 − (1 + Kf T)⁻ᵏ) of a fast residual with 450
+/// rad/s exceeds five times the noise of 0.2 Nm, a tenth of the change of the motor torque, and a tenth of 1.35 Fs. The mean moves by less than 0.1 Nm.
+#[test]
+fn fast_change_below_the_threshold_is_a_collision() {
+    let record = pressed_slightly("");
+    let gain = 450.0 * PERIOD_S;
+    let limit = 5.0 * 0.2 * (gain / (2.0 + gain)).sqrt() + 0.1 * 2.0 + 1.35 * 1.5 * 0.1;
+    let residual = |cycles: i32| 2.0 * (1.0 - (1.0 + gain).powi(-cycles));
+    let cycles = (1..).find(|cycles| residual(*cycles) > limit).unwrap_or_default();
+    let RunOutcome::Faulted { fault: Fault::Collision { joint: 0, torque, threshold }, time_s } =
+        record.outcome
+    else {
+        panic!("{:?}", record.outcome)
+    };
+    assert!((threshold - limit).abs() < 0.02, "{threshold} Nm against {limit} Nm");
+    assert!((torque - residual(cycles)).abs() < 0.1, "{torque} Nm against {} Nm", residual(cycles));
+    let expected_s = (350 + cycles as u64 - 1 - REST) as f64 * PERIOD_S;
+    assert!((time_s - expected_s).abs() < 1e-9, "{time_s} s against {expected_s} s");
+}
+
+#[test]
+fn fast_change_is_no_collision_without_the_fast_residual() {
+    for text in ["fast_residual = false", "expected = 'sensed'"] {
+        assert_eq!(pressed_slightly(text).outcome, RunOutcome::Completed, "{text}");
+    }
+}
+
 /// Compared: the torques after a collision, and the weight by hand: the controller's additional 1 Nm is not commanded.
 #[test]
 fn compliant_robot_only_balances_its_weight() {
