@@ -27,8 +27,8 @@ fn detection(experiment: &Experiment) -> Option<(f64, f64)> {
     Some((at_s - truth.time_s[contact], until.map(force).fold(0.0, f64::max)))
 }
 
-/// Checks that collisions of the hand at 0.25 m/s with 10 kN/m are detected within 8 ms with the nominal arm, and within 30 ms with
-/// friction 30 % off, a load and four times the noise. With `OPSPACE_COLLISIONS=100` and `--nocapture` it prints the figures of 100.
+/// Checks that collisions of the hand at 0.25 m/s with 10 kN/m are detected within 8 ms with the nominal arm, and within 30 ms or below
+/// 20 N with friction 30 % off, a load and four times the noise. With `OPSPACE_COLLISIONS=100` and `--nocapture` it prints the figures of 100.
 #[test]
 fn collisions_are_detected_within_8_ms() {
     for (profile, is_nominal) in [("a-med", true), ("a-med", false), ("b-soft", true), ("b-soft", false)] {
@@ -43,10 +43,11 @@ fn collisions_are_detected_within_8_ms() {
             }
             let experiment = load("cartesian-tracking", "\"stop\"", &settings, options(profile, 1.2));
             let Some((after_s, force)) = experiment.as_ref().and_then(detection) else { continue };
-            let limit_s = if is_nominal { 0.0081 } else { 0.0301 };
+            // Of a wrong model: only what is pressed on.
+            let (limit_s, limit_n) = if is_nominal { (0.0081, 0.0) } else { (0.0301, 20.0) };
             if after_s < 0.0 {
                 early.push(number);
-            } else if after_s > limit_s || after_s.is_nan() {
+            } else if after_s.is_nan() || (after_s > limit_s && force > limit_n) {
                 late.push((number, after_s, force));
             }
             times.push(after_s);

@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! |r| > θ
-//! θ = LP[ Fs − Fc + Fc exp(−s/δ) + ε (Fs + Fv |q̇|) + μ max(|τ_m|, |τ_m − n̂ + r|) + ν ]      (T56)
+//! θ = LP[ Fs − Fc + Fc exp(−s/δ) + 2 a (1 + ε) Fs + ε (Fs + Fv |q̇|) + μ max(|τ_m|, |τ_m − n̂ + r|) + ν ]      (T56)
 //! ν = 5 σ √(Ko T/(2 + Ko T))
 //! ```
 //!
@@ -14,7 +14,8 @@
 //!
 //! Fast changes of the residual are compared with smaller thresholds: the file `fast_residual.rs`.
 //!
-//! n̂ and s follow positions with a play of δ/20, so that noise of the encoders below it is no motion.
+//! n̂ and s follow positions with a play of δ/20, so that noise of the encoders below it is no motion. With the
+//! play a δ the friction changes by up to 2 a (1 + ε) Fs unseen.
 
 use crate::fast_residual::{FastResidual, Inputs, PLAY, noise_of_residual};
 use crate::retraction::RetractionParameters;
@@ -165,7 +166,7 @@ impl CollisionDetector {
         let error = parameters.friction_error.get();
         let constant = friction.iter().map(|friction| {
             let (breakaway, moving) = (friction.static_nm.get(), friction.coulomb_nm.get());
-            (breakaway - moving).max(0.0) + error * breakaway
+            (breakaway - moving).max(0.0) + (error + 2.0 * PLAY * (1.0 + error)) * breakaway
         });
         let joints = friction.iter().map(|friction| JointFriction {
             coulomb: friction.coulomb_nm.get(),

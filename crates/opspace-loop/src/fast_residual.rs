@@ -20,8 +20,7 @@ use nalgebra::DVector;
 use opspace_backend::quantity::Positive;
 use opspace_transformer::{FrictionParameters, MomentumObserver};
 
-/// Play of the positions that friction follows, as a fraction of the presliding displacement. It changes the friction that is known by up
-/// to a tenth of Fc while a joint reverses, when Fs − Fc is more than enough.
+/// Play of the positions that friction follows, as a fraction of the presliding displacement.
 pub(crate) const PLAY: f64 = 0.05;
 
 /// Corner frequency relative to that of the residual.

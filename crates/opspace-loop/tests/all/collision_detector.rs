@@ -17,10 +17,10 @@ const CONTACT: u64 = 100;
 /// Ko T of the tests.
 const GAIN: f64 = 150.0 * PERIOD_S;
 
-/// Bound at the shoulder of an arm that has not moved: breakaway 0.5, unknown friction 1.0, friction error 0.35 of 1.5, a tenth of
+/// Bound at the shoulder of an arm that has not moved: breakaway 0.5, unknown friction 1.0, friction error 0.35 of 1.5, play a tenth of 1.35 of 1.5, a tenth of
 /// the torque, five times the noise of 0.5 % of 40 Nm.
 fn bound(torque: f64) -> f64 {
-    0.5 + 1.0 + 0.35 * 1.5 + 0.1 * torque.abs() + 5.0 * 0.2 * (GAIN / (2.0 + GAIN)).sqrt()
+    0.5 + 1.0 + (0.35 + 0.1 * 1.35) * 1.5 + 0.1 * torque.abs() + 5.0 * 0.2 * (GAIN / (2.0 + GAIN)).sqrt()
 }
 
 fn detector(text: &str) -> CollisionDetector {
