@@ -1,7 +1,7 @@
-//! Picture of the README: desired and motor torque of a joint, and motion of a hand that an operator pushes.
+//! Pictures of the documentation: a hand that an operator pushes, and a hand that presses on a table.
 //!
-//! `cargo run --release -p opspace --example readme_picture -- [SVG]` draws `runs/readme_picture/compliant-x.svg`, or
-//! the file SVG; the README shows the copy in `docs/`.
+//! `cargo run --release -p opspace --example readme_picture -- [FOLDER]` draws `compliant-x.svg` and `press-table.svg` in
+//! `runs/readme_picture`, or in FOLDER; README and docs show the copies in `docs/`.
 
 #![expect(clippy::print_stdout, reason = "an example shows what it did")]
 
@@ -17,13 +17,11 @@ use std::ops::Range;
 
 type Canvas<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 
-/// A line of a panel: label, colour, width in pixels, and points (s; Nm or mm).
+/// A line of a panel: label, colour, width in pixels, and points over time (s).
 type Line = (&'static str, RGBColor, u32, Vec<(f64, f64)>);
 
 /// Width and height of the canvas, in pixels: twice the displayed size, because coordinates are rounded to pixels.
 const SIZE: (u32, u32) = (1440, 1300);
-/// Part of the run that is shown, s.
-const SHOWN_S: Range<f64> = 2.0..8.0;
 /// Joint whose torques are shown.
 const JOINT: usize = 3;
 
@@ -33,42 +31,104 @@ const GREEN: RGBColor = RGBColor(0, 140, 100);
 const GREY: RGBColor = RGBColor(70, 70, 70);
 
 fn main() -> Result<(), Box<dyn Error>> {
-    let task = "tasks/compliant-x.toml".as_ref();
-    let experiment = Experiment::load(Files::Disk, task, None, Default::default(), &[])?;
-    common::record("readme_picture", &experiment, |log| experiment.run(log, &Progress::default()))?;
-    let recording = Recording::read("runs/readme_picture/run.mcap")?;
+    let folder = std::env::args().nth(1).unwrap_or("runs/readme_picture".to_owned());
+    std::fs::create_dir_all(&folder)?;
+    pushed_hand(&format!("{folder}/compliant-x.svg"))?;
+    pressing_hand(&format!("{folder}/press-table.svg"))
+}
+
+/// Runs a task, with settings, and returns its log.
+fn log_of(task: &str, settings: &[&str]) -> Result<Recording, Box<dyn Error>> {
+    let settings: Vec<String> = settings.iter().map(|&setting| setting.to_owned()).collect();
+    let path = format!("tasks/{task}.toml");
+    let experiment = Experiment::load(Files::Disk, path.as_ref(), None, Default::default(), &settings)?;
+    let folder = format!("readme_picture/{task}");
+    common::record(&folder, &experiment, |log| experiment.run(log, &Progress::default()))?;
+    Ok(Recording::read(format!("runs/{folder}/run.mcap"))?)
+}
+
+/// Samples of an element of a signal in part of a log (s), relative to an origin and scaled.
+fn curve(
+    recording: &Recording,
+    shown_s: &Range<f64>,
+    (signal, element): (&str, usize),
+    (origin, scale): (f64, f64),
+) -> Result<Vec<(f64, f64)>, Box<dyn Error>> {
     let tick = recording.tick()?;
-    let column = |signal: &str| tick.signal(signal).ok_or(format!("no signal {signal}"));
-    // Samples of a signal's element, relative to an origin and scaled.
-    let curve = |signal: &str, element: usize, origin: f64, scale: f64| -> Result<Vec<_>, String> {
-        let column = column(signal)?;
-        let shown = tick.time_s.iter().zip(column.rows()).filter(|(t, _)| SHOWN_S.contains(t));
-        Ok(shown.step_by(5).map(|(t, row)| (*t, scale * (row[element] - origin))).collect())
-    };
-    let reference = column("hand.reference")?;
+    let column = tick.signal(signal).ok_or(format!("no signal {signal}"))?;
+    let shown = tick.time_s.iter().zip(column.rows()).filter(|(t, _)| shown_s.contains(t));
+    Ok(shown.step_by(5).map(|(t, row)| (*t, scale * (row[element] - origin))).collect())
+}
+
+/// Draws desired and motor torque of a joint, and motion of a hand that an operator pushes.
+fn pushed_hand(path: &str) -> Result<(), Box<dyn Error>> {
+    let (recording, shown_s) = (log_of("compliant-x", &[])?, 2.0..8.0);
+    let tick = recording.tick()?;
+    let reference = tick.signal("hand.reference").ok_or("no reference")?;
     let held = reference.row(reference.len() - 1);
-    let joint = &column("torque_desired")?.elements()[JOINT];
+    let joint = &tick.signal("torque_desired").ok_or("no torque")?.elements()[JOINT];
+    let torque = |signal| curve(&recording, &shown_s, (signal, JOINT), (0.0, 1.0));
+    let moved = |axis| curve(&recording, &shown_s, ("hand.position", axis), (held[axis], 1e3));
     let torques: [Line; 2] = [
-        ("motor torque", ORANGE, 8, curve("motor_torque", JOINT, 0.0, 1.0)?),
-        ("desired torque", BLUE, 4, curve("torque_desired", JOINT, 0.0, 1.0)?),
+        ("motor torque", ORANGE, 8, torque("motor_torque")?),
+        ("desired torque", BLUE, 4, torque("torque_desired")?),
     ];
     let motions: [Line; 3] = [
-        ("x: compliant", ORANGE, 6, curve("hand.position", 0, held[0], 1e3)?),
-        ("y: held", BLUE, 4, curve("hand.position", 1, held[1], 1e3)?),
-        ("z: held", GREEN, 4, curve("hand.position", 2, held[2], 1e3)?),
+        ("x: compliant", ORANGE, 6, moved(0)?),
+        ("y: held", BLUE, 4, moved(1)?),
+        ("z: held", GREEN, 4, moved(2)?),
     ];
+    let title = format!("Torque of the {}", joint.replace('_', " "));
+    draw(
+        path,
+        &shown_s,
+        [
+            (&title, "torque (Nm)", &torques),
+            ("Motion of the hand while an operator pushes it", "displacement (mm)", &motions),
+        ],
+    )
+}
 
-    let path = std::env::args().nth(1).unwrap_or("runs/readme_picture/compliant-x.svg".to_owned());
-    let canvas = SVGBackend::new(&path, SIZE).into_drawing_area();
+/// Draws force and target of a hand on a hard, nearly undamped table, and the energy of its force feedback.
+fn pressing_hand(path: &str) -> Result<(), Box<dyn Error>> {
+    let table =
+        ["environment.board.wall.stiffness_n_per_m=50000.0", "environment.board.wall.damping_ns_per_m=5.0"];
+    let (recording, shown_s) = (log_of("press-table", &table)?, 0.0..7.0);
+    let z = |signal, scale| curve(&recording, &shown_s, (signal, 2), (0.0, scale));
+    let forces: [Line; 2] = [
+        ("sensed", ORANGE, 6, z("hand.sensed_force", 1.0)?),
+        ("target", BLUE, 4, z("hand.target_force", 1.0)?),
+    ];
+    let energies: [Line; 1] = [("energy", GREEN, 5, z("hand.force_energy", 1e3)?)];
+    draw(
+        path,
+        &shown_s,
+        [
+            ("Force on a table of 50 kN/m: at rest, and from 4 s along a circle", "force (N)", &forces),
+            ("Energy that the force feedback gives to fast motion", "energy (mJ)", &energies),
+        ],
+    )
+}
+
+/// Draws two panels, each with title, label and lines, over part of a run (s).
+fn draw(path: &str, shown_s: &Range<f64>, panels: [(&str, &str, &[Line]); 2]) -> Result<(), Box<dyn Error>> {
+    let canvas = SVGBackend::new(path, SIZE).into_drawing_area();
     canvas.fill(&WHITE)?;
     let (upper, lower) = canvas.split_vertically(50.percent_height());
-    panel(&upper, &format!("Torque of the {}", joint.replace('_', " ")), "torque (Nm)", &torques)?;
-    panel(&lower, "Motion of the hand while an operator pushes it", "displacement (mm)", &motions)?;
+    for (part, (title, label, lines)) in [upper, lower].iter().zip(panels) {
+        panel(part, shown_s, title, label, lines)?;
+    }
     Ok(canvas.present()?)
 }
 
 /// Draws lines over time with a title, axes and a legend.
-fn panel(canvas: &Canvas<'_>, title: &str, y_label: &str, lines: &[Line]) -> Result<(), Box<dyn Error>> {
+fn panel(
+    canvas: &Canvas<'_>,
+    shown_s: &Range<f64>,
+    title: &str,
+    y_label: &str,
+    lines: &[Line],
+) -> Result<(), Box<dyn Error>> {
     let values = || lines.iter().flat_map(|line| line.3.iter().map(|point| point.1));
     let (low, high) = (values().fold(f64::MAX, f64::min), values().fold(f64::MIN, f64::max));
     let margin = 0.08 * (high - low);
@@ -79,7 +139,7 @@ fn panel(canvas: &Canvas<'_>, title: &str, y_label: &str, lines: &[Line]) -> Res
         .margin_right(40)
         .x_label_area_size(90)
         .y_label_area_size(130)
-        .build_cartesian_2d(SHOWN_S, low - margin..high + 4.0 * margin)?;
+        .build_cartesian_2d(shown_s.clone(), low - margin..high + 4.0 * margin)?;
     let mesh = &mut chart.configure_mesh();
     mesh.x_desc("time (s)").y_desc(y_label).x_labels(7).y_labels(6).axis_desc_style(text(38));
     mesh.x_label_formatter(&|x| format!("{x:.0}")).y_label_formatter(&|y| format!("{y:.0}"));

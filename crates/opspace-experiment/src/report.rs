@@ -4,6 +4,7 @@ mod collision_moments;
 mod collision_views;
 mod comparisons;
 pub mod document;
+mod energy_figure;
 mod environment_shapes;
 mod event_times;
 pub mod figure;

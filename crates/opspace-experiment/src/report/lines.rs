@@ -133,8 +133,8 @@ pub(super) fn append(figures: &mut Vec<Figure>, next: Vec<Figure>) {
     }
 }
 
-/// Completes figures over time whose lines are complete: marks events at times since the start of control (s), draws limits, and removes lines without a finite
-/// value.
+/// Completes figures over time whose lines are complete: marks events at times since the start of control (s), draws limits,
+/// and removes lines without a finite value.
 pub(super) fn complete(events_s: &[f64], mut figures: Vec<Figure>) -> Vec<Figure> {
     for figure in &mut figures {
         for panel in &mut figure.panels {

@@ -4,6 +4,7 @@ use crate::evaluate::metrics::run_log::{Control, Run};
 use crate::evaluate::metrics::times::CycleTimes;
 use crate::evaluate::spectrum::Welch;
 use crate::report::collision_moments::{CollisionMoment, CollisionMoments};
+use crate::report::energy_figure::energy_figure;
 use crate::report::event_times::EventTimes;
 use crate::report::figure::{Figure, Panel, Scale, Series, Style};
 use crate::report::lines::{COLUMNS, append, complete, element, joint_figure, label_of, time_panel};
@@ -53,6 +54,7 @@ impl<'a> RunFigures<'a> {
         let Some(run) = Run::new(self.experiment, segment, &mut self.control, is_last) else { return };
         let mut next: Vec<Figure> = torques(&run).into_iter().collect();
         next.extend(task_figures(&run));
+        next.extend(energy_figure(&run));
         next.extend(slack_figure(&run));
         next.extend(distance_figure(&run));
         next.extend(setpoint_figure(&run));

@@ -8,7 +8,7 @@ use crate::report::figure::{Figure, Panel, Series, Style};
 use crate::report::lines::{error_panel, joint_figure, line, listed, tables_begin, time_panel};
 use nalgebra::Vector3;
 use opspace_backend::signal_names::{
-    self, ERROR, Q, REFERENCE, REFERENCE_ORIENTATION, TRUTH_CHANNEL, WRENCH,
+    self, ERROR, Q, REFERENCE, REFERENCE_ORIENTATION, TARGET_FORCE, TRUTH_CHANNEL, WRENCH,
 };
 use opspace_control::orientation::log;
 use opspace_control::{CartesianParameters, CartesianReference, ControlledFrame, TaskParameters};
@@ -254,6 +254,8 @@ impl<'a> CartesianFigures<'a> {
         if sensed.is_none() && (truth.is_none() || !has_force_axes) {
             return None;
         }
+        // With ramps and profiles.
+        let logged = self.run.tick.signal(&signal_names::of(self.name, TARGET_FORCE));
         let panels = self.panels("force (N)", |axis| {
             let true_force = truth.as_ref().map(|forces| {
                 self.line(known(self.run), Style::Solid, |row| {
@@ -268,7 +270,10 @@ impl<'a> CartesianFigures<'a> {
             });
             let target = self.line("target", Style::Desired, |row| {
                 let axes = row.axes.filter(|axes| has_target(axes, axis))?;
-                Some(axes.target?[axis])
+                match &logged {
+                    Some(logged) if axes.force[axis] => Some(logged.row(self.run.tick_of(row.k)?)[axis]),
+                    _ => Some(axes.target?[axis]),
+                }
             });
             [true_force, sensed, Some(target)].into_iter().flatten().collect()
         });

@@ -235,7 +235,9 @@ fn force_is_drawn_with_its_target_and_errors_over_time() {
     assert!(position.caption.contains("x controls the force"), "{}", position.caption);
     let x = &figure(&section, "Force on the frame").panels[0];
     assert_eq!(labels(x), ["true", "sensed", "target"]);
-    assert!(x.series[2].y.iter().all(|force| *force == -10.0));
+    let targets = run.0.channel("tick").unwrap().signal("hand.target_force").unwrap();
+    let is_logged = |force: &f64| targets.rows().any(|row| row[0] == *force);
+    assert!(x.series[2].y.iter().all(is_logged) && x.series[2].y.last() == Some(&-10.0));
     let logged = run.0.channel("truth").unwrap().signal("board.force").unwrap();
     let largest = |values: &mut dyn Iterator<Item = f64>| {
         values.filter(|v| v.is_finite()).map(f64::abs).fold(0.0, f64::max)
@@ -251,6 +253,19 @@ fn force_is_drawn_with_its_target_and_errors_over_time() {
     let largest = settled.fold(0.0, f64::max);
     let metric = 1e3 * section.summary.metrics.pose.position_max_m.unwrap();
     assert!((largest / metric - 1.0).abs() < ROUNDING, "{largest} mm drawn, {metric} mm in the table");
+}
+
+/// Compared: the energy of the force feedback in figure and log, with the store of the task.
+#[test]
+fn energies_of_force_control_are_drawn() {
+    let (run, section) = shown(&load("press-table", CommandKind::Torque, 1.0));
+    let energies = figure(&section, "Energies of force control");
+    let [z] = energies.panels.as_slice() else { panic!("only z is in force control") };
+    assert_eq!((z.title.as_str(), labels(z)), ("task 'hand', z", vec!["energy", "store"]));
+    let logged = run.0.channel("tick").unwrap().signal("hand.force_energy").unwrap();
+    let largest = logged.rows().map(|row| 1e3 * row[2]).filter(|x| x.is_finite()).fold(0.0, f64::max);
+    assert_eq!(z.series[0].y.iter().copied().filter(|x| x.is_finite()).fold(0.0, f64::max), largest);
+    assert!(largest > 0.0 && z.series[1].y.last() == Some(&20.0));
 }
 
 /// Checks that orientation, the spectrum of the torque error and computing times have figures, and that a mark shows the
