@@ -113,7 +113,9 @@ impl StateEstimator {
     pub(crate) fn rest(&mut self, model: &Model, data: &Data) {
         for (s, &frame) in self.sensor_frames.iter().enumerate() {
             let axes = frame_placement(model, data, frame).rotation;
-            self.sensors[s].rest(&force(&self.sample.wrenches[s]), &sensor_motion(model, data, frame, &axes));
+            let estimates = self.sensors[s].estimate.is_some();
+            let motion = sensor_motion(model, data, frame, &axes, estimates);
+            self.sensors[s].rest(&force(&self.sample.wrenches[s]), &motion);
         }
     }
 
@@ -165,7 +167,9 @@ impl StateEstimator {
         }
         for (s, &frame) in self.sensor_frames.iter().enumerate() {
             let axes = frame_placement(model, data, frame).rotation;
-            let (reading, motion) = (force(&sample.wrenches[s]), sensor_motion(model, data, frame, &axes));
+            let estimates = self.sensors[s].estimate.is_some();
+            let motion = sensor_motion(model, data, frame, &axes, estimates);
+            let reading = force(&sample.wrenches[s]);
             let contact = match self.start_s {
                 Some(_) => self.sensors[s].update(&reading, &motion),
                 None => self.sensors[s].contact(&reading, &motion.gravity),
@@ -215,9 +219,15 @@ impl Observable for StateEstimator {
     }
 }
 
-/// Motion of a force sensor with these `axes`.
-fn sensor_motion(model: &Model, data: &Data, frame: FrameId, axes: &Matrix3<f64>) -> SensorMotion {
-    let Motion { linear, angular } = frame_velocity(model, data, frame);
+/// Motion of a force sensor with these `axes`; without its velocity unless it is `needed`.
+fn sensor_motion(
+    model: &Model,
+    data: &Data,
+    frame: FrameId,
+    axes: &Matrix3<f64>,
+    needed: bool,
+) -> SensorMotion {
+    let Motion { linear, angular } = if needed { frame_velocity(model, data, frame) } else { Motion::zero() };
     let velocity = Motion { linear: axes.tr_mul(&linear), angular: axes.tr_mul(&angular) };
     SensorMotion { gravity: axes.tr_mul(&model.gravity()), velocity }
 }
