@@ -1,8 +1,8 @@
 //! Figures of the tasks of a run: path and errors of Cartesian tasks, contact forces, joint positions.
 
 use crate::evaluate::metrics::run_log::{Run, masked_norm};
-use crate::evaluate::metrics::task_axes::{AxesOfTask, TaskAxes, TaskRow};
-use crate::evaluate::metrics::tasks::{orientation, total};
+use crate::evaluate::metrics::task_axes::{AxesOfTask, TaskAxes, TaskRow, orientation};
+use crate::evaluate::metrics::tasks::total;
 use crate::evaluate::table::shown_unit;
 use crate::report::figure::{Figure, Panel, Series, Style};
 use crate::report::lines::{error_panel, joint_figure, line, listed, tables_begin, time_panel};

@@ -11,6 +11,9 @@ use opspace_loop::{
 use opspace_transformer::FrictionParameters;
 use std::sync::atomic::AtomicBool;
 
+/// Rounding of sums of some hundred torques (Nm) or periods (s).
+const ROUNDING: f64 = 1e-9;
+
 /// Cycle in which the arm meets something.
 const CONTACT: u64 = 100;
 
@@ -71,10 +74,10 @@ fn external_torque_above_the_threshold_stops_the_robot() {
         panic!("{:?}", record.outcome)
     };
     assert_eq!(joint, 0);
-    assert!((limit - threshold).abs() < 1e-9, "{limit} Nm against {threshold} Nm");
-    assert!((torque - residual(cycles)).abs() < 1e-9, "{torque} Nm against {} Nm", residual(cycles));
+    assert!((limit - threshold).abs() < ROUNDING, "{limit} Nm against {threshold} Nm");
+    assert!((torque - residual(cycles)).abs() < ROUNDING, "{torque} Nm against {} Nm", residual(cycles));
     let expected_s = (CONTACT + cycles as u64 - 1 - REST) as f64 * PERIOD_S;
-    assert!((time_s - expected_s).abs() < 1e-9, "{time_s} s against {expected_s} s");
+    assert!((time_s - expected_s).abs() < ROUNDING, "{time_s} s against {expected_s} s");
 }
 
 #[test]
@@ -112,7 +115,7 @@ fn fast_change_below_the_threshold_is_a_collision() {
     assert!((threshold - limit).abs() < 0.02, "{threshold} Nm against {limit} Nm");
     assert!((torque - residual(cycles)).abs() < 0.1, "{torque} Nm against {} Nm", residual(cycles));
     let expected_s = (350 + cycles as u64 - 1 - REST) as f64 * PERIOD_S;
-    assert!((time_s - expected_s).abs() < 1e-9, "{time_s} s against {expected_s} s");
+    assert!((time_s - expected_s).abs() < ROUNDING, "{time_s} s against {expected_s} s");
 }
 
 #[test]
@@ -241,7 +244,7 @@ fn dropout_ends_the_retraction() {
         }
     });
     let expected_s = (150 + 20 - REST) as f64 * PERIOD_S;
-    assert!((collision_s(&record) - expected_s).abs() < 1e-9, "{:?}", record.outcome);
+    assert!((collision_s(&record) - expected_s).abs() < ROUNDING, "{:?}", record.outcome);
 }
 
 /// Compared: 1.875 · 0.6 rad/0.2 s = 5.6 rad/s, and the joints' limit of 5 rad/s.

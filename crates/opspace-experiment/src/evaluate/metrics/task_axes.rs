@@ -50,9 +50,7 @@ impl TaskAxes {
 
     /// Axes with the directions of a row of the log: those of a task that turns with a surface.
     fn with_directions(self, quaternion: &[f64]) -> Self {
-        let &[w, x, y, z] = quaternion else { return self };
-        let rotation = UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z)).to_rotation_matrix();
-        Self { directions: AxesFrame::Fixed(rotation.into_inner()), ..self }
+        Self { directions: AxesFrame::Fixed(orientation(quaternion)), ..self }
     }
 
     /// True if the axes are those of the coordinates of the pose: of the world, or of the frame that the task is relative to.
@@ -147,4 +145,10 @@ impl AxesOfTask {
         };
         poses.map(row).collect()
     }
+}
+
+/// Converts a logged orientation: a quaternion, real part first.
+pub(crate) fn orientation(wxyz: &[f64]) -> Matrix3<f64> {
+    let quaternion = Quaternion::new(wxyz[0], wxyz[1], wxyz[2], wxyz[3]);
+    UnitQuaternion::from_quaternion(quaternion).to_rotation_matrix().into_inner()
 }

@@ -2,10 +2,10 @@
 
 use super::run_log::{Mean, RmsMax, Run, masked_norm};
 use super::slack::SlackOfTask;
-use super::task_axes::{AxesOfTask, TaskAxes, TaskRow};
+use super::task_axes::{AxesOfTask, TaskAxes, TaskRow, orientation};
 use crate::evaluate::metric_tables::{ElementError, TaskMetrics};
 use crate::run::experiment::Experiment;
-use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
+use nalgebra::{Matrix3, Vector3};
 use opspace_backend::signal_names::{
     self, CONTACT, ERROR, FORCE, PASSIVITY_TIME, REFERENCE, REFERENCE_ORIENTATION, REFERENCE_VELOCITY,
     TARGET_FORCE, TRUTH_CHANNEL,
@@ -443,10 +443,4 @@ fn logged_row<'a>(column: Option<Column<'a>>, k: Option<usize>) -> Option<&'a [f
 /// Sum of the forces in row `k`, world axes.
 pub(crate) fn total(forces: &[Column<'_>], k: usize) -> Vector3<f64> {
     forces.iter().map(|force| Vector3::from_column_slice(force.row(k))).sum()
-}
-
-/// Converts a logged orientation: a quaternion, real part first.
-pub(crate) fn orientation(wxyz: &[f64]) -> Matrix3<f64> {
-    let quaternion = Quaternion::new(wxyz[0], wxyz[1], wxyz[2], wxyz[3]);
-    UnitQuaternion::from_quaternion(quaternion).to_rotation_matrix().into_inner()
 }
