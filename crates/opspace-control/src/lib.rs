@@ -73,6 +73,7 @@
 
 pub mod context;
 pub mod controller;
+pub mod coupling;
 pub mod error;
 pub mod hierarchy;
 pub mod ik;

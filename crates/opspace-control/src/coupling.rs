@@ -1,0 +1,27 @@
+//! Mathematics of a bilateral coupling of two robots over a channel with delay, jitter, loss and reordering.
+//!
+//! Each robot has a *port*: the axes at which it exchanges energy with what the coupling does not contain, which is the hand
+//! of the operator at the leader, and the environment or the controlled arm at the follower. Everything between the two ports,
+//! which is the channel and the laws that compute forces and references, is the *network*. In all files of this folder
+//! `force` is the force that the network exerts at the port on what is outside (N, Nm): the energy that leaves the network
+//! in a displacement Δx (m, rad) is `force`·Δx. At a force sensor it is the negative of the sensed force on the robot.
+//!
+//! Vectors have six rows, at most one per axis; rows that are not used are zero. Nothing here knows of tasks, packets in
+//! transit or clocks. Derivations: `docs/teleoperation.md`.
+//!
+//! | file | contents |
+//! |---|---|
+//! | `energy_play` | energy that flows into a port and out of it, without noise |
+//! | `port_passivity` | bound on the energy that leaves the network, for any channel |
+//! | `wave` | wave variables, passive at a constant delay |
+//! | `received` | the newest packet from the partner |
+
+pub mod energy_play;
+pub mod port_passivity;
+pub mod received;
+pub mod wave;
+
+pub use energy_play::EnergyPlay;
+pub use port_passivity::{PortPassivity, PortPassivityParameters};
+pub use received::{Packet, ReceivedState};
+pub use wave::{FollowerWave, LeaderWave};

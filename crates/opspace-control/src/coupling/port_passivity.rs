@@ -1,0 +1,301 @@
+//! Time-domain passivity control of one port of a delayed network (Ryu, Kwon and Hannaford, *Stable teleoperation with
+//! time-domain passivity control*, IEEE Transactions on Robotics and Automation 20(2), 2004; Ryu, Artigas and Preusche, *A
+//! passive bilateral control scheme for a teleoperator with time-varying communication delay*, Mechatronics 20(7), 2010).
+//!
+//! # Bound
+//!
+//! W is the net energy that has flowed into the network at a port, E_in and E_out are its flows in both directions
+//! ([`EnergyPlay`]), s is the slack of the play: W = E_in − E_out + s. Each side sends its E_in and keeps
+//!
+//! ```text
+//! budget = E_in(received from the partner) + store/2 − E_out + s ≥ 0          i.e.  W ≥ E_in − E_in(received) − store/2
+//! ```
+//!
+//! The sum for both sides is W₁ + W₂ ≥ (E_in,1 − E_in,1(received by 2)) + (E_in,2 − E_in,2(received by 1)) − store. E_in never
+//! falls, so that whatever was received, at any time and in any order, is at most E_in now: both brackets are not negative,
+//! and **the energy out is at most the energy in plus the store**. The width of the play does not appear: s contains it.
+//! Energy that flows in moves s and E_in, never E_out: the budget falls only by the energy that flows out.
+//!
+//! # Force into the handle (impedance)
+//!
+//! The force F of a cycle acts until the next one, in a displacement Δx that is not known yet. It is bounded by
+//! |Δx − v T| ≤ r, r = a T², with the velocity v and the stated largest acceleration a. (A velocity that is the difference of
+//! the last two positions over T is covered.) The energy out is at most F·v T + r |F|. The force that is returned is the
+//! nearest one, to that which is wanted, for which this does not exceed the budget:
+//!
+//! ```text
+//! F′ = (1 − μ / |G|) G     G = F − (μ / r²) v T     |·| in units of r F     with the least μ ≥ 0 that is enough
+//! ```
+//!
+//! In motion with |v| T ≫ r this takes off the component along v that gives energy out; at rest it scales the force. A force
+//! that is certain to take energy from the robot is not changed. No damping is injected: the least change of the force
+//! is also that which the operator feels least, and dissipation beyond the budget would be energy that is missing at the
+//! other port. Each axis has its own r, so that metres and radians can be in one port.
+//!
+//! If the motion breaks the bound (an impact, a missed cycle), the budget can become negative by |F| times the
+//! displacement beyond the bound: a *debt*. While there is a debt, only force is allowed that takes energy in every
+//! displacement within the bound. The energy out is then at most the energy in plus the store plus the largest debt
+//! ([`PortPassivity::largest_debt_j`]) of each side.
+//!
+//! # Displacement of a reference (admittance)
+//!
+//! The force is known when the displacement is chosen. If F·Δx exceeds the budget, the component along F that is too much is
+//! removed. What was removed is the *gap*; it is added again with a time constant and at a limited speed, through the same
+//! valve. The bound then holds without any condition on the motion.
+//!
+//! # Holds
+//!
+//! The sums outlive a hold of the robot: [`PortPassivity::restart`] forgets only the gap. What happens during a hold is not
+//! the network's. The partner need not know of it, and the bound holds over any number of holds of either side. A side whose
+//! sums are lost, because its program was restarted, can't be continued by its partner: both begin anew.
+
+use crate::coupling::energy_play::EnergyPlay;
+use nalgebra::Vector6;
+use opspace_backend::quantity::{NonNegative, Positive};
+#[cfg(feature = "schema")]
+use schemars::JsonSchema;
+use serde::Deserialize;
+
+/// Passivity control of the ports of a coupling.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(default, deny_unknown_fields)]
+#[non_exhaustive]
+pub struct PortPassivityParameters {
+    /// Energy that both ports together may deliver beyond what has flowed in, J; 0.05 if absent. Each port may spend half.
+    pub store_j: NonNegative,
+    /// Change of the energy of a port that is not counted as flow, J; 0.002 if absent.
+    pub hysteresis_j: NonNegative,
+    /// Largest acceleration of a port along linear axes, m/s²; 50 if absent.
+    pub acceleration_at_most_m_per_s2: Positive,
+    /// Largest acceleration of a port about angular axes, rad/s²; 250 if absent.
+    pub acceleration_at_most_rad_per_s2: Positive,
+    /// Time constant with which a gap of the reference is closed, s; 0.2 if absent.
+    pub repair_s: Positive,
+    /// Largest speed with which a gap is closed along linear axes, m/s; 0.1 if absent.
+    pub repair_at_most_m_per_s: Positive,
+    /// Largest speed with which a gap is closed about angular axes, rad/s; 0.5 if absent.
+    pub repair_at_most_rad_per_s: Positive,
+}
+
+impl Default for PortPassivityParameters {
+    fn default() -> Self {
+        Self {
+            store_j: NonNegative::literal(0.05),
+            hysteresis_j: NonNegative::literal(0.002),
+            acceleration_at_most_m_per_s2: Positive::literal(50.0),
+            acceleration_at_most_rad_per_s2: Positive::literal(250.0),
+            repair_s: Positive::literal(0.2),
+            repair_at_most_m_per_s: Positive::literal(0.1),
+            repair_at_most_rad_per_s: Positive::literal(0.5),
+        }
+    }
+}
+
+/// Passivity observer and controller of one port, with their state. Units: J; N or Nm and m or rad per axis.
+///
+/// A port with a force as its output (impedance) calls in each cycle [`receive`](Self::receive) for each packet,
+/// [`observe`](Self::observe), then [`limit_force`](Self::limit_force); a port with a reference as its output (admittance)
+/// calls [`receive`](Self::receive) and [`limit_displacement`](Self::limit_displacement). It sends
+/// [`energy_in_j`](Self::energy_in_j) with each packet.
+#[derive(Clone, Debug)]
+pub struct PortPassivity {
+    period_s: f64,
+    half_store_j: f64,
+    /// Largest deviation of the displacement in a cycle from velocity times period, per axis.
+    uncertainty: Vector6<f64>,
+    /// Fraction of the gap that is repaired in a cycle, and the largest repair in a cycle.
+    repair_share: f64,
+    repair_at_most: Vector6<f64>,
+    flow: EnergyPlay,
+    received_j: f64,
+    gap: Vector6<f64>,
+    largest_debt_j: f64,
+    active_s: f64,
+}
+
+impl PortPassivity {
+    /// Returns the passivity control of a port whose cycles last `period_s` (s, above zero). `angular` marks the rows that
+    /// are in rad and Nm instead of m and N.
+    #[must_use]
+    pub fn new(parameters: &PortPassivityParameters, angular: &[bool; 6], period_s: f64) -> Self {
+        let per_axis = |linear: Positive, other: Positive| {
+            Vector6::from_fn(|i, _| if angular[i] { other.get() } else { linear.get() })
+        };
+        let p = parameters;
+        let acceleration = per_axis(p.acceleration_at_most_m_per_s2, p.acceleration_at_most_rad_per_s2);
+        Self {
+            period_s,
+            half_store_j: 0.5 * p.store_j.get(),
+            uncertainty: acceleration * (period_s * period_s),
+            repair_share: (period_s / p.repair_s.get()).min(1.0),
+            repair_at_most: per_axis(p.repair_at_most_m_per_s, p.repair_at_most_rad_per_s) * period_s,
+            flow: EnergyPlay::new(p.hysteresis_j.get()),
+            received_j: 0.0,
+            gap: Vector6::zeros(),
+            largest_debt_j: 0.0,
+            active_s: 0.0,
+        }
+    }
+
+    /// Notes the energy (J) that the partner has sent as its [`energy_in_j`](Self::energy_in_j). The largest counts: older
+    /// packets change nothing.
+    pub fn receive(&mut self, energy_in_j: f64) {
+        if energy_in_j.is_finite() {
+            self.received_j = self.received_j.max(energy_in_j);
+        }
+    }
+
+    /// Counts the work of the force (N, Nm) that was applied from the last cycle until this one, in the displacement (m, rad)
+    /// since the last cycle. Not for ports that call [`limit_displacement`](Self::limit_displacement). Work that is not finite
+    /// is not counted.
+    pub fn observe(&mut self, force: &Vector6<f64>, displacement: &Vector6<f64>) {
+        let out_j = force.dot(displacement);
+        if out_j.is_finite() {
+            self.flow.add(-out_j);
+            self.largest_debt_j = self.largest_debt_j.max(-self.budget_j());
+        }
+    }
+
+    /// Returns the force (N, Nm) nearest to `force` that delivers at most the budget until the next cycle, in every
+    /// displacement that differs from `velocity` (m/s, rad/s) times the period by at most the stated acceleration times the
+    /// period squared. Zero if an input is not finite.
+    #[must_use]
+    pub fn limit_force(&mut self, velocity: &Vector6<f64>, force: &Vector6<f64>) -> Vector6<f64> {
+        let budget_j = self.budget_j().max(0.0);
+        // In these units the bound on the displacement is a ball of radius 1.
+        let scaled_force = force.component_mul(&self.uncertainty);
+        let scaled_displacement = velocity.component_div(&self.uncertainty) * self.period_s;
+        let allowed = match most_work(&scaled_force, &scaled_displacement) {
+            work if work <= budget_j => return *force,
+            work if work.is_finite() => nearest_force(&scaled_force, &scaled_displacement, budget_j),
+            _ => Vector6::zeros(),
+        };
+        self.active_s += self.period_s;
+        allowed.component_div(&self.uncertainty)
+    }
+
+    /// Returns the displacement (m, rad) of the reference in this cycle, and counts its work: `displacement` and a part of the
+    /// gap, without the component along `force` (N, Nm) that would deliver more than the budget. Zero if an input is not
+    /// finite.
+    #[must_use]
+    pub fn limit_displacement(&mut self, displacement: &Vector6<f64>, force: &Vector6<f64>) -> Vector6<f64> {
+        let wanted = displacement + self.repair();
+        let out_j = force.dot(&wanted);
+        if !out_j.is_finite() || !wanted.iter().chain(force).all(|x| x.is_finite()) {
+            self.active_s += self.period_s;
+            return Vector6::zeros();
+        }
+        let excess_j = out_j - self.budget_j().max(0.0);
+        let mut allowed = wanted;
+        if excess_j > 0.0 {
+            // Least change in units of the axes' uncertainty.
+            let along = force.component_mul(&self.uncertainty).component_mul(&self.uncertainty);
+            allowed -= along * (excess_j / along.dot(force));
+            self.active_s += self.period_s;
+        }
+        self.gap += displacement - allowed;
+        self.flow.add(-force.dot(&allowed));
+        allowed
+    }
+
+    /// Forgets the gap, for references that begin anew after a hold. The energies stay: no agreement with the partner is
+    /// needed.
+    pub fn restart(&mut self) {
+        self.gap = Vector6::zeros();
+    }
+
+    /// Continues from the port of the previous task set.
+    pub fn inherit_state(&mut self, before: &Self) {
+        self.flow.inherit_state(&before.flow);
+        (self.received_j, self.gap) = (before.received_j, before.gap);
+        (self.largest_debt_j, self.active_s) = (before.largest_debt_j, before.active_s);
+    }
+
+    /// Energy that has flowed in at this port, J, to be sent to the partner. Never falls.
+    #[must_use]
+    pub fn energy_in_j(&self) -> f64 {
+        self.flow.in_j()
+    }
+
+    /// Energy that has flowed out at this port, J. Never falls.
+    #[must_use]
+    pub fn energy_out_j(&self) -> f64 {
+        self.flow.out_j()
+    }
+
+    /// Largest energy that the partner has sent, J.
+    #[must_use]
+    pub fn energy_received_j(&self) -> f64 {
+        self.received_j
+    }
+
+    /// Energy that may flow out now, J. Negative: a debt.
+    #[must_use]
+    pub fn budget_j(&self) -> f64 {
+        self.received_j + self.half_store_j - self.flow.out_j() + self.flow.slack_j()
+    }
+
+    /// Largest debt so far, J, not negative.
+    #[must_use]
+    pub fn largest_debt_j(&self) -> f64 {
+        self.largest_debt_j
+    }
+
+    /// Displacement (m, rad) that was wanted and has not been allowed yet. Zero for ports with a force as their output.
+    #[must_use]
+    pub fn gap(&self) -> &Vector6<f64> {
+        &self.gap
+    }
+
+    /// Time of the cycles in which a force or displacement was changed, s. A repair of the gap alone does not count.
+    #[must_use]
+    pub fn active_s(&self) -> f64 {
+        self.active_s
+    }
+
+    /// Part of the gap to be closed in this cycle.
+    fn repair(&self) -> Vector6<f64> {
+        let step = self.gap * self.repair_share;
+        let over = |(s, most): (&f64, &f64)| s.abs() / most;
+        let over = step.iter().zip(&self.repair_at_most).map(over).fold(1.0, f64::max);
+        step / over
+    }
+}
+
+/// Most work (J) of a force (J) in the displacements that differ from `displacement` by at most 1.
+fn most_work(force: &Vector6<f64>, displacement: &Vector6<f64>) -> f64 {
+    force.dot(displacement) + force.norm()
+}
+
+/// Force nearest to `force` whose most work is `budget_j` (J, not negative). `force` must be able to do more.
+fn nearest_force(force: &Vector6<f64>, displacement: &Vector6<f64>, budget_j: f64) -> Vector6<f64> {
+    // The conditions of the minimum give the force as a function of their multiplier μ, whose work falls with μ.
+    let at = |multiplier: f64| {
+        let g = force - displacement * multiplier;
+        let norm = g.norm();
+        if norm > multiplier { g * (1.0 - multiplier / norm) } else { Vector6::zeros() }
+    };
+    let is_enough = |multiplier: f64| most_work(&at(multiplier), displacement) <= budget_j;
+    let (mut low, mut high) = (0.0, force.norm());
+    for _ in 0..DOUBLINGS {
+        if is_enough(high) {
+            break;
+        }
+        (low, high) = (high, 2.0 * high);
+    }
+    if !is_enough(high) {
+        return Vector6::zeros();
+    }
+    for _ in 0..BISECTIONS {
+        let middle = 0.5 * (low + high);
+        if is_enough(middle) { high = middle } else { low = middle }
+    }
+    at(high)
+}
+
+/// Doublings of the bracket: enough for all but motion at exactly the radius of the bound.
+const DOUBLINGS: usize = 40;
+
+/// Bisections of the bracket: the precision of an f64.
+const BISECTIONS: usize = 54;

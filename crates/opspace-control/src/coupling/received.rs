@@ -1,0 +1,113 @@
+//! Newest packet from the partner: what a side of a coupling knows of the other one.
+//!
+//! Nothing is extrapolated. Before the first packet there is no state of the partner, and therefore no force, instead of a
+//! partner at position zero.
+
+use nalgebra::Vector6;
+
+/// State of one side of a coupling, as it is sent. Rows that are not used are zero.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Packet {
+    /// Number of the packet, which grows by one with each packet that is sent.
+    pub sequence: u64,
+    /// Time of sending, s, in the clock that the receiver passes as `now_s`. Without a common clock, the time of arrival.
+    pub sent_s: f64,
+    /// Position of the axes, m or rad.
+    pub position: Vector6<f64>,
+    /// Velocity of the axes, m/s or rad/s.
+    pub velocity: Vector6<f64>,
+    /// Force that the network is to exert at the partner's port, N or Nm.
+    pub force: Vector6<f64>,
+    /// Integral of the sent wave, √J·√s; zero without wave variables.
+    pub wave: Vector6<f64>,
+    /// Energy that has flowed in at the sender's port, J.
+    pub energy_in_j: f64,
+    /// Code of the phase of the sender's control loop.
+    pub phase: f64,
+}
+
+impl Packet {
+    /// True if all numbers are finite.
+    #[must_use]
+    pub fn is_finite(&self) -> bool {
+        let Self { sequence: _, sent_s, position, velocity, force, wave, energy_in_j, phase } = self;
+        let vectors = [position, velocity, force, wave];
+        let is_finite = |v: &Vector6<f64>| v.iter().all(|x| x.is_finite());
+        [sent_s, energy_in_j, phase].iter().all(|x| x.is_finite()) && vectors.into_iter().all(is_finite)
+    }
+}
+
+/// Newest packet that has arrived from the partner.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ReceivedState {
+    age_at_most_s: f64,
+    newest: Option<Packet>,
+    first: u64,
+    accepted: u64,
+    refused: u64,
+}
+
+impl ReceivedState {
+    /// Returns the state before the first packet. A packet older than `age_at_most_s` (s) is stale.
+    #[must_use]
+    pub fn new(age_at_most_s: f64) -> Self {
+        Self { age_at_most_s, newest: None, first: 0, accepted: 0, refused: 0 }
+    }
+
+    /// Accepts a packet if it was sent after the newest one so far and all its numbers are finite, and returns whether it did.
+    pub fn accept(&mut self, packet: &Packet) -> bool {
+        let is_newer = self.newest.is_none_or(|newest| packet.sequence > newest.sequence);
+        if !is_newer || !packet.is_finite() {
+            self.refused += 1;
+            return false;
+        }
+        if self.newest.is_none() {
+            self.first = packet.sequence;
+        }
+        self.newest = Some(*packet);
+        self.accepted += 1;
+        true
+    }
+
+    /// Newest packet, however old; `None` before the first one.
+    #[must_use]
+    pub fn newest(&self) -> Option<&Packet> {
+        self.newest.as_ref()
+    }
+
+    /// Newest packet unless it is stale at the time `now_s` (s).
+    #[must_use]
+    pub fn fresh(&self, now_s: f64) -> Option<&Packet> {
+        self.newest().filter(|_| !self.is_stale(now_s))
+    }
+
+    /// Time since the newest packet was sent, s.
+    #[must_use]
+    pub fn age_s(&self, now_s: f64) -> Option<f64> {
+        self.newest().map(|newest| now_s - newest.sent_s)
+    }
+
+    /// True if the newest packet is older than the limit. False before the first packet.
+    #[must_use]
+    pub fn is_stale(&self, now_s: f64) -> bool {
+        self.age_s(now_s).is_some_and(|age_s| age_s > self.age_at_most_s)
+    }
+
+    /// Number of packets that were accepted.
+    #[must_use]
+    pub fn accepted(&self) -> u64 {
+        self.accepted
+    }
+
+    /// Number of packets that arrived and were not accepted: late ones, copies, and ones with numbers that are not finite.
+    #[must_use]
+    pub fn refused(&self) -> u64 {
+        self.refused
+    }
+
+    /// Sequence numbers between the first and the newest packet that were not accepted: packets lost or late.
+    #[must_use]
+    pub fn missing(&self) -> u64 {
+        self.newest().map_or(0, |newest| newest.sequence - self.first + 1 - self.accepted)
+    }
+}
