@@ -23,7 +23,7 @@ pub use hole::{Hole, HoleParameters};
 pub use mass::{Mass, MassParameters};
 pub use mistake::Mistake;
 pub use operator::{
-    OperatorMotion, RandomMotion, ReachParameters, ReleaseParameters, ScriptedMotion, Spring,
+    OperatorMotion, ProbeMotion, RandomMotion, ReachParameters, ReleaseParameters, ScriptedMotion, Spring,
     SpringParameters, WorldAxis,
 };
 pub use pushes::{PushParameters, PushesParameters};
@@ -90,7 +90,7 @@ impl EnvironmentObjectParameters {
     /// Checks parameters that depend on each other, and on the physics rate (Hz).
     pub(crate) fn check(&self, physics_hz: f64) -> Result<(), Mistake> {
         match self {
-            Self::Spring(p) => p.check(),
+            Self::Spring(p) => p.check(physics_hz),
             Self::Pushes(_) => Ok(()),
             Self::Wall(p) => p.check(),
             Self::Cylinder(p) => p.check(),

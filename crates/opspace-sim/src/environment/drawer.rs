@@ -6,7 +6,7 @@
 
 use crate::environment::body::Body;
 use crate::environment::contact::{Bristle, direction};
-use crate::environment::mistake::{Mistake, check_length};
+use crate::environment::mistake::{Mistake, check_length, highest_frequency};
 use nalgebra::{Vector1, Vector3};
 use opspace_backend::SignalRecorder;
 use opspace_backend::quantity::{NonNegative, Positive, exactly};
@@ -22,8 +22,6 @@ const STOP_STIFFNESS: f64 = 2e4;
 const BRISTLE_STIFFNESS: f64 = 2e4;
 /// Damping ratio of the drawer on its stops, and on its bristle.
 const DAMPING_RATIO: f64 = 0.5;
-/// Fewest physics steps in a period of the vibration of the drawer on all its springs.
-const LEAST_STEPS: f64 = 20.0;
 
 /// Drawer on a straight slide, whose handle the frame holds from the start.
 #[derive(Clone, Debug, Deserialize)]
@@ -100,7 +98,7 @@ impl DrawerParameters {
             + self.closing_stiffness_n_per_m.get()
             + BRISTLE_STIFFNESS
             + STOP_STIFFNESS;
-        let omega = TAU * physics_hz / LEAST_STEPS;
+        let omega = TAU * highest_frequency(physics_hz);
         if stiffness > self.mass_kg.get() * omega * omega {
             return Err(Mistake::new(
                 "mass_kg",

@@ -5,7 +5,7 @@
 //! conserve energy without damping.
 
 use crate::environment::body::Body;
-use crate::environment::mistake::Mistake;
+use crate::environment::mistake::{Mistake, check_frequency};
 use nalgebra::Vector3;
 use opspace_backend::SignalRecorder;
 use opspace_backend::quantity::{NonNegative, Positive};
@@ -14,9 +14,6 @@ use opspace_backend::signal_names::POSITION;
 use schemars::JsonSchema;
 use serde::Deserialize;
 use std::f64::consts::TAU;
-
-/// Fewest physics steps in a period of the vibration of a mass on its spring.
-const LEAST_STEPS: f64 = 20.0;
 
 /// Point mass that hangs at the origin of a frame, with its weight and its inertia.
 #[derive(Clone, Debug, Deserialize)]
@@ -65,13 +62,7 @@ pub struct Mass {
 
 impl MassParameters {
     pub(super) fn check(&self, physics_hz: f64) -> Result<(), Mistake> {
-        let most = physics_hz / LEAST_STEPS;
-        if self.frequency_hz.get() > most {
-            return Err(Mistake::new(
-                "frequency_hz",
-                format!("at most a twentieth of the physics rate, {most} Hz, can be simulated"),
-            ));
-        }
+        check_frequency("frequency_hz", self.frequency_hz.get(), physics_hz)?;
         match (self.put_on_s, self.taken_off_s) {
             (Some(on), Some(off)) if off.get() <= on.get() => {
                 Err(Mistake::new("taken_off_s", "the mass is taken off before it is put on"))

@@ -1,6 +1,7 @@
 //! Operator who holds a frame of the robot by a spring: `[environment.NAME.spring]`.
 
-use crate::environment::mistake::Mistake;
+use crate::environment::contact::direction;
+use crate::environment::mistake::{Mistake, check_frequency, check_length};
 use crate::sines::{SINES, Sines};
 use nalgebra::Vector3;
 use opspace_backend::quantity::{NonNegative, Positive, exactly};
@@ -88,11 +89,11 @@ pub enum OperatorMotion {
     Still {},
     /// Band-limited random motion: 24 sines per axis, of random frequency, phase and amplitude.
     Random(RandomMotion),
-    /// Reaches at given times, and tremor.
+    /// Reaches at given times, tremor, and a probe.
     Scripted(ScriptedMotion),
 }
 
-/// Reaches at given times, with tremor.
+/// Reaches at given times, with tremor and a probe.
 #[derive(Clone, Debug, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
@@ -103,6 +104,9 @@ pub struct ScriptedMotion {
     /// Random motion in addition; none if absent.
     #[serde(default)]
     pub tremor: Option<RandomMotion>,
+    /// Motion at given frequencies in addition; none if absent.
+    #[serde(default)]
+    pub probe: Option<ProbeMotion>,
 }
 
 /// Minimum-jerk motion from rest to rest.
@@ -135,6 +139,27 @@ pub struct RandomMotion {
     pub ramp_s: Positive,
 }
 
+/// Sum of sines of given frequencies and equal amplitudes along a line, for the measurement of an impedance at each of these
+/// frequencies. The phases are drawn from the seed: Schroeder's, which make the peak of many adjacent harmonics small, do
+/// not do so for a few frequencies far apart.
+#[derive(Clone, Debug, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct ProbeMotion {
+    /// Rms of the motion along the line, m.
+    pub rms_m: NonNegative,
+    /// Frequencies, in ascending order: 1 to 24, at most a twentieth of the physics rate, Hz.
+    pub lines_hz: Vec<Positive>,
+    /// Direction of the line in world axes; any length.
+    #[serde(deserialize_with = "exactly")]
+    pub axis: [f64; 3],
+    /// Beginning, in s after the controller's start.
+    pub from_s: NonNegative,
+    /// Time over which the motion ramps up, s.
+    #[serde(default = "one_second")]
+    pub ramp_s: Positive,
+}
+
 const fn one_second() -> Positive {
     Positive::literal(1.0)
 }
@@ -149,6 +174,7 @@ pub struct Spring {
     /// Random motion along each axis, m; no sines for an operator who does not move at random.
     sines: Box<[Sines; 3]>,
     reaches: Vec<ReachParameters>,
+    probe: Option<Box<Probe>>,
     released: Vec<ReleaseParameters>,
     /// True if `home` is a given point.
     is_at_point: bool,
@@ -156,20 +182,75 @@ pub struct Spring {
     is_released: bool,
 }
 
+/// Probing motion, with the sines along its line (m).
+#[derive(Clone, Debug)]
+struct Probe {
+    axis: Vector3<f64>,
+    from_s: f64,
+    ramp_s: f64,
+    sines: Sines,
+}
+
 impl SpringParameters {
-    pub(super) fn check(&self) -> Result<(), Mistake> {
+    pub(super) fn check(&self, physics_hz: f64) -> Result<(), Mistake> {
         let ends_early = |release: &ReleaseParameters| {
             release.until_s.is_some_and(|until| until.get() <= release.at_s.get())
         };
         if self.released.iter().any(ends_early) {
             return Err(Mistake::new("released", "until_s must be after at_s"));
         }
-        if let OperatorMotion::Scripted(ScriptedMotion { tremor: Some(tremor), .. }) = &self.motion
-            && tremor.to_hz < tremor.from_hz
-        {
+        let OperatorMotion::Scripted(ScriptedMotion { tremor, probe, .. }) = &self.motion else {
+            return Ok(());
+        };
+        if tremor.as_ref().is_some_and(|tremor| tremor.to_hz < tremor.from_hz) {
             return Err(Mistake::new("motion.scripted.tremor", "to_hz is below from_hz"));
         }
-        Ok(())
+        probe.as_ref().map_or(Ok(()), |probe| probe.check(physics_hz))
+    }
+}
+
+impl ProbeMotion {
+    fn check(&self, physics_hz: f64) -> Result<(), Mistake> {
+        const LINES: &str = "motion.scripted.probe.lines_hz";
+        check_length("motion.scripted.probe.axis", self.axis)?;
+        if self.lines_hz.is_empty() || self.lines_hz.len() > SINES {
+            let found = self.lines_hz.len();
+            return Err(Mistake::new(LINES, format!("{found} frequencies; 1 to {SINES} are possible")));
+        }
+        if let Some(pair) = self.lines_hz.windows(2).find(|pair| pair[0] >= pair[1]) {
+            let [before, after] = [pair[0].get(), pair[1].get()];
+            return Err(Mistake::new(
+                LINES,
+                format!(
+                    "{after} Hz follows {before} Hz; the frequencies must be in ascending order, each once"
+                ),
+            ));
+        }
+        self.lines_hz.iter().try_for_each(|line| check_frequency(LINES, line.get(), physics_hz))
+    }
+
+    /// Draws the phases.
+    fn draw(&self, random: &mut ChaCha8Rng) -> Probe {
+        let amplitude = self.rms_m.get() * (2.0 / self.lines_hz.len() as f64).sqrt();
+        let mut sines = [(0.0, 0.0, 0.0); SINES];
+        for (sine, line) in sines.iter_mut().zip(&self.lines_hz) {
+            *sine = (amplitude, TAU * line.get(), random.random_range(0.0..TAU));
+        }
+        Probe {
+            axis: direction(self.axis),
+            from_s: self.from_s.get(),
+            ramp_s: self.ramp_s.get(),
+            sines: Sines::new(&sines),
+        }
+    }
+}
+
+impl Probe {
+    /// Offset (m) and velocity (m/s) at a time (s) after the beginning.
+    fn motion(&mut self, t: f64) -> (Vector3<f64>, Vector3<f64>) {
+        let (s, ds) = minimum_jerk(t - self.from_s, self.ramp_s);
+        let (p, dp) = self.sines.at(t - self.from_s);
+        (self.axis * (s * p), self.axis * (ds * p + s * dp))
     }
 }
 
@@ -189,10 +270,12 @@ fn minimum_jerk(t: f64, duration: f64) -> (f64, f64) {
 impl Spring {
     pub(super) fn new(p: &SpringParameters, home: Vector3<f64>, mut random: ChaCha8Rng) -> Self {
         let gain = Vector3::from(p.gain.map(NonNegative::get));
-        let (tremor, reaches) = match &p.motion {
-            OperatorMotion::Still {} => (None, Vec::new()),
-            OperatorMotion::Random(motion) => (Some(motion), Vec::new()),
-            OperatorMotion::Scripted(motion) => (motion.tremor.as_ref(), motion.reach.clone()),
+        let (tremor, reaches, probe) = match &p.motion {
+            OperatorMotion::Still {} => (None, Vec::new(), None),
+            OperatorMotion::Random(motion) => (Some(motion), Vec::new(), None),
+            OperatorMotion::Scripted(motion) => {
+                (motion.tremor.as_ref(), motion.reach.clone(), motion.probe.as_ref())
+            }
         };
         let (ramp_s, sines) = match tremor {
             None => (1.0, Default::default()),
@@ -207,6 +290,8 @@ impl Spring {
             ramp_s,
             sines,
             reaches,
+            // Drawn last: a tremor is the same with and without a probe.
+            probe: probe.map(|probe| Box::new(probe.draw(&mut random))),
             released: p.released.clone(),
             is_at_point: p.point_m.is_some(),
             is_released: false,
@@ -243,6 +328,13 @@ impl Spring {
             let by = Vector3::from(reach.by_m);
             offset += by * s;
             speed += by * ds;
+        }
+        if let Some(probe) = &mut self.probe
+            && t > probe.from_s
+        {
+            let (p, dp) = probe.motion(t);
+            offset += p;
+            speed += dp;
         }
         (offset, speed)
     }

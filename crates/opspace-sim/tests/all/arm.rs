@@ -505,6 +505,9 @@ fn contradictory_parameters_are_refused_by_name() {
     let hole = format!("[hole]\nnormal = [0.0, 0.0, 1.0]\nradius_m = 0.01\ndepth_m = 0.02\n{surface}");
     let drawer = "[drawer]\ntravel_m = 0.2\nmass_kg = 1.0\ndirection";
     let hold = "[spring]\nstiffness_n_per_m = 1.0\ndamping_ns_per_m = 0.0\nmotion";
+    let probe = |axis: &str, lines: &str| {
+        format!("{hold}.scripted.probe = {{ rms_m = 0.01, axis = {axis}, lines_hz = {lines}, from_s = 0.0 }}")
+    };
     for (text, key, words) in [
         (format!("[cylinder]\naxis = [0.0, 0.0, 0.0]\nradius_m = 0.1\n{surface}"), "axis", "no length"),
         (format!("{hole}\nclearance_m = 0.01"), "clearance_m", "radius of the hole, 0.01 m"),
@@ -524,6 +527,11 @@ fn contradictory_parameters_are_refused_by_name() {
             "motion.scripted.tremor",
             "below from_hz",
         ),
+        (probe("[0.0, 0.0, 0.0]", "[1.0]"), "motion.scripted.probe.axis", "no length"),
+        (probe("[0.0, 0.0, 1.0]", "[]"), "motion.scripted.probe.lines_hz", "1 to 24"),
+        (probe("[0.0, 0.0, 1.0]", "[2.0, 1.5]"), "motion.scripted.probe.lines_hz", "1.5 Hz follows 2 Hz"),
+        (probe("[0.0, 0.0, 1.0]", "[2.0, 2.0]"), "motion.scripted.probe.lines_hz", "each once"),
+        (probe("[0.0, 0.0, 1.0]", "[2.0, 1001.0]"), "motion.scripted.probe.lines_hz", "1000 Hz"),
     ] {
         // The frame is the first key of the table.
         let text = text.replacen("]\n", "]\nframe = 'hand'\n", 1);

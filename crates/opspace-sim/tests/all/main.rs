@@ -13,6 +13,7 @@ mod external;
 mod gear;
 mod ideal;
 mod motors_and_loads;
+mod probe;
 mod setpoint_limits;
 mod simulation;
 mod velocity;
