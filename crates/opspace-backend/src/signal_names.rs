@@ -119,6 +119,8 @@ pub const VALUE: &str = "value";
 pub const ERROR: &str = "error";
 /// Task force along the task's rows, or contact force.
 pub const FORCE: &str = "force";
+/// Work that a true contact force has done on the robot since the start of control, J.
+pub const WORK: &str = "work";
 /// True normal force of an environment object with friction, N.
 pub const NORMAL_FORCE: &str = "normal_force";
 /// Depth of a peg in a hole of the environment, m; 0 outside.

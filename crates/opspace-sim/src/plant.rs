@@ -21,7 +21,7 @@ pub trait Plant {
     /// True joint velocities, in the order of [`q`](Self::q), rad/s or m/s.
     fn dq(&self) -> &[f64];
 
-    /// Advances by `dt_s` (s) from the time `time_s` (s on the simulation's clock). `joint_torques` (Nm or N, in the
+    /// Advances by `dt_s` (s) from the time `time_s` (s after the start of control). `joint_torques` (Nm or N, in the
     /// order of [`q`](Self::q)) are constant over the step.
     fn step(&mut self, time_s: f64, dt_s: f64, joint_torques: &[f64]);
 
@@ -32,6 +32,10 @@ pub trait Plant {
     /// Force of a contact on an arm during the last step, world axes (N). Contacts are ordered as
     /// [`PlantArm::contacts`], followed by the arm's couplings in the order of [`PlantConfig::couplings`].
     fn contact_force(&self, arm: usize, contact: usize) -> Vector3<f64>;
+
+    /// Work that the force of a contact has done on an arm since the start of control, J. Contacts are ordered as in
+    /// [`contact_force`](Self::contact_force).
+    fn contact_work(&self, arm: usize, contact: usize) -> f64;
 
     /// Environment object of an arm, in the order of [`PlantArm::contacts`], with its state after the last step; `None`
     /// for a coupling.

@@ -6,7 +6,10 @@
 //! 1. [`begin_step`](PlantArms::begin_step) predicts the middle of the step and adds the joint torques of all forces
 //!    there to those of the drives;
 //! 2. the engine computes the accelerations of the joints in the middle under these torques;
-//! 3. [`end_step`](PlantArms::end_step) advances positions and velocities.
+//! 3. [`end_step`](PlantArms::end_step) advances positions and velocities, and adds up the work of the forces.
+//!
+//! The work of a contact force in a step is that of its joint torques on the displacement of the joints, `(Jᵀ F)·Δq`: exactly
+//! what it adds to the kinetic energy of the integrator if the mass matrix is constant, and otherwise to second order.
 
 use crate::environment::EnvironmentObject;
 use crate::external::ExternalForce;
@@ -23,6 +26,8 @@ pub struct PlantArms {
     couplings: Vec<Coupling>,
     q: DVector<f64>,
     dq: DVector<f64>,
+    /// True if the present step is after the start of control.
+    is_controlled: bool,
 }
 
 /// Arm, and the forces on it.
@@ -31,6 +36,8 @@ struct MovingArm {
     integrator: Midpoint,
     joints: Range<usize>,
     torque: DVector<f64>,
+    /// Mean velocities during the last step (n; rad/s, m/s).
+    mean_dq: DVector<f64>,
     objects: Vec<EnvironmentObject>,
     /// Forces of the objects, then those of the couplings.
     contacts: Vec<PointForce>,
@@ -42,6 +49,8 @@ struct PointForce {
     frame: FrameId,
     jacobian: Matrix6xX<f64>,
     force: Vector3<f64>,
+    /// Work on the robot since the start of control, J.
+    work: f64,
 }
 
 /// External force, and its wrench during the last step.
@@ -62,7 +71,14 @@ struct Coupling {
 
 impl PointForce {
     fn new(frame: FrameId, n: usize) -> Self {
-        Self { frame, jacobian: Matrix6xX::zeros(n), force: Vector3::zeros() }
+        Self { frame, jacobian: Matrix6xX::zeros(n), force: Vector3::zeros(), work: 0.0 }
+    }
+
+    /// Power on joints with the velocities `dq` (n; rad/s, m/s), W.
+    fn power(&self, dq: &DVector<f64>) -> f64 {
+        (self.jacobian.column_iter().zip(dq))
+            .map(|(column, dq)| column.fixed_rows::<3>(0).dot(&self.force) * dq)
+            .sum()
     }
 }
 
@@ -84,6 +100,7 @@ impl MovingArm {
             integrator,
             joints: first_joint..first_joint + n,
             torque: DVector::zeros(n),
+            mean_dq: DVector::zeros(n),
             objects,
             contacts: frames.into_iter().map(|frame| PointForce::new(frame, n)).collect(),
             external: External { set: None, jacobian: Matrix6xX::zeros(n), wrench: Force::zero() },
@@ -123,6 +140,15 @@ impl MovingArm {
             frame_jacobian(&self.model, middle, force.frame, jacobian);
             add_torques(jacobian, 0, &wrench.linear, &mut self.torque);
             add_torques(jacobian, 3, &wrench.angular, &mut self.torque);
+        }
+    }
+
+    /// Adds the work of a step of `dt_s` (s), during which the mean velocities were `mean_dq`.
+    fn add_work(&mut self, dt_s: f64) {
+        for contact in &mut self.contacts {
+            if contact.force != Vector3::zeros() {
+                contact.work += contact.power(&self.mean_dq) * dt_s;
+            }
         }
     }
 
@@ -172,7 +198,7 @@ impl PlantArms {
             arms.push(MovingArm::new(arm, first_joint));
         }
         let couplings = config.couplings.into_iter().map(|c| Coupling::new(c, &mut arms)).collect();
-        Self { arms, couplings, dq: DVector::zeros(q.len()), q: DVector::from_vec(q) }
+        Self { arms, couplings, dq: DVector::zeros(q.len()), q: DVector::from_vec(q), is_controlled: false }
     }
 
     /// Positions of all joints, one arm after the other, rad or m.
@@ -187,14 +213,16 @@ impl PlantArms {
         self.dq.as_slice()
     }
 
-    /// Predicts the middle of the next step of `dt_s` (s) from the time `time_s` (s), and computes all forces there.
-    /// `joint_torques` are those of the drives (Nm or N).
+    /// Predicts the middle of the next step of `dt_s` (s) from the time `time_s` (s after the start of control), and computes
+    /// all forces there. `joint_torques` are those of the drives (Nm or N).
     pub fn begin_step(&mut self, time_s: f64, dt_s: f64, joint_torques: &[f64]) {
+        let middle_s = time_s + 0.5 * dt_s;
+        self.is_controlled = middle_s >= 0.0;
         for arm in &mut self.arms {
             arm.torque.copy_from_slice(&joint_torques[arm.joints.clone()]);
             let (q, dq) = (&self.q.as_slice()[arm.joints.clone()], &self.dq.as_slice()[arm.joints.clone()]);
             arm.integrator.predict(&arm.model, q, dq, dt_s);
-            arm.touch(time_s + 0.5 * dt_s, dt_s);
+            arm.touch(middle_s, dt_s);
         }
         for coupling in &self.couplings {
             coupling.pull(&mut self.arms);
@@ -216,19 +244,29 @@ impl PlantArms {
 
     /// Ends the step that was begun, with the joint accelerations in its middle (rad/s² or m/s²).
     pub fn end_step(&mut self, dt_s: f64, ddq: &[f64]) {
-        for arm in &mut self.arms {
-            let q = &mut self.q.as_mut_slice()[arm.joints.clone()];
-            let dq = &mut self.dq.as_mut_slice()[arm.joints.clone()];
-            arm.integrator.accelerate(q, dq, &ddq[arm.joints.clone()], dt_s);
-        }
+        self.advance(dt_s, |arm, q, dq| arm.integrator.accelerate(q, dq, &ddq[arm.joints.clone()], dt_s));
     }
 
     /// Ends the step that was begun, with the accelerations of the articulated-body algorithm.
     pub fn end_step_rigid(&mut self, dt_s: f64) {
+        self.advance(dt_s, |arm, q, dq| {
+            arm.integrator.advance(&arm.model, q, dq, arm.torque.as_slice(), dt_s);
+        });
+    }
+
+    /// Advances positions and velocities of each arm, and adds the work of the step.
+    fn advance(&mut self, dt_s: f64, mut integrate: impl FnMut(&mut MovingArm, &mut [f64], &mut [f64])) {
         for arm in &mut self.arms {
             let q = &mut self.q.as_mut_slice()[arm.joints.clone()];
             let dq = &mut self.dq.as_mut_slice()[arm.joints.clone()];
-            arm.integrator.advance(&arm.model, q, dq, arm.torque.as_slice(), dt_s);
+            arm.mean_dq.copy_from_slice(dq);
+            integrate(arm, q, dq);
+            for (mean, dq) in arm.mean_dq.iter_mut().zip(dq) {
+                *mean = 0.5 * (*mean + *dq);
+            }
+            if self.is_controlled {
+                arm.add_work(dt_s);
+            }
         }
     }
 
@@ -242,6 +280,12 @@ impl PlantArms {
     #[must_use]
     pub fn contact_force(&self, arm: usize, contact: usize) -> Vector3<f64> {
         self.arms[arm].contacts[contact].force
+    }
+
+    /// Work of a contact on an arm: see [`Plant::contact_work`](crate::Plant::contact_work).
+    #[must_use]
+    pub fn contact_work(&self, arm: usize, contact: usize) -> f64 {
+        self.arms[arm].contacts[contact].work
     }
 
     /// Environment object of an arm: see [`Plant::environment_object`](crate::Plant::environment_object).

@@ -47,6 +47,10 @@ impl Plant for RigidPlant {
         self.arms.contact_force(arm, contact)
     }
 
+    fn contact_work(&self, arm: usize, contact: usize) -> f64 {
+        self.arms.contact_work(arm, contact)
+    }
+
     fn environment_object(&self, arm: usize, contact: usize) -> Option<&EnvironmentObject> {
         self.arms.environment_object(arm, contact)
     }

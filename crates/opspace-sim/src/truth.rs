@@ -6,7 +6,7 @@ use crate::plant::Plant;
 use crate::timing::Timing;
 use nalgebra::Vector3;
 use opspace_backend::signal_names::{
-    DQ, FORCE, MOTOR_TORQUE, Q, SERVO_CHANNEL, SETPOINT_LIMITED, TRUTH_CHANNEL,
+    DQ, FORCE, MOTOR_TORQUE, Q, SERVO_CHANNEL, SETPOINT_LIMITED, TRUTH_CHANNEL, WORK,
 };
 use opspace_backend::{Layout, Signal, SignalRecorder, TruthLayouts, TruthRow};
 use opspace_model::{JointUnits, Model};
@@ -53,6 +53,9 @@ trait Contacts {
     /// Force of a contact on the arm, world axes (N).
     fn force(&self, contact: usize) -> Vector3<f64>;
 
+    /// Work of a contact on the arm since the start of control, J.
+    fn work(&self, contact: usize) -> f64;
+
     /// Environment object of a contact, if it is one.
     fn object(&self, contact: usize) -> Option<&EnvironmentObject>;
 }
@@ -63,6 +66,10 @@ struct AtStart<'a>(&'a [EnvironmentObject]);
 impl Contacts for AtStart<'_> {
     fn force(&self, _contact: usize) -> Vector3<f64> {
         Vector3::zeros()
+    }
+
+    fn work(&self, _contact: usize) -> f64 {
+        0.0
     }
 
     fn object(&self, contact: usize) -> Option<&EnvironmentObject> {
@@ -79,6 +86,10 @@ struct InPlant<'a> {
 impl Contacts for InPlant<'_> {
     fn force(&self, contact: usize) -> Vector3<f64> {
         self.plant.contact_force(self.arm, contact)
+    }
+
+    fn work(&self, contact: usize) -> f64 {
+        self.plant.contact_work(self.arm, contact)
     }
 
     fn object(&self, contact: usize) -> Option<&EnvironmentObject> {
@@ -99,6 +110,7 @@ impl ArmSignals {
         out.signal(DQ, &self.units.velocity, &self.joints, dq);
         for (i, contact) in self.contacts.iter().enumerate() {
             out.signal((contact, FORCE), "N", &["x", "y", "z"], contacts.force(i).as_slice());
+            out.scalar((contact, WORK), "J", contacts.work(i));
             if let Some(object) = contacts.object(i) {
                 object.record(contact, out);
             }

@@ -18,6 +18,10 @@ const TOLERANCE_N: f64 = 1e-6;
 
 /// Force that a contact has at least, N: it is compared in contact.
 const LEAST_N: f64 = 1.0;
+/// Largest difference of works on the two plants, J.
+const TOLERANCE_J: f64 = 1e-7;
+/// Work that each object of a test does at least, J.
+const LEAST_J: f64 = 0.01;
 
 const START: [f64; 7] = [0.1, -0.7, 0.2, -2.2, 0.3, 1.5, 0.7];
 
@@ -138,12 +142,13 @@ fn environment_acts_as_on_the_own_plant() {
     let moved = |mut plant: Box<dyn Plant>| {
         let q = positions_after(&mut *plant, STEP_S, 0.3);
         let forces = [0, 1, 2].map(|contact| plant.contact_force(0, contact));
+        let work = [0, 1, 2].map(|contact| plant.contact_work(0, contact));
         let mut row = vec![0.0; 8];
         let mut out = SignalRecorder::sampling(&mut row);
         for contact in 0..3 {
             plant.environment_object(0, contact).expect("an object").record("thing", &mut out);
         }
-        (q, forces, row)
+        (q, forces, row, work)
     };
     let own = moved(Box::new(RigidPlant::new(config())));
     let other = moved(mujoco.build(config()).expect("a plant"));
@@ -152,6 +157,8 @@ fn environment_acts_as_on_the_own_plant() {
         assert!((own - other).norm() < TOLERANCE_N && own.norm() > LEAST_N, "{own} {other}");
     }
     assert!(difference(&own.2, &other.2) < TOLERANCE_N, "{:?} {:?}", own.2, other.2);
+    assert!(difference(&own.3, &other.3) < TOLERANCE_J, "{:?} {:?}", own.3, other.3);
+    assert!(own.3.iter().all(|work| work.abs() > LEAST_J), "{:?}", own.3);
 }
 
 /// Compared: the motion of two coupled arms of which one is pulled, on both plants, and the forces that the plants

@@ -237,13 +237,13 @@ fn mass_weighs_on_arm_and_sensor() {
     let (model, hand) = (setup.model.clone(), setup.model.frame_id("hand").expect("the hand"));
     let mut arm = arm(setup);
     let names: Vec<String> = arm.layouts().truth.signals.iter().map(|signal| signal.name.clone()).collect();
-    assert_eq!(names, ["q", "dq", "push.force", "push.position"]);
+    assert_eq!(names, ["q", "dq", "push.force", "push.work", "push.position"]);
     let mut forces = Vec::new();
     let mut sample = read(&mut arm);
     for _ in 0..2000 {
         arm.visit(&mut |row| {
             if let TruthRow::State { time_s, row } = row {
-                forces.push((time_s, row[8..14].to_vec()));
+                forces.push((time_s, [&row[8..11], &row[12..15]].concat()));
             }
         });
         sample = read(&mut arm);

@@ -17,3 +17,4 @@ mod probe;
 mod setpoint_limits;
 mod simulation;
 mod velocity;
+mod work;

@@ -262,7 +262,7 @@ fn coupling_forces_are_equal_and_opposite() {
     assert_eq!(forces[0], -forces[1]);
     let names: Vec<String> =
         arms[1].layouts().truth.signals.iter().map(|signal| signal.name.clone()).collect();
-    assert_eq!(names, ["q", "dq", "bar.force"]);
+    assert_eq!(names, ["q", "dq", "bar.force", "bar.work"]);
     for (second, reason) in [(2, "no arm 2"), (0, "both frames are on the same arm")] {
         let wrong = CouplingConfig { second: (second, "hand".to_owned()), ..coupling.clone() };
         let error = Simulation::new(config(wrong)).err().expect("refused");
@@ -302,6 +302,10 @@ impl Plant for OtherEngine {
 
     fn contact_force(&self, arm: usize, contact: usize) -> Vector3<f64> {
         self.0.contact_force(arm, contact)
+    }
+
+    fn contact_work(&self, arm: usize, contact: usize) -> f64 {
+        self.0.contact_work(arm, contact)
     }
 
     fn environment_object(&self, arm: usize, contact: usize) -> Option<&EnvironmentObject> {
