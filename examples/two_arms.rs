@@ -45,7 +45,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let progress = Progress::default();
     let mut timeline = Timeline::new(&[1000, 1000])?;
     let parameters =
-        ChannelParameters { delay_s: 0.02, jitter_s: 0.005, loss: 0.05, reordering: false, seed: 1 };
+        ChannelParameters { delay_s: 0.02, jitter_s: 0.005, loss: 0.05, seed: 1, ..Default::default() };
 
     // Both logs are written while both arms run.
     common::record("follower", &follower, |follower_file| {

@@ -156,8 +156,35 @@ pub const SLACK: &str = "slack";
 pub const TANK: &str = "tank";
 /// Stiffness of a task's axes if it varies (6; N/m, Nm/rad).
 pub const STIFFNESS: &str = "stiffness";
+/// Displacement of a coupled task's rows since the start (rows; m, rad).
+pub const DISPLACEMENT: &str = "displacement";
+/// Number of the packet that a coupled task sends: its control cycles since the start.
+pub const PORT_SEQUENCE: &str = "port_sequence";
+/// 1 while a coupled task receives its partner and its clutch is closed.
+pub const PORT_CLOSED: &str = "port_closed";
+/// Energy that has entered the coupling at a coupled task, J.
+pub const PORT_ENERGY_IN: &str = "port_energy_in";
+/// Energy that has left the coupling at a coupled task, J.
+pub const PORT_ENERGY_OUT: &str = "port_energy_out";
+/// Position that a coupled task sends, in the leader's coordinates (rows; m, rad).
+pub const PORT_POSITION: &str = "port_position";
+/// Velocity that a coupled task sends, in the leader's coordinates (rows; m/s, rad/s).
+pub const PORT_VELOCITY: &str = "port_velocity";
+/// Force that a coupled task sends (rows; N, Nm).
+pub const PORT_FORCE: &str = "port_force";
+/// Time at which a coupled task sends, on its robot's clock, s.
+pub const PORT_TIME: &str = "port_time";
+/// Integral of the wave variable that a coupled task sends (rows).
+pub const PORT_WAVE: &str = "port_wave";
+/// Number of packets that did not arrive before a later one did.
+pub const PACKETS_LOST: &str = "packets_lost";
+/// Time since the last packet arrived, s.
+pub const PACKET_AGE: &str = "packet_age";
 /// Code of the control mode of each axis of a task (6).
 pub const MODES: &str = "modes";
+/// Cause of a hold that is requested from outside: 0 none, 1 requested, 2 + 2k robot k of the experiment is held or stopped,
+/// 3 + 2k nothing arrives from robot k.
+pub const TARGET_HOLD: &str = "target.hold";
 /// 1 while the streamed target of a task is stale.
 pub const TARGET_STALE: &str = "target_stale";
 /// Age of the streamed target of a task, s.

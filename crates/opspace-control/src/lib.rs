@@ -116,7 +116,7 @@ pub use references::streamed::{OnTimeout, STOP_S, StreamedShape};
 pub use references::streamed_joints::{JointShape, StreamedJointReference};
 pub use references::streamed_pose::{PoseShape, QUATERNION_TOLERANCE, StreamedReference};
 pub use references::target::Target;
-pub use targets::{AllowedInputs, InputHandle, TargetError, Targets, TaskHandle, TaskTarget};
+pub use targets::{AllowedInputs, HoldCause, InputHandle, TargetError, Targets, TaskHandle, TaskTarget};
 pub use tasks::admittance::AdmittanceLimits;
 pub use tasks::axes::{
     AXIS_NAMES, Axes, AxesFrame, AxesFrameParameter, AxisMode, PerAxis, SurfaceAxesParameters,
@@ -129,6 +129,11 @@ pub use tasks::cartesian_target::CartesianTarget;
 pub use tasks::controlled_frame::ControlledFrame;
 pub use tasks::coordinate::Coordinate;
 pub use tasks::coordinate_task::{CoordinateGains, CoordinateTask};
+pub use tasks::coupled::{CoupledTask, PACKET_SIGNALS};
+pub use tasks::coupled_parameters::{
+    CoupledAxis, CoupledParameters, CouplingScale, CouplingSide, Passivity, Reflected,
+    TeleoperationParameters,
+};
 pub use tasks::damping::Damping;
 pub use tasks::damping_zone::DampingZone;
 pub use tasks::energy_tank::TankParameters;

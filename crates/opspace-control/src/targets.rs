@@ -19,6 +19,7 @@
 //! ```
 
 use crate::tasks::axes::AxisMode;
+use opspace_backend::signal_names::TARGET_HOLD;
 use opspace_backend::{Layout, Signal};
 use std::ops::Range;
 use thiserror::Error;
@@ -29,7 +30,7 @@ const CHANNEL: &str = "targets";
 /// Inputs of the whole controller: their names, and their positions in the row.
 const HOLD: usize = 0;
 const TASK_SET: usize = 1;
-const GENERAL: [&str; 2] = ["target.hold", "target.task_set"];
+const GENERAL: [&str; 2] = [TARGET_HOLD, "target.task_set"];
 
 /// A row of streamed targets.
 #[derive(Clone, Debug, PartialEq)]
@@ -72,6 +73,44 @@ impl AllowedInputs {
             std::array::from_fn(|mode| self.modes[axis][mode] || other.modes[axis][mode])
         });
         Self { modes, gains: self.gains || other.gains }
+    }
+}
+
+/// Reason why a robot is asked to hold.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum HoldCause {
+    /// A person or a program asked for it.
+    Requested,
+    /// The robot of this number, with which this one is coupled, is held or stopped.
+    RobotHeld(usize),
+    /// Nothing arrives any more from the robot of this number, with which this one is coupled.
+    RobotSilent(usize),
+}
+
+impl HoldCause {
+    /// Number of the cause in targets and logs: 1 requested, 2 + 2k robot k is held, 3 + 2k robot k is silent.
+    #[must_use]
+    pub fn code(self) -> f64 {
+        match self {
+            Self::Requested => 1.0,
+            Self::RobotHeld(robot) => 2.0 + 2.0 * robot as f64,
+            Self::RobotSilent(robot) => 3.0 + 2.0 * robot as f64,
+        }
+    }
+
+    /// Returns the cause with this number; `None` for 0 and NaN, which ask for no hold.
+    #[must_use]
+    pub fn from_code(code: f64) -> Option<Self> {
+        if !(code >= 1.0 && code.fract() == 0.0) {
+            return None;
+        }
+        let number = code as usize;
+        Some(match (number, number % 2) {
+            (1, _) => Self::Requested,
+            (_, 0) => Self::RobotHeld((number - 2) / 2),
+            _ => Self::RobotSilent((number - 3) / 2),
+        })
     }
 }
 
@@ -317,7 +356,12 @@ impl Targets {
     /// Allocates nothing.
     pub fn merge(&mut self, row: &[f64], seen: &mut [f64], clock_s: f64) {
         let general = GENERAL.len().min(row.len());
+        let of_robot = self.hold_cause().filter(|cause| *cause != HoldCause::Requested);
         self.row[..general].copy_from_slice(&row[..general]);
+        if !self.is_held() {
+            // Only the robot itself ends the hold that it caused.
+            self.hold_because(of_robot);
+        }
         for (task, seen) in self.tasks.iter().zip(seen) {
             let count = row[task.stamp];
             if count.to_bits() == seen.to_bits() {
@@ -435,15 +479,26 @@ impl Targets {
 
     /// Requests a hold of the robot, or its end.
     pub fn hold(&mut self, hold: bool) {
+        self.hold_because(hold.then_some(HoldCause::Requested));
+    }
+
+    /// Requests a hold of the robot for a cause, or its end.
+    pub fn hold_because(&mut self, cause: Option<HoldCause>) {
         if let Some(slot) = self.row.get_mut(HOLD) {
-            *slot = f64::from(u8::from(hold));
+            *slot = cause.map_or(0.0, HoldCause::code);
         }
+    }
+
+    /// Cause of the hold that is requested, if there is one.
+    #[must_use]
+    pub fn hold_cause(&self) -> Option<HoldCause> {
+        HoldCause::from_code(*self.row.get(HOLD)?)
     }
 
     /// Returns true if a hold of the robot is requested.
     #[must_use]
     pub fn is_held(&self) -> bool {
-        self.row.get(HOLD).is_some_and(|&hold| hold == 1.0)
+        self.hold_cause().is_some()
     }
 
     /// Requests a prepared task set by its number; the first set has number 0.
@@ -493,6 +548,23 @@ mod tests {
         );
         assert_eq!(targets().layout().width(), targets().row().len());
         assert_eq!(Targets::new([("rest", Vec::new())]), Targets::none());
+    }
+
+    /// Compared: causes of a hold, and what is read from their numbers.
+    #[test]
+    fn causes_of_a_hold_have_numbers() {
+        for cause in [
+            HoldCause::Requested,
+            HoldCause::RobotHeld(0),
+            HoldCause::RobotSilent(0),
+            HoldCause::RobotHeld(3),
+            HoldCause::RobotSilent(7),
+        ] {
+            assert_eq!(HoldCause::from_code(cause.code()), Some(cause));
+        }
+        for none in [f64::NAN, 0.0, -2.0, 2.5, f64::NEG_INFINITY] {
+            assert_eq!(HoldCause::from_code(none), None);
+        }
     }
 
     /// Compared: the row before and after a write that is refused.

@@ -45,9 +45,12 @@ pub fn drive_together(robots: &mut [Driven<'_, '_>], links: &mut [Link], timelin
                 continue;
             }
             cycle(*backend, run, &mut samples[next.robot], &mut |run, clock_s| {
+                let mut cause = None;
                 for link in links.iter_mut().filter(|link| link.to() == next.robot) {
-                    link.deliver(next.tick, clock_s, run.targets());
+                    let of_link = link.deliver(next.tick, clock_s, run.targets());
+                    cause = cause.or(of_link);
                 }
+                run.targets().hold_because(cause);
             });
             for link in links.iter_mut().filter(|link| link.from() == next.robot) {
                 link.send(next.tick, run.row());

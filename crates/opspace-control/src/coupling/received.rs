@@ -10,7 +10,7 @@ use nalgebra::Vector6;
 pub struct Packet {
     /// Number of the packet, which grows by one with each packet that is sent.
     pub sequence: u64,
-    /// Time of sending, s, in the clock that the receiver passes as `now_s`. Without a common clock, the time of arrival.
+    /// Time of sending on the sender's clock, s.
     pub sent_s: f64,
     /// Position of the axes, m or rad.
     pub position: Vector6<f64>,
@@ -22,18 +22,18 @@ pub struct Packet {
     pub wave: Vector6<f64>,
     /// Energy that has flowed in at the sender's port, J.
     pub energy_in_j: f64,
-    /// Code of the phase of the sender's control loop.
-    pub phase: f64,
+    /// True while the sender's coupling is closed: it receives its partner, and its clutch is closed.
+    pub closed: bool,
 }
 
 impl Packet {
     /// True if all numbers are finite.
     #[must_use]
     pub fn is_finite(&self) -> bool {
-        let Self { sequence: _, sent_s, position, velocity, force, wave, energy_in_j, phase } = self;
+        let Self { sequence: _, sent_s, position, velocity, force, wave, energy_in_j, closed: _ } = self;
         let vectors = [position, velocity, force, wave];
         let is_finite = |v: &Vector6<f64>| v.iter().all(|x| x.is_finite());
-        [sent_s, energy_in_j, phase].iter().all(|x| x.is_finite()) && vectors.into_iter().all(is_finite)
+        [sent_s, energy_in_j].iter().all(|x| x.is_finite()) && vectors.into_iter().all(is_finite)
     }
 }
 
@@ -42,20 +42,27 @@ impl Packet {
 pub struct ReceivedState {
     age_at_most_s: f64,
     newest: Option<Packet>,
+    /// Time at which the newest packet arrived, on the receiver's clock, s.
+    arrived_s: f64,
     first: u64,
     accepted: u64,
     refused: u64,
 }
 
 impl ReceivedState {
-    /// Returns the state before the first packet. A packet older than `age_at_most_s` (s) is stale.
+    /// Returns the state before the first packet. A packet that arrived more than `age_at_most_s` (s) ago is stale.
     #[must_use]
     pub fn new(age_at_most_s: f64) -> Self {
-        Self { age_at_most_s, newest: None, first: 0, accepted: 0, refused: 0 }
+        Self { age_at_most_s, newest: None, arrived_s: 0.0, first: 0, accepted: 0, refused: 0 }
     }
 
-    /// Accepts a packet if it was sent after the newest one so far and all its numbers are finite, and returns whether it did.
-    pub fn accept(&mut self, packet: &Packet) -> bool {
+    /// Forgets all packets.
+    pub fn restart(&mut self) {
+        *self = Self::new(self.age_at_most_s);
+    }
+
+    /// Accepts a packet that arrives at `now_s` (s, receiver's clock) if it was sent after the newest one so far and all its numbers are finite, and returns whether it did.
+    pub fn accept(&mut self, packet: &Packet, now_s: f64) -> bool {
         let is_newer = self.newest.is_none_or(|newest| packet.sequence > newest.sequence);
         if !is_newer || !packet.is_finite() {
             self.refused += 1;
@@ -65,6 +72,7 @@ impl ReceivedState {
             self.first = packet.sequence;
         }
         self.newest = Some(*packet);
+        self.arrived_s = now_s;
         self.accepted += 1;
         true
     }
@@ -81,10 +89,10 @@ impl ReceivedState {
         self.newest().filter(|_| !self.is_stale(now_s))
     }
 
-    /// Time since the newest packet was sent, s.
+    /// Time since the newest packet arrived, s. The clocks of sender and receiver need not agree.
     #[must_use]
     pub fn age_s(&self, now_s: f64) -> Option<f64> {
-        self.newest().map(|newest| now_s - newest.sent_s)
+        self.newest().map(|_| now_s - self.arrived_s)
     }
 
     /// True if the newest packet is older than the limit. False before the first packet.

@@ -4,6 +4,7 @@ use crate::context::ControlContext;
 use crate::error::ControlError;
 use crate::limits::joint_limits::LimitParameters;
 use crate::tasks::cartesian_parameters::{CartesianParameters, CenterOfMassParameters};
+use crate::tasks::coupled_parameters::CoupledParameters;
 use crate::tasks::joint_parameters::{
     JointDampingParameters, JointPostureParameters, JointTrackingParameters,
 };
@@ -42,6 +43,8 @@ pub enum TaskParameters {
     CenterOfMass(Box<CenterOfMassParameters>),
     /// The swivel angle of the elbow about the line from shoulder to wrist follows a reference.
     Swivel(Box<SwivelParameters>),
+    /// A frame, or some joints, are coupled with a task of another robot.
+    Coupled(Box<CoupledParameters>),
     /// The joints follow a reference.
     JointTracking(JointTrackingParameters),
     /// Springs pull the joints to a posture.
@@ -61,6 +64,7 @@ impl TaskParameters {
             Self::Cartesian(_) => "cartesian",
             Self::CenterOfMass(_) => "center-of-mass",
             Self::Swivel(_) => "swivel",
+            Self::Coupled(_) => "coupled",
             Self::JointTracking(_) => "joint-tracking",
             Self::JointPosture(_) => "joint-posture",
             Self::JointDamping(_) => "joint-damping",

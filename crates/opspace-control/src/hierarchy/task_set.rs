@@ -8,6 +8,7 @@ use crate::hierarchy::rank::{TypicalMobility, sampled_rank};
 use crate::hierarchy::task_hierarchy::TaskHierarchy;
 use crate::hierarchy::task_parameters::{TaskParameters, TaskSetParameters, largest_unused_damping_per_s};
 use crate::tasks::cartesian::CartesianTask;
+use crate::tasks::coupled::CoupledTask;
 use crate::tasks::damping::Damping;
 use crate::tasks::joint_task::JointTask;
 use crate::tasks::posture::Posture;
@@ -131,6 +132,7 @@ impl TaskSetBuilder<'_> {
                 self.task(Box::new(CartesianTask::of_center_of_mass(name, p, model, context)?))
             }
             TaskParameters::Swivel(p) => self.task(Box::new(p.task(name, model)?)),
+            TaskParameters::Coupled(p) => self.task(Box::new(CoupledTask::new(name, p, model, context)?)),
             TaskParameters::Registered(p) => self.task(p.task(name, model, context)?),
             TaskParameters::JointTracking(p) => match &p.joints {
                 Some(joints) => self.task(Box::new(SelectedJoints::new(name, joints, p, model)?)),

@@ -7,19 +7,18 @@ use crate::measurement::Measurement;
 use crate::tasks::axes::{AXIS_NAMES, Axes, AxisMode, required};
 use crate::tasks::force_axis::{AxisMotion, ForceAxis};
 use crate::tasks::force_parameters::ForceParameters;
+use crate::tasks::sensed_force::SensedForce;
 use nalgebra::{Matrix3, Vector3, Vector6};
+use opspace_backend::SignalRecorder;
 use opspace_backend::signal_names::{
     CONTACT, FORCE_ENERGY, FORCE_GAIN_SHARE, PASSIVITY_TIME, SENSED_FORCE, TARGET_FORCE,
 };
-use opspace_backend::{LowPass, SignalRecorder};
-use opspace_model::{Data, FrameId, Model, frame_placement};
+use opspace_model::{Data, Model};
 
 /// Force feedback of a task, with its state.
 #[derive(Clone, Debug)]
 pub(crate) struct ForceFeedback {
-    sensor: usize,
-    frame: FrameId,
-    filter: LowPass<6>,
+    sensor: SensedForce,
     axes: [ForceAxis; 6],
     /// True if an axis can be in force control, so that its signals are recorded.
     pub(crate) records_control: bool,
@@ -95,9 +94,12 @@ impl ForceFeedback {
         }
         let modes = axes.modes();
         Ok(Self {
-            sensor,
-            frame: context.sensors[sensor].1,
-            filter: LowPass::new(force.filter_hz.get(), context.period_s),
+            sensor: SensedForce::new(
+                sensor,
+                context.sensors[sensor].1,
+                force.filter_hz.get(),
+                context.period_s,
+            ),
             axes: std::array::from_fn(|axis| ForceAxis::new(force, axis, modes[axis], context.period_s)),
             records_control: in_force_control.contains(&true),
             start_s: 0.0,
@@ -119,8 +121,7 @@ impl ForceFeedback {
         self.start_s = input.measurement.time_s;
         self.time_s = 0.0;
         self.point = input.point;
-        let raw = self.raw(input.measurement);
-        self.filter.reset(&raw);
+        let raw = self.sensor.start(input.measurement);
         self.sensed = self.sensed_at(input, &raw);
         for (axis, &sensed) in self.axes.iter_mut().zip(&self.sensed) {
             axis.start(sensed);
@@ -130,28 +131,16 @@ impl ForceFeedback {
     /// Continues from the force feedback of another task set, after [`start`](Self::start): takes over the filter state if the
     /// sensor is the same, and the state of axes that remain in force control.
     pub(crate) fn inherit_state(&mut self, before: &Self) {
-        if self.sensor == before.sensor {
-            self.filter.reset(before.filter.output());
-        }
+        self.sensor.inherit_state(&before.sensor);
         for (axis, before) in self.axes.iter_mut().zip(&before.axes) {
             axis.inherit_state(before);
         }
     }
 
-    fn raw(&self, measurement: &Measurement) -> [f64; 6] {
-        let f = &measurement.wrenches[self.sensor];
-        [f.linear.x, f.linear.y, f.linear.z, f.angular.x, f.angular.y, f.angular.z]
-    }
-
     /// Converts a reading of the sensor (N, Nm; world axes) to force and moment at the task frame's origin, in the task axes.
     fn sensed_at(&self, input: &ForceInput<'_>, reading: &[f64; 6]) -> Vector6<f64> {
         let ForceInput { model, data, rotation, point, .. } = input;
-        let [fx, fy, fz, mx, my, mz] = *reading;
-        let force = Vector3::new(fx, fy, fz);
-        let lever = frame_placement(model, data, self.frame).translation - point;
-        let (linear, angular) =
-            (rotation.tr_mul(&force), rotation.tr_mul(&(Vector3::new(mx, my, mz) + lever.cross(&force))));
-        Vector6::new(linear.x, linear.y, linear.z, angular.x, angular.y, angular.z)
+        self.sensor.at((model, data), reading, point, rotation)
     }
 
     /// Updates the sensed force and the axes. The feedback does not change while `hold` is true.
@@ -179,8 +168,7 @@ impl ForceFeedback {
     fn sense(&mut self, input: &ForceInput<'_>) {
         self.time_s = input.measurement.time_s - self.start_s;
         self.point = input.point;
-        let raw = self.raw(input.measurement);
-        let filtered = self.filter.update(&raw);
+        let filtered = self.sensor.update(input.measurement);
         self.sensed = self.sensed_at(input, &filtered);
     }
 

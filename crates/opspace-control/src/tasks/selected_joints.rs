@@ -24,6 +24,29 @@ pub struct SelectedJoints {
     acceleration: Vector6<f64>,
 }
 
+/// Returns the indices of the joints `names`, from one to six, in this order; `key` is that of the list.
+pub(crate) fn selected_joints(
+    names: &[String],
+    model: &Model,
+    key: &str,
+) -> Result<Vec<usize>, ControlError> {
+    if names.is_empty() {
+        return Err(ControlError::new(key, Reason::JointList));
+    }
+    let mut joints = Vec::with_capacity(names.len());
+    for joint in names {
+        let index = model.joint(joint).map_err(|unknown| ControlError::new(key, unknown))?;
+        if joints.contains(&index) {
+            return Err(ControlError::new(key, Reason::JointList));
+        }
+        joints.push(index);
+    }
+    if joints.len() > 6 {
+        return Err(ControlError::new(key, Reason::TooManyJoints { joints: joints.len(), most: 6 }));
+    }
+    Ok(joints)
+}
+
 impl SelectedJoints {
     /// Creates a task of the joints `names`, in this order.
     ///
@@ -35,21 +58,7 @@ impl SelectedJoints {
         parameters: &JointTrackingParameters,
         model: &Model,
     ) -> Result<Self, ControlError> {
-        let key = format!("task.{name}.joint-tracking.joints");
-        if names.is_empty() {
-            return Err(ControlError::new(key, Reason::JointList));
-        }
-        let mut joints = Vec::with_capacity(names.len());
-        for joint in names {
-            let index = model.joint(joint).map_err(|unknown| ControlError::new(&key, unknown))?;
-            if joints.contains(&index) {
-                return Err(ControlError::new(&key, Reason::JointList));
-            }
-            joints.push(index);
-        }
-        if joints.len() > 6 {
-            return Err(ControlError::new(&key, Reason::TooManyJoints { joints: joints.len(), most: 6 }));
-        }
+        let joints = selected_joints(names, model, &format!("task.{name}.joint-tracking.joints"))?;
         let tracking = Tracking::of_joints(name, parameters, model, joints.clone())?;
         Ok(Self { tracking, joints, acceleration: Vector6::zeros() })
     }

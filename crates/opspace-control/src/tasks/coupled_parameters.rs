@@ -1,0 +1,234 @@
+//! Parameters of a task that is coupled with a task of another robot: `[task.NAME.coupled]`.
+
+use crate::coupling::port_passivity::PortPassivityParameters;
+use crate::tasks::axes::AXIS_NAMES;
+use opspace_backend::quantity::{NonNegative, Positive, exactly};
+#[cfg(feature = "schema")]
+use schemars::JsonSchema;
+use serde::Deserialize;
+
+/// A frame, or some joints, coupled with a task of another robot. Without a partner, the rows are compliant.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(deny_unknown_fields)]
+#[non_exhaustive]
+pub struct CoupledParameters {
+    /// The coupled frame: a link of the URDF. Either this or `joints`.
+    #[serde(default)]
+    pub frame: Option<String>,
+    /// The coupled joints, at most six. Either this or `frame`.
+    #[serde(default)]
+    pub joints: Option<Vec<String>>,
+    /// Axes of the frame that are coupled; x, y and z if absent.
+    #[serde(default)]
+    pub axes: Option<Vec<CoupledAxis>>,
+    /// Directions of the axes: those of the world rotated by roll, pitch and yaw (fixed axes, in that order), rad. With
+    /// them, robots that face different ways agree on what is forward.
+    #[serde(default, deserialize_with = "exactly")]
+    pub axes_rpy_rad: [f64; 3],
+    /// Damping along the axes, Ns/m (of prismatic joints too); 0 if absent.
+    #[serde(default)]
+    pub damping_ns_per_m: NonNegative,
+    /// Damping about the axes, Nms/rad (of revolute joints too); 0 if absent.
+    #[serde(default)]
+    pub damping_nms_per_rad: NonNegative,
+    /// Force sensor of the robot, or one of its estimated forces; needed for measured forces and handle feedback.
+    #[serde(default)]
+    pub sensor: Option<String>,
+    /// Corner frequency of the filter of the sensed force, Hz.
+    #[serde(default = "hundred")]
+    pub filter_hz: Positive,
+    /// Side of the robot in its coupling; an experiment with several robots writes it into the task.
+    #[serde(default)]
+    pub side: Option<CouplingSide>,
+    /// Law of the coupling; an experiment with several robots writes it into the task. Without it, nothing is received.
+    #[serde(default)]
+    pub teleoperation: Option<Box<TeleoperationParameters>>,
+}
+
+const fn hundred() -> Positive {
+    Positive::literal(100.0)
+}
+
+impl CoupledParameters {
+    /// Returns the parameters of a frame, with x, y and z coupled and without sensor, damping or coupling.
+    #[must_use]
+    pub fn of_frame(frame: impl Into<String>) -> Self {
+        Self {
+            frame: Some(frame.into()),
+            joints: None,
+            axes: None,
+            axes_rpy_rad: [0.0; 3],
+            damping_ns_per_m: NonNegative::default(),
+            damping_nms_per_rad: NonNegative::default(),
+            sensor: None,
+            filter_hz: hundred(),
+            side: None,
+            teleoperation: None,
+        }
+    }
+}
+
+/// Axis of a coupled frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(rename_all = "kebab-case")]
+pub enum CoupledAxis {
+    /// Along the first axis.
+    X,
+    /// Along the second axis.
+    Y,
+    /// Along the third axis.
+    Z,
+    /// About the first axis.
+    Rx,
+    /// About the second axis.
+    Ry,
+    /// About the third axis.
+    Rz,
+}
+
+impl CoupledAxis {
+    /// Index in [`AXIS_NAMES`].
+    #[must_use]
+    pub fn index(self) -> usize {
+        self as usize
+    }
+
+    /// Name in files.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        AXIS_NAMES[self.index()]
+    }
+}
+
+/// Law of a coupling between a leader and a follower.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(deny_unknown_fields, default)]
+#[non_exhaustive]
+pub struct TeleoperationParameters {
+    /// Quantity from which the leader's force is computed.
+    pub reflect: Reflected,
+    /// Stiffness along the axes between reference and follower, N/m.
+    pub stiffness_n_per_m: NonNegative,
+    /// Damping along the axes, Ns/m.
+    pub damping_ns_per_m: NonNegative,
+    /// Stiffness about the axes, Nm/rad.
+    pub stiffness_nm_per_rad: NonNegative,
+    /// Damping about the axes, Nms/rad.
+    pub damping_nms_per_rad: NonNegative,
+    /// Ratios of the follower to the leader.
+    pub scale: CouplingScale,
+    /// Feedback g of the leader's sensed force: the leader's inertia and friction appear 1 + g times smaller to the
+    /// hand; the reflected force is multiplied by 1 + g. Needs a sensor of the leader.
+    pub handle_feedback: NonNegative,
+    /// Passivity control.
+    pub passivity: Passivity,
+    /// Times at which the clutch is open, from and until, s after the start of control: the leader moves without the
+    /// follower. When it closes, the follower continues from where it is.
+    pub clutch_open_s: Vec<[f64; 2]>,
+    /// Age of the last packet, measured from its arrival, above which the coupling is open, s.
+    pub timeout_s: Positive,
+}
+
+impl Default for TeleoperationParameters {
+    fn default() -> Self {
+        Self {
+            reflect: Reflected::default(),
+            stiffness_n_per_m: NonNegative::literal(3000.0),
+            damping_ns_per_m: NonNegative::literal(60.0),
+            stiffness_nm_per_rad: NonNegative::literal(30.0),
+            damping_nms_per_rad: NonNegative::literal(0.6),
+            scale: CouplingScale::default(),
+            handle_feedback: NonNegative::default(),
+            passivity: Passivity::default(),
+            clutch_open_s: Vec::new(),
+            timeout_s: Positive::literal(0.2),
+        }
+    }
+}
+
+/// Side of a robot in a coupling.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(rename_all = "kebab-case")]
+pub enum CouplingSide {
+    /// The operator moves it, and feels the other robot.
+    Leader,
+    /// Follows the leader.
+    Follower,
+}
+
+/// Quantity from which the force on the leader is computed.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(rename_all = "kebab-case")]
+#[non_exhaustive]
+pub enum Reflected {
+    /// Position of the follower: both robots are pulled to each other by the coupling's spring.
+    Position,
+    /// Force of the follower's spring, which includes the follower's friction and inertia.
+    ControllerForce,
+    /// Force that the follower's sensor measures.
+    #[default]
+    MeasuredForce,
+    /// Wave variables; they are passive with any constant delay, but not with jitter or loss.
+    Waves {
+        /// Wave impedance b, Ns/m (Nms/rad for rotations).
+        impedance_ns_per_m: Positive,
+    },
+}
+
+impl Reflected {
+    /// Name in files.
+    #[must_use]
+    pub fn name(&self) -> &'static str {
+        match self {
+            Self::Position => "position",
+            Self::ControllerForce => "controller-force",
+            Self::MeasuredForce => "measured-force",
+            Self::Waves { .. } => "waves",
+        }
+    }
+}
+
+/// Ratios of the follower's motion and force to those of the leader.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct CouplingScale {
+    /// Displacement of the follower per displacement of the leader.
+    #[serde(default = "one")]
+    pub position: Positive,
+    /// Force on the leader per force on the follower.
+    #[serde(default = "one")]
+    pub force: Positive,
+}
+
+const fn one() -> Positive {
+    Positive::literal(1.0)
+}
+
+impl Default for CouplingScale {
+    fn default() -> Self {
+        Self { position: one(), force: one() }
+    }
+}
+
+/// Passivity control of a coupling.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(rename_all = "kebab-case")]
+pub enum Passivity {
+    /// The energies are observed and recorded, but not limited.
+    Off,
+    /// Limits the energy that comes out of the coupling to what went in on the other side and the store.
+    On(PortPassivityParameters),
+}
+
+impl Default for Passivity {
+    fn default() -> Self {
+        Self::On(PortPassivityParameters::default())
+    }
+}

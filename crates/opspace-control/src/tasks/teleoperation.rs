@@ -1,0 +1,334 @@
+//! Law of one side of a bilateral coupling.
+//!
+//! With p, v the displacement and velocity of a robot's rows, F the force sensed on it, s_p and s_f the scales, and a hat
+//! for what was received:
+//!
+//! ```text
+//! leader    r = s_f f̂                                    measured force, controller force
+//!           r = s_f s_p [K (p̂ − p) + D (v̂ − v)]           position
+//!           command (1 + g) r + g F                      g: handle feedback
+//! follower  x follows s_p p̂ from where it was when the coupling closed
+//!           f_c = K (x − p) + D (ẋ − v)                  command; f = F or f = −f_c is sent
+//! ```
+//!
+//! The [passivity control](crate::coupling::port_passivity) limits r of the leader, and the change of x, or f_c of the
+//! follower if both positions are coupled. The follower sends its position in the leader's coordinates.
+
+use crate::coupling::port_passivity::{PortPassivity, PortPassivityParameters};
+use crate::coupling::received::{Packet, ReceivedState};
+use crate::coupling::wave::{FollowerWave, LeaderWave};
+use crate::error::{ControlError, Reason};
+use crate::tasks::coupled_parameters::{CouplingSide, Passivity, Reflected, TeleoperationParameters};
+use crate::tasks::coupled_rows::RowState;
+use nalgebra::Vector6;
+use opspace_backend::quantity::NonNegative;
+
+/// Store of a passivity control that only observes, J.
+const UNLIMITED_J: NonNegative = NonNegative::literal(1e9);
+
+/// Time over which the leader's force fades in after the coupling closes, s.
+const FADE_S: f64 = 0.1;
+
+/// Wave variables of one side.
+#[derive(Clone, Debug)]
+enum Wave {
+    Leader(LeaderWave),
+    Follower(FollowerWave),
+}
+
+/// One side of a coupling, with its state.
+#[derive(Clone, Debug)]
+pub(crate) struct Teleoperation {
+    side: CouplingSide,
+    reflect: Reflected,
+    /// Stiffness and damping of each row.
+    spring: Vector6<f64>,
+    damper: Vector6<f64>,
+    position_scale: f64,
+    force_scale: f64,
+    handle_feedback: f64,
+    clutch_open_s: Vec<[f64; 2]>,
+    period_s: f64,
+    passivity: PortPassivity,
+    wave: Option<Wave>,
+    /// True if the coupling acted in the last cycle.
+    closed: bool,
+    /// Share of the leader's force, from 0 to 1.
+    share: f64,
+    /// Reference of the follower's rows, m or rad, and its velocity.
+    reference: Vector6<f64>,
+    reference_velocity: Vector6<f64>,
+    /// Reference of the follower that belongs to displacement zero of the leader.
+    offset: Vector6<f64>,
+    /// Target of the follower in the last cycle.
+    target: Vector6<f64>,
+    /// Position of the last cycle.
+    position: Vector6<f64>,
+    /// Force that is sent: on the follower, or on the leader.
+    force: Vector6<f64>,
+}
+
+impl Teleoperation {
+    /// Returns a side of a coupling with `[stiffness, damping]` of each row. `angular` marks the rows in rad and Nm; `sensed`
+    /// is true if the force is sensed.
+    pub(crate) fn new(
+        (side, p): (CouplingSide, &TeleoperationParameters),
+        [spring, damper]: [Vector6<f64>; 2],
+        (angular, sensed): (&[bool; 6], bool),
+        period_s: f64,
+        key: &str,
+    ) -> Result<Self, ControlError> {
+        let unsensed = |what| ControlError::new(key, Reason::CouplingUnsensed { what });
+        if side == CouplingSide::Leader && p.handle_feedback.get() > 0.0 && !sensed {
+            return Err(unsensed("`handle_feedback` of the leader"));
+        }
+        if side == CouplingSide::Follower && p.reflect == Reflected::MeasuredForce && !sensed {
+            return Err(unsensed("`reflect = \"measured-force\"`"));
+        }
+        let mut last_s = 0.0;
+        for &[from_s, until_s] in &p.clutch_open_s {
+            let in_order = from_s >= last_s && until_s > from_s && until_s.is_finite();
+            if !in_order {
+                let reason = Reason::ClutchTimes { from_s, until_s };
+                return Err(ControlError::new(format!("{key}.clutch_open_s"), reason));
+            }
+            last_s = until_s;
+        }
+        let zero = Vector6::zeros();
+        let limits = match &p.passivity {
+            Passivity::On(limits) => *limits,
+            // The energies are recorded, but the store is never empty.
+            Passivity::Off => PortPassivityParameters { store_j: UNLIMITED_J, ..Default::default() },
+        };
+        let wave = match (p.reflect, side) {
+            (Reflected::Waves { impedance_ns_per_m }, CouplingSide::Leader) => {
+                Some(Wave::Leader(LeaderWave::new(impedance_ns_per_m.get(), period_s)))
+            }
+            (Reflected::Waves { impedance_ns_per_m }, CouplingSide::Follower) => {
+                Some(Wave::Follower(FollowerWave::new(impedance_ns_per_m.get(), period_s)))
+            }
+            _ => None,
+        };
+        Ok(Self {
+            side,
+            reflect: p.reflect,
+            spring,
+            damper,
+            position_scale: p.scale.position.get(),
+            force_scale: p.scale.force.get(),
+            handle_feedback: p.handle_feedback.get(),
+            clutch_open_s: p.clutch_open_s.clone(),
+            period_s,
+            passivity: PortPassivity::new(&limits, angular, period_s),
+            wave,
+            closed: false,
+            share: 0.0,
+            reference: zero,
+            reference_velocity: zero,
+            offset: zero,
+            target: zero,
+            position: zero,
+            force: zero,
+        })
+    }
+
+    pub(crate) fn side(&self) -> CouplingSide {
+        self.side
+    }
+
+    pub(crate) fn passivity(&self) -> &PortPassivity {
+        &self.passivity
+    }
+
+    /// Reference of the follower; the leader's is its own position.
+    pub(crate) fn reference(&self) -> &Vector6<f64> {
+        match self.side {
+            CouplingSide::Leader => &self.position,
+            CouplingSide::Follower => &self.reference,
+        }
+    }
+
+    /// Starts with zero displacement and an open coupling.
+    pub(crate) fn start(&mut self) {
+        for vector in [
+            &mut self.reference,
+            &mut self.reference_velocity,
+            &mut self.offset,
+            &mut self.target,
+            &mut self.position,
+            &mut self.force,
+        ] {
+            vector.fill(0.0);
+        }
+        (self.closed, self.share) = (false, 0.0);
+        self.passivity.restart();
+    }
+
+    /// Continues from the coupling of another task set.
+    pub(crate) fn inherit_state(&mut self, before: &Self) {
+        self.passivity.inherit_state(&before.passivity);
+        (self.closed, self.share) = (before.closed, before.share);
+        self.reference = before.reference;
+        self.reference_velocity = before.reference_velocity;
+        self.offset = before.offset;
+        self.target = before.target;
+        self.position = before.position;
+        self.force = before.force;
+    }
+
+    /// Cycle in which the robot is held: the coupling is open, and the reference stays at the robot.
+    pub(crate) fn rest(&mut self, state: &RowState, partner: &ReceivedState) {
+        self.position = state.position;
+        self.reference = state.position;
+        self.open(partner);
+        self.force.fill(0.0);
+        self.passivity.restart();
+    }
+
+    /// Opens the coupling: the reference stays where it is, whatever the leader does.
+    fn open(&mut self, partner: &ReceivedState) {
+        (self.closed, self.share) = (false, 0.0);
+        self.reference_velocity.fill(0.0);
+        if let Some(packet) = partner.newest() {
+            self.offset = self.reference - packet.position * self.position_scale;
+        }
+        self.target = self.reference;
+    }
+
+    /// Returns the force on the rows of a cycle, N or Nm.
+    pub(crate) fn update(
+        &mut self,
+        state: &RowState,
+        partner: &ReceivedState,
+        clutch: Option<bool>,
+        time_s: f64,
+        clock_s: f64,
+    ) -> Vector6<f64> {
+        let scheduled = || self.clutch_open_s.iter().any(|[from, until]| (*from..*until).contains(&time_s));
+        let is_open = clutch.unwrap_or_else(scheduled);
+        let packet = partner.fresh(clock_s);
+        let moved = state.position - self.position;
+        self.position = state.position;
+        // A robot whose own clutch is open still sends what the other one needs to see that.
+        self.closed = packet.is_some() && !is_open;
+        let packet = packet.filter(|packet| packet.closed && !is_open);
+        match self.side {
+            CouplingSide::Leader => self.lead(state, &moved, packet),
+            CouplingSide::Follower => self.follow(state, &moved, packet, partner),
+        }
+    }
+
+    fn lead(&mut self, state: &RowState, moved: &Vector6<f64>, packet: Option<&Packet>) -> Vector6<f64> {
+        let wanted = match packet {
+            None => {
+                self.share = 0.0;
+                Vector6::zeros()
+            }
+            Some(packet) => {
+                self.share = (self.share + self.period_s / FADE_S).min(1.0);
+                let force = match self.reflect {
+                    Reflected::Position => {
+                        let stretch = packet.position - state.position;
+                        let speed = packet.velocity - state.velocity;
+                        let force = self.spring.component_mul(&stretch) + self.damper.component_mul(&speed);
+                        force * self.position_scale
+                    }
+                    _ => match &mut self.wave {
+                        Some(Wave::Leader(wave)) => {
+                            wave.receive(packet.sent_s, &packet.wave);
+                            wave.update(&state.velocity)
+                        }
+                        _ => packet.force,
+                    },
+                };
+                force * (self.force_scale * self.share)
+            }
+        };
+        if let Some(packet) = packet {
+            self.passivity.receive(packet.energy_in_j);
+        }
+        self.passivity.observe(&self.force, moved);
+        self.force = self.passivity.limit_force(&state.velocity, &wanted);
+        let g = self.handle_feedback;
+        self.force * (1.0 + g) + state.sensed * g
+    }
+
+    fn follow(
+        &mut self,
+        state: &RowState,
+        moved: &Vector6<f64>,
+        packet: Option<&Packet>,
+        partner: &ReceivedState,
+    ) -> Vector6<f64> {
+        let energy_scale = self.force_scale / self.position_scale;
+        let effort = self.effort(state);
+        match packet {
+            None => {
+                let closed = self.closed;
+                self.open(partner);
+                self.closed = closed;
+            }
+            Some(packet) => {
+                self.passivity.receive(packet.energy_in_j);
+                let target = self.offset + packet.position * self.position_scale;
+                let step = match &mut self.wave {
+                    Some(Wave::Follower(wave)) => {
+                        wave.receive(packet.sent_s, &packet.wave);
+                        wave.update(&-effort)
+                    }
+                    _ => target - self.target,
+                };
+                self.target = target;
+                let allowed = match self.reflect {
+                    Reflected::Position => step,
+                    _ => self.passivity.limit_displacement(&step, &(effort * -energy_scale)),
+                };
+                self.reference += allowed;
+                self.reference_velocity = if allowed == step && self.wave.is_none() {
+                    packet.velocity * self.position_scale
+                } else {
+                    allowed / self.period_s
+                };
+            }
+        }
+        let stretch = self.reference - state.position;
+        let speed = self.reference_velocity - state.velocity;
+        let force = self.spring.component_mul(&stretch) + self.damper.component_mul(&speed);
+        let force = match self.reflect {
+            Reflected::Position => {
+                self.passivity.observe(&(self.force * energy_scale), moved);
+                self.passivity.limit_force(&state.velocity, &(force * energy_scale)) / energy_scale
+            }
+            _ => force,
+        };
+        self.force = force;
+        force
+    }
+
+    /// Force on the follower that is sent to the leader.
+    fn effort(&self, state: &RowState) -> Vector6<f64> {
+        match self.reflect {
+            Reflected::MeasuredForce => state.sensed,
+            _ => -self.force,
+        }
+    }
+
+    /// Packet for the other robot, without its number.
+    pub(crate) fn sent(&self, state: &RowState) -> Packet {
+        let (position, velocity, force) = match self.side {
+            CouplingSide::Leader => (state.position, state.velocity, self.force),
+            CouplingSide::Follower => (
+                (state.position - self.offset) / self.position_scale,
+                state.velocity / self.position_scale,
+                self.effort(state),
+            ),
+        };
+        let wave = match &self.wave {
+            Some(Wave::Leader(wave)) => *wave.sent(),
+            Some(Wave::Follower(wave)) => *wave.sent(),
+            None => Vector6::zeros(),
+        };
+        let energy_in_j = self.passivity.energy_in_j();
+        Packet { sequence: 0, sent_s: 0.0, closed: self.closed, energy_in_j, position, velocity, force, wave }
+    }
+}
