@@ -1,11 +1,13 @@
 //! Metrics of runs, and tables of these metrics.
 
 pub mod baseline;
+pub mod coupling;
 pub mod csv;
 pub(crate) mod direction;
 pub mod escape_record;
 pub mod expectations;
 pub(crate) mod failures;
+pub(crate) mod harmonics;
 pub(crate) mod metric_tables;
 pub mod metrics;
 pub mod notes;

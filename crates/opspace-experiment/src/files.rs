@@ -2,6 +2,7 @@
 
 pub mod collision;
 pub mod expectation;
+pub mod experiment_file;
 pub(crate) mod explain;
 pub mod grid;
 pub mod interface;

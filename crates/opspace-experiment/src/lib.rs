@@ -43,6 +43,7 @@ pub use files::suite::Suite;
 pub use files::task::TaskDefinition;
 pub use files::task_kinds::{TaskKindError, TaskKinds};
 pub use preflight::{Diagnostic, diagnostics};
+pub use run::coupled_experiment::CoupledExperiment;
 pub use run::error::RunError;
 pub use run::execute::{Progress, RunResult};
 pub use run::experiment::{ControllerKind, Experiment, RunOptions};

@@ -3,6 +3,9 @@
 mod collision_moments;
 mod collision_views;
 mod comparisons;
+pub(crate) mod coupled_page;
+pub mod coupled_table;
+pub(crate) mod coupling_figures;
 pub mod document;
 mod energy_figure;
 mod environment_shapes;

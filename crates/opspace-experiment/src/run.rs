@@ -2,6 +2,9 @@
 
 mod capabilities;
 pub mod collision;
+pub mod coupled_experiment;
+pub mod coupled_run;
+pub mod coupled_summary;
 pub mod error;
 pub mod execute;
 pub mod experiment;

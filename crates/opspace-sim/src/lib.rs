@@ -85,7 +85,9 @@ mod truth;
 pub use arm::SimulatedArm;
 pub use bus::{Bus, BusParameters, DropoutParameters};
 pub use config::{ArmConfig, CouplingConfig, SimulationConfig};
-pub use environment::{EnvironmentObject, EnvironmentObjectParameters, SpringParameters, WorldAxis};
+pub use environment::{
+    EnvironmentObject, EnvironmentObjectParameters, OperatorMotion, ProbeMotion, SpringParameters, WorldAxis,
+};
 pub use error::{Key, SimulationError};
 pub use external::{ExternalForce, ExternalForceHandle, Pull};
 pub use integrator::Midpoint;

@@ -15,8 +15,8 @@ use opspace_experiment::preflight::{
 };
 use opspace_experiment::run::collision::KeptDistances;
 use opspace_experiment::{
-    Diagnostic, Experiment, Extensions, FileError, Files, RobotDefinition, RunOptions, Source, Suite,
-    diagnostics,
+    CoupledExperiment, Diagnostic, Experiment, Extensions, FileError, Files, RobotDefinition, RunOptions,
+    Source, Suite, diagnostics,
 };
 use opspace_model::collision::DropReason;
 use opspace_model::{Model, UrdfOptions, UrdfWarning, model_warnings};
@@ -168,6 +168,13 @@ fn check_one(path: &Path, extensions: &Extensions, console: Console) -> Result<C
                 (find(&suite.experiments, diagnostics), find(&suite.experiments, not_checked));
             Ok(Checked { found, skipped, ..Checked::clean(what) })
         }
+        Some(Kind::Experiment) => {
+            let coupled = CoupledExperiment::load(extensions, Files::Disk, path, &[])?;
+            let what = format!("an experiment with {} robots", coupled.members.len());
+            let members = || coupled.members.iter().map(|member| &member.experiment);
+            let (found, skipped) = (find(members(), diagnostics), find(members(), not_checked));
+            Ok(Checked { found, skipped, ..Checked::clean(what) })
+        }
         Some(Kind::Task) => {
             let options =
                 RunOptions { backend: own_backend(path, None, &[], extensions), ..RunOptions::default() };
@@ -203,9 +210,8 @@ fn check_one(path: &Path, extensions: &Extensions, console: Console) -> Result<C
         // A folder denotes a robot.
         None if path.is_dir() => robot(),
         None => {
-            let help =
-                "a robot file has the key `urdf`, a task file `robot` and `priority`, a suite file [[run]]";
-            let message = "is neither a robot file nor a task file nor a suite file";
+            let help = "a robot file has the key `urdf`, a task file `robot` and `priority`, a suite file [[run]], an experiment [robots]";
+            let message = "is neither a robot file nor a task file nor a suite file nor an experiment";
             Err(FileError::of_file(source.name(), message, Some(help.to_owned())))
         }
     }

@@ -12,6 +12,7 @@ pub mod new;
 pub mod replay;
 pub mod report;
 pub mod run;
+pub mod run_coupled;
 pub mod schema;
 
 use opspace_backend::CommandKind;

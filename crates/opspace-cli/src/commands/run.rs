@@ -2,6 +2,7 @@
 
 use crate::cli::RunArgs;
 use crate::commands::own_backend;
+use crate::commands::run_coupled::run_coupled;
 use crate::console::{Console, Exit, Failure, Outcome, results as table};
 use crate::interrupt;
 use crate::output::pretty;
@@ -10,6 +11,7 @@ use crate::result_folder::{MOVE_TO_START, prepare};
 use indicatif::{ProgressBar, ProgressStyle};
 use opspace_experiment::Progress;
 use opspace_experiment::evaluate::results::MEASURES;
+use opspace_experiment::files::origin::Kind;
 use opspace_experiment::preflight::refusal;
 use opspace_experiment::run::folder::{LOG, REPORT, SUMMARY};
 use opspace_experiment::{Experiment, Extensions, Files, Summary};
@@ -19,6 +21,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 pub fn run(args: &RunArgs, extensions: &Extensions, console: Console) -> Outcome {
+    if Files::Disk.kind(&args.task) == Some(Kind::Experiment) {
+        return run_coupled(args, extensions, console);
+    }
     let robot = args.robot.as_deref();
     let options = args.options(own_backend(&args.task, robot, &args.set, extensions));
     let experiment = Experiment::load_with(extensions, Files::Disk, &args.task, robot, options, &args.set)?;
@@ -64,7 +69,7 @@ pub fn run(args: &RunArgs, extensions: &Extensions, console: Console) -> Outcome
             return Ok(exit_code(&moved));
         }
     }
-    let summary = with_progress(&experiment, &progress, console, || {
+    let summary = with_bar((&experiment.task().name(), experiment.ticks()), &progress, console, || {
         experiment.in_locked_folder(&results, |log| {
             if on_driver {
                 experiment.run_on_driver(extensions, log, &progress)
@@ -117,9 +122,9 @@ pub fn exit_code(summary: &Summary) -> Exit {
     }
 }
 
-/// Shows the progress of a run.
-fn with_progress<T>(
-    experiment: &Experiment,
+/// Shows the progress of a run with a name and a number of cycles.
+pub fn with_bar<T>(
+    (name, ticks): (&str, u64),
     watch: &Arc<Progress>,
     console: Console,
     work: impl FnOnce() -> T,
@@ -127,9 +132,9 @@ fn with_progress<T>(
     if !console.shows_progress() {
         return work();
     }
-    let bar = ProgressBar::new(experiment.ticks());
+    let bar = ProgressBar::new(ticks);
     bar.set_style(style("{msg} {wide_bar} {percent:>3} %"));
-    bar.set_message(experiment.task().name());
+    bar.set_message(name.to_owned());
     let done = AtomicBool::new(false);
     let result = std::thread::scope(|scope| {
         scope.spawn(|| {

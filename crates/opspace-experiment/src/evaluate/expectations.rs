@@ -2,7 +2,6 @@
 
 use crate::evaluate::metric_tables::{ElementError, Evaluation, JointMetrics, Metrics, TaskMetrics};
 use crate::evaluate::table::format_number;
-use crate::files::expectation::Expectation;
 use crate::files::robot::RobotDefinition;
 use crate::files::source::FileError;
 use crate::files::suggest::choices;
@@ -55,21 +54,12 @@ fn keys(metrics: &impl Serialize) -> Vec<String> {
 /// Describes each expectation of a task that a run missed.
 pub(crate) fn missed(task: &TaskDefinition, evaluation: &Evaluation) -> Vec<String> {
     let mut missed = Vec::new();
-    for (name, Expectation { at_most, at_least }) in &task.file.expect {
+    for (name, expectation) in &task.file.expect {
         let value = value_of(evaluation, name);
-        let bounds = [("at most", *at_most), ("at least", *at_least)];
-        for (word, bound) in bounds.into_iter().filter_map(|(word, bound)| Some((word, bound?))) {
-            let is_met =
-                value.is_some_and(|value| if word == "at most" { value <= bound } else { value >= bound });
-            if is_met {
-                continue;
-            }
-            let bound = format_number(bound);
-            missed.push(match value {
-                Some(value) => format!("{name} is {}, expected {word} {bound}", format_number(value)),
-                None => format!("{name} does not exist in this run, expected {word} {bound}"),
-            });
-        }
+        missed.extend(expectation.missed_by(value).map(|bound| match value {
+            Some(value) => format!("{name} is {}, expected {bound}", format_number(value)),
+            None => format!("{name} does not exist in this run, expected {bound}"),
+        }));
     }
     missed
 }

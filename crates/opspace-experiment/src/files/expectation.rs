@@ -1,5 +1,6 @@
 //! Bounds on a metric in a task file.
 
+use crate::evaluate::table::format_number;
 #[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::Deserialize;
@@ -16,4 +17,14 @@ pub struct Expectation {
     /// Smallest value that is accepted, in the unit of the metric.
     #[serde(default)]
     pub at_least: Option<f64>,
+}
+
+impl Expectation {
+    /// Describes each bound that a value misses; a value that does not exist misses all.
+    pub(crate) fn missed_by(&self, value: Option<f64>) -> impl Iterator<Item = String> {
+        let above = self.at_most.filter(|bound| !value.is_some_and(|value| value <= *bound));
+        let below = self.at_least.filter(|bound| !value.is_some_and(|value| value >= *bound));
+        let bounds = [("at most", above), ("at least", below)];
+        bounds.into_iter().filter_map(|(word, bound)| Some(format!("{word} {}", format_number(bound?))))
+    }
 }

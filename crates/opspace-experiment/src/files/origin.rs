@@ -62,6 +62,12 @@ impl Files {
         })
     }
 
+    /// Kind of a file, if it can be read and its keys tell.
+    #[must_use]
+    pub fn kind(self, path: &Path) -> Option<Kind> {
+        self.read(path).ok().and_then(|source| Kind::of(source.text()))
+    }
+
     /// Returns the path of a robot file; for a folder, the path of the `robot.toml` in it.
     #[must_use]
     pub fn robot_file(self, path: &Path) -> PathBuf {
@@ -82,6 +88,8 @@ pub enum Kind {
     Task,
     /// A suite.
     Suite,
+    /// An experiment with several robots.
+    Experiment,
 }
 
 impl Kind {
@@ -89,10 +97,11 @@ impl Kind {
     /// the text has no such keys, or keys of several kinds.
     #[must_use]
     pub fn of(text: &str) -> Option<Self> {
-        const KEYS: [(Kind, &[&str]); 3] = [
+        const KEYS: [(Kind, &[&str]); 4] = [
             (Kind::Robot, &["urdf", "default_profile", "interface", "joint", "simulated"]),
-            (Kind::Task, &["robot", "duration_s", "priority", "task", "environment"]),
+            (Kind::Task, &["robot", "priority", "task", "environment"]),
             (Kind::Suite, &["title", "profiles", "grid", "grid_mode", "run"]),
+            (Kind::Experiment, &["robots", "couplings", "channels"]),
         ];
         let mut tops = BTreeSet::new();
         let mut inside = false;
@@ -119,6 +128,7 @@ impl Kind {
             Self::Robot => "a robot file",
             Self::Task => "a task file",
             Self::Suite => "a suite file",
+            Self::Experiment => "the file of an experiment with several robots",
         }
     }
 
@@ -181,7 +191,8 @@ mod tests {
             assert_eq!(Kind::of(text), Some(kind), "{path}");
         }
         assert_eq!(Kind::of("[workspace]\nmembers = []\n[profile.dev]\nurdf = 1"), None);
-        assert_eq!(Kind::of("duration_s = "), Some(Kind::Task), "though it is no TOML");
+        assert_eq!(Kind::of("priority = "), Some(Kind::Task), "though it is no TOML");
+        assert_eq!(Kind::of("duration_s = 1\n[robots.a]"), Some(Kind::Experiment));
         assert_eq!(Kind::of("[a]\nrobot = 1"), None, "not at the top");
         assert_eq!(Kind::of("robot = 1\nurdf = 1"), None, "which of the two?");
     }

@@ -38,32 +38,38 @@ pub fn page(
         }
     }
     for run in shown {
-        page = page.section(if run.title == title { "Tasks, joints and signals" } else { &run.title });
-        for warning in &run.warnings {
-            page = page.warning(warning);
-        }
-        let (tasks, joints) =
-            (in_order(task_table(&run.summary), run), in_order(joint_table(&run.summary), run));
-        let task_notes = task_notes(&run.summary);
-        if tasks.rows.is_empty() {
-            for note in &task_notes {
-                page = page.paragraph(note);
-            }
-        } else {
-            let caption = format!("Errors, forces and motions of the tasks {}", after(run.settle_s));
-            page = page.table(&caption, &tasks, &borrowed(&task_notes));
-        }
-        if !joints.rows.is_empty() {
-            let caption = format!("Torques of the joints {}", after(run.settle_s));
-            page = page.table(&caption, &joints, &borrowed(&joint_notes(&run.summary)));
-        }
-        page = page.collisions(&run.collisions);
-        for figure in &run.figures {
-            page = page.figure(figure);
-        }
-        page = page.facts(run.facts.iter().map(|(term, text)| (term.as_str(), text.as_str())));
+        page =
+            run_blocks(page, if run.title == title { "Tasks, joints and signals" } else { &run.title }, run);
     }
     page.render()
+}
+
+/// Adds the section of one run to a page.
+pub(super) fn run_blocks(mut page: Page, heading: &str, run: &RunSection) -> Page {
+    page = page.section(heading);
+    for warning in &run.warnings {
+        page = page.warning(warning);
+    }
+    let (tasks, joints) = (in_order(task_table(&run.summary), run), in_order(joint_table(&run.summary), run));
+    let task_notes = task_notes(&run.summary);
+    if tasks.rows.is_empty() {
+        for note in &task_notes {
+            page = page.paragraph(note);
+        }
+    } else {
+        let caption = format!("Errors, forces and motions of the tasks {}", after(run.settle_s));
+        page = page.table(&caption, &tasks, &borrowed(&task_notes));
+    }
+    if !joints.rows.is_empty() {
+        let caption = format!("Torques of the joints {}", after(run.settle_s));
+        page = page.table(&caption, &joints, &borrowed(&joint_notes(&run.summary)));
+    }
+    page = page.collisions(&run.collisions);
+    for figure in &run.figures {
+        page = page.figure(figure);
+    }
+    page = page.facts(run.facts.iter().map(|(term, text)| (term.as_str(), text.as_str())));
+    page
 }
 
 fn borrowed(texts: &[String]) -> Vec<&str> {

@@ -4,7 +4,7 @@ use crate::evaluate::metrics::Evaluator;
 use crate::run::error::RunError;
 use crate::run::experiment::Experiment;
 use crate::run::summary::Summary;
-use opspace_backend::{Backend, Capabilities, GroundTruth, SERVO, Sink, TruthLayouts, World};
+use opspace_backend::{Backend, Capabilities, GroundTruth, Layout, SERVO, Sink, TruthLayouts, World};
 use opspace_log::{
     Channel, OutcomeRecord, Pace, Recorder, Recording, SegmentRecorder, WriteStats, Writer, record,
 };
@@ -196,8 +196,7 @@ impl Experiment {
     ) -> Result<(OutcomeRecord, f64), RunError> {
         let mut arm = self.simulated_arm()?;
         let truth = arm.ground_truth().map(GroundTruth::layouts);
-        let (control, channels) = self.prepare(arm.capabilities(), truth)?;
-        let layouts = channels.into_iter().map(|channel| channel.layout).collect();
+        let (control, layouts) = self.loop_and_layouts(arm.capabilities(), truth)?;
         let mut log = SegmentRecorder::new(layouts, receive);
         let mut counted = Counted { log: &mut log, ticks: 0 };
         let began = Instant::now();
@@ -208,6 +207,16 @@ impl Experiment {
         let robot_s = counted.ticks as f64 * self.profile().1.period_s();
         log.finish();
         Ok((record, robot_s / began.elapsed().as_secs_f64()))
+    }
+
+    /// Returns the control loop of the experiment and the layouts of its rows.
+    pub(crate) fn loop_and_layouts(
+        &self,
+        capabilities: &Capabilities,
+        truth: Option<TruthLayouts>,
+    ) -> Result<(ControlLoop, Vec<Layout>), RunError> {
+        let (control, channels) = self.prepare(capabilities, truth)?;
+        Ok((control, channels.into_iter().map(|channel| channel.layout).collect()))
     }
 
     /// Returns the control loop of the experiment and the channels of its log.

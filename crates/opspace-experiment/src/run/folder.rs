@@ -10,7 +10,7 @@ use crate::run::summary::Summary;
 use opspace_log::{LogError, LogFile};
 use std::fs::File;
 use std::io::BufWriter;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// File name of a run's log.
 pub const LOG: &str = "run.mcap";
@@ -18,6 +18,33 @@ pub const LOG: &str = "run.mcap";
 pub const REPORT: &str = "report.html";
 /// File name of a run's summary.
 pub const SUMMARY: &str = "summary.json";
+
+/// Log of a run that is about to begin.
+#[derive(Debug)]
+pub(crate) struct NewLog {
+    path: PathBuf,
+    file: File,
+}
+
+impl NewLog {
+    /// Creates the log in a folder, and returns it with a handle for writing. Both handles denote the file that is open here,
+    /// even if another one takes its path.
+    pub(crate) fn create(folder: &ResultFolder) -> Result<(Self, BufWriter<File>), RunError> {
+        let path = folder.path().join(LOG);
+        let created = File::options().read(true).write(true).create_new(true).open(&path);
+        let unwritable = |source| RunError::Write { path: path.clone(), source };
+        let file = created.map_err(unwritable)?;
+        let writer = BufWriter::new(file.try_clone().map_err(unwritable)?);
+        Ok((Self { path, file }, writer))
+    }
+
+    /// Removes a log to which nothing was written.
+    pub(crate) fn discard(self) {
+        if self.file.metadata().is_ok_and(|metadata| metadata.len() == 0) {
+            let _ = std::fs::remove_file(&self.path);
+        }
+    }
+}
 
 impl Experiment {
     /// Calls `run` with a new log file in `folder`, then writes summary and report to the same folder. An existing
@@ -56,12 +83,18 @@ impl Experiment {
         folder: &ResultFolder,
         run: impl FnOnce(BufWriter<File>) -> Result<RunResult<BufWriter<File>>, RunError>,
     ) -> Result<Summary, RunError> {
-        let log = folder.path().join(LOG);
-        let created = File::options().read(true).write(true).create_new(true).open(&log);
-        let unwritable = |source| RunError::Write { path: log.clone(), source };
-        let file = created.map_err(unwritable)?;
-        // Both handles denote the file that is open here, even if another one takes its path.
-        let written = run(BufWriter::new(file.try_clone().map_err(unwritable)?));
+        let (log, file) = NewLog::create(folder)?;
+        self.finish_folder(folder, log, run(file))
+    }
+
+    /// Writes summary and report of a run to its folder; `written` is the result of the run that wrote the log.
+    pub(crate) fn finish_folder(
+        &self,
+        folder: &ResultFolder,
+        log: NewLog,
+        written: Result<RunResult<BufWriter<File>>, RunError>,
+    ) -> Result<Summary, RunError> {
+        let NewLog { path, file } = log;
         let mut not_saved = Vec::new();
         let (record, realtime_factor, cut_after) = match written {
             Ok(result) => (result.record, Some(result.realtime_factor), None),
@@ -72,15 +105,15 @@ impl Experiment {
             Err(error) => {
                 // A run that did not begin leaves no log.
                 if matches!(
-                    LogFile::from_file(file, &log),
+                    LogFile::from_file(file, &path),
                     Err(LogError::NotMcap | LogError::NoChannel { .. })
                 ) {
-                    let _ = std::fs::remove_file(&log);
+                    let _ = std::fs::remove_file(&path);
                 }
                 return Err(error);
             }
         };
-        let recorded = LogFile::from_file(file, &log)?;
+        let recorded = LogFile::from_file(file, &path)?;
         let mut summary = self.summary_of_file(&recorded, &record, realtime_factor)?;
         if let Some(rows) = cut_after {
             summary.rows_lost = rows.saturating_sub(recorded.row_count());

@@ -155,9 +155,12 @@ pub struct ProbeMotion {
     pub axis: [f64; 3],
     /// Beginning, in s after the controller's start.
     pub from_s: NonNegative,
-    /// Time over which the motion ramps up, s.
+    /// Time over which the motion ramps up, and down, s.
     #[serde(default = "one_second")]
     pub ramp_s: Positive,
+    /// End, in s after the controller's start, by when it has ramped down; never if absent.
+    #[serde(default)]
+    pub until_s: Option<Positive>,
 }
 
 const fn one_second() -> Positive {
@@ -187,6 +190,8 @@ pub struct Spring {
 struct Probe {
     axis: Vector3<f64>,
     from_s: f64,
+    /// Time from the beginning to the end, s; infinite if it does not end.
+    duration_s: f64,
     ramp_s: f64,
     sines: Sines,
 }
@@ -213,6 +218,11 @@ impl ProbeMotion {
     fn check(&self, physics_hz: f64) -> Result<(), Mistake> {
         const LINES: &str = "motion.scripted.probe.lines_hz";
         check_length("motion.scripted.probe.axis", self.axis)?;
+        let shortest_s = 2.0 * self.ramp_s.get();
+        if self.until_s.is_some_and(|until| until.get() - self.from_s.get() < shortest_s) {
+            let message = format!("until_s must be at least {shortest_s} s after from_s, two ramps");
+            return Err(Mistake::new("motion.scripted.probe", message));
+        }
         if self.lines_hz.is_empty() || self.lines_hz.len() > SINES {
             let found = self.lines_hz.len();
             return Err(Mistake::new(LINES, format!("{found} frequencies; 1 to {SINES} are possible")));
@@ -239,6 +249,7 @@ impl ProbeMotion {
         Probe {
             axis: direction(self.axis),
             from_s: self.from_s.get(),
+            duration_s: self.until_s.map_or(f64::INFINITY, |until| until.get() - self.from_s.get()),
             ramp_s: self.ramp_s.get(),
             sines: Sines::new(&sines),
         }
@@ -248,8 +259,11 @@ impl ProbeMotion {
 impl Probe {
     /// Offset (m) and velocity (m/s) at a time (s) after the beginning.
     fn motion(&mut self, t: f64) -> (Vector3<f64>, Vector3<f64>) {
-        let (s, ds) = minimum_jerk(t - self.from_s, self.ramp_s);
-        let (p, dp) = self.sines.at(t - self.from_s);
+        let t = t - self.from_s;
+        let (up, dup) = minimum_jerk(t, self.ramp_s);
+        let (down, ddown) = minimum_jerk(self.duration_s - t, self.ramp_s);
+        let (s, ds) = (up * down, dup * down - up * ddown);
+        let (p, dp) = self.sines.at(t);
         (self.axis * (s * p), self.axis * (ds * p + s * dp))
     }
 }

@@ -1,0 +1,87 @@
+//! `opspace run` of an experiment with several robots.
+
+use crate::cli::RunArgs;
+use crate::commands::run::{exit_code, with_bar};
+use crate::console::{Console, Exit, Failure, Outcome, render};
+use crate::interrupt;
+use crate::output::pretty;
+use crate::plant::PlantChoice;
+use crate::result_folder::prepare;
+use opspace_experiment::report::coupled_table::coupling_table;
+use opspace_experiment::run::coupled_summary::CoupledSummary;
+use opspace_experiment::run::folder::{REPORT, SUMMARY};
+use opspace_experiment::{ControllerKind, CoupledExperiment, Extensions, Files};
+use std::path::PathBuf;
+
+pub fn run_coupled(args: &RunArgs, extensions: &Extensions, console: Console) -> Outcome {
+    refuse_options_of_one_robot(args)?;
+    let mut settings = args.set.clone();
+    settings.extend(args.seed.map(|seed| format!("seed={seed}")));
+    settings.extend(args.duration_s.map(|duration_s| format!("duration_s={duration_s}")));
+    let mut experiment = CoupledExperiment::load(extensions, Files::Disk, &args.task, &settings)?;
+    if let Some(engine) = args.plant.open()? {
+        experiment = experiment.on_engine(&engine)?;
+    }
+    let name = experiment.name();
+    let plant = if args.plant == PlantChoice::Own { "" } else { "-mujoco" };
+    let default = PathBuf::from(format!("runs/{name}{plant}"));
+    let files = [REPORT, SUMMARY].map(str::to_owned);
+    let results = prepare(&args.output, &default, &files, &experiment.input_paths(), console)?;
+    let progress = interrupt::watch();
+    let robots: Vec<String> = experiment
+        .members
+        .iter()
+        .map(|member| format!("{} ({} robot)", member.name, member.experiment.options().backend.name()))
+        .collect();
+    console.note(&format!("{name}: {}", robots.join(", ")));
+    let summary = with_bar((&name, experiment.ticks()), &progress, console, || {
+        experiment.run_in_folder(&results, &progress)
+    })?;
+    args.output
+        .json
+        .print(|| pretty(&summary), || render(&coupling_table(std::slice::from_ref(&summary))))?;
+    for hold in &summary.holds {
+        console.note(&format!("{} was held from {:.3} s: {}", hold.robot, hold.from_s, hold.reason));
+    }
+    for failure in summary.failures() {
+        console.note(&failure);
+    }
+    if summary.not_saved.is_empty() {
+        console
+            .note(&format!("wrote {}, and a folder for each robot", results.path().join(REPORT).display()));
+    }
+    Ok(coupled_exit_code(&summary))
+}
+
+/// Exit code of a run: the worst of its robots, and 1 if an expectation was missed.
+pub fn coupled_exit_code(summary: &CoupledSummary) -> Exit {
+    if summary.has_failed() {
+        return Exit::Failed;
+    }
+    let of_robots = summary.robots.values().map(exit_code);
+    match of_robots.into_iter().find(|exit| *exit != Exit::Done) {
+        None if !summary.not_saved.is_empty() => Exit::DataLost,
+        exit => exit.unwrap_or(Exit::Done),
+    }
+}
+
+/// Refuses options that choose something for one robot: the file states it for each.
+fn refuse_options_of_one_robot(args: &RunArgs) -> Result<(), Failure> {
+    let given = [
+        ("--robot", args.robot.is_some(), "robot"),
+        ("--backend", args.backend.is_some(), "backend"),
+        ("--controller", args.controller != ControllerKind::Osc, "controller"),
+        ("--transformer", args.transformer.is_some(), "transformer"),
+        ("--profile", args.profile.is_some(), "profile"),
+        ("--move-to-start", args.move_to_start, "set"),
+    ];
+    match given.into_iter().find(|(_, is_given, _)| *is_given) {
+        None => Ok(()),
+        Some((option, _, key)) => Err(Failure::Other(
+            format!(
+                "{option} is for a task of one robot; this file states it for each: --set robots.NAME.{key}=..."
+            ),
+            Exit::Bad,
+        )),
+    }
+}

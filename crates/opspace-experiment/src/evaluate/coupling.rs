@@ -1,0 +1,462 @@
+//! Metrics of a coupling between two robots, computed from the logs of both.
+
+use crate::evaluate::harmonics::{Harmonics, fit};
+use crate::evaluate::metrics::run_log::{Control, RmsMax, Run};
+use crate::run::coupled_experiment::{CoupledExperiment, Coupling};
+use crate::run::experiment::Experiment;
+use nalgebra::{Matrix3, Vector3};
+use opspace_backend::signal_names::{
+    self, DISPLACEMENT, FORCE, PACKETS_LOST, PASSIVITY_TIME, PORT_CLOSED, PORT_ENERGY_IN, PORT_ENERGY_OUT,
+    PORT_FORCE, PORT_POSITION, TRUTH_CHANNEL, WORK,
+};
+use opspace_control::{AxesFrame, ControlledFrame, TaskParameters, orientation};
+use opspace_log::Recording;
+use opspace_model::FrameId;
+use opspace_sim::{EnvironmentObjectParameters, OperatorMotion, ProbeMotion};
+use serde::{Deserialize, Serialize};
+use std::f64::consts::{PI, TAU};
+
+/// Frequencies between which the felt stiffness is summarised, Hz: above, the inertia of arm and hand dominates.
+const FELT_HZ: [f64; 2] = [0.5, 2.0];
+
+/// Frequency above which the motion of a hand is neither the operator's nor his tremor, Hz.
+const FAST_HZ: f64 = 20.0;
+
+/// Time over which the rms of the fast velocity is taken, and the drift is averaged, s.
+const WINDOW_S: [f64; 2] = [0.25, 0.5];
+
+/// Force below which nothing touches, N.
+const TOUCH_N: f64 = 0.1;
+
+/// Metrics of a coupling. Positions and forces are those of the leader.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[non_exhaustive]
+pub struct CouplingMetrics {
+    /// Rms distance of the two robots after `settle_s`, while the coupling is closed and the follower touches nothing, m (rad
+    /// for joints).
+    pub tracking_rms_m: Option<f64>,
+    /// Largest such distance, m.
+    pub tracking_max_m: Option<f64>,
+    /// Mean distance in the last half second, m.
+    pub drift_m: Option<f64>,
+    /// Largest energy that the pair has given to operator and environment beyond what it had received, J.
+    pub energy_extracted_j: Option<f64>,
+    /// Rms force of the operator after `settle_s`, N.
+    pub hand_force_rms_n: Option<f64>,
+    /// Largest rms over 0.25 s of the velocity of one of the frames above 20 Hz, after `settle_s`, m/s.
+    pub fast_velocity_m_per_s: Option<f64>,
+    /// Time in which the follower did not touch anything while the operator probed, s.
+    pub contact_lost_s: Option<f64>,
+    /// Least stiffness that the operator felt at the lines of the probe between 0.5 and 2 Hz, N/m.
+    pub felt_least_n_per_m: Option<f64>,
+    /// Largest stiffness that the operator felt at these lines, N/m.
+    pub felt_largest_n_per_m: Option<f64>,
+    /// Least felt stiffness over that of the coupling's spring and the wall in series.
+    pub felt_over_series_least: Option<f64>,
+    /// Largest felt stiffness over that of the coupling's spring and the wall in series.
+    pub felt_over_series_largest: Option<f64>,
+    /// Felt stiffness at each line of the probe.
+    pub felt: Vec<FeltLine>,
+    /// Time for which the passivity control of either side changed something, s.
+    pub passivity_time_s: Option<f64>,
+    /// Packets that were lost or overtaken, of both directions.
+    pub packets_lost: Option<f64>,
+}
+
+/// Felt impedance at a frequency.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct FeltLine {
+    /// Frequency, Hz.
+    pub frequency_hz: f64,
+    /// Amplitude of the operator's force over that of the leader's motion, N/m.
+    pub stiffness_n_per_m: f64,
+    /// Phase by which the force leads the motion, rad.
+    pub phase_rad: f64,
+}
+
+/// Motion and forces of one robot, at each row of its true state.
+pub(crate) struct Track<'a> {
+    experiment: &'a Experiment,
+    control: Control,
+    frame: Option<(FrameId, Matrix3<f64>)>,
+    task: &'a str,
+    home: Option<Vector3<f64>>,
+    /// Times since the start of control, s.
+    pub(crate) time_s: Vec<f64>,
+    /// True position of the frame in the world, m.
+    position: Vec<Vector3<f64>>,
+    /// Force of the first operator on the frame, in the world, N.
+    pub(crate) operator: Vec<Vector3<f64>>,
+    /// Largest force of a surface, N.
+    pub(crate) touch_n: Vec<f64>,
+    /// Work of the environment on the robot, J.
+    pub(crate) work_j: Vec<f64>,
+    pub(crate) ticks: Ticks,
+}
+
+/// Signals of the coupled task, at each cycle.
+#[derive(Default)]
+pub(crate) struct Ticks {
+    /// Name and unit of each row.
+    rows: Vec<(String, String)>,
+    pub(crate) time_s: Vec<f64>,
+    /// Position that is sent, by rows.
+    pub(crate) sent: Vec<Vec<f64>>,
+    /// Displacement, by rows.
+    displacement: Vec<Vec<f64>>,
+    pub(crate) closed: Vec<bool>,
+    /// Force that is sent, by rows.
+    pub(crate) force: Vec<Vec<f64>>,
+    /// Energy that has entered and left the coupling, J.
+    pub(crate) energy_j: Vec<[f64; 2]>,
+    /// Packets lost so far.
+    pub(crate) packets_lost: Vec<f64>,
+    /// Time for which the passivity control was active so far, s.
+    pub(crate) passivity_s: Vec<f64>,
+}
+
+/// Metrics of a coupling while segments of both logs arrive.
+pub(crate) struct CouplingEvaluator<'a> {
+    pub(crate) coupling: &'a Coupling,
+    members: [usize; 2],
+    /// Leader and follower.
+    pub(crate) tracks: [Track<'a>; 2],
+    settle_s: f64,
+}
+
+impl<'a> Track<'a> {
+    fn new(experiment: &'a Experiment, task: &'a str) -> Self {
+        let parameters = experiment.task().file.task.get(task);
+        let frame = match parameters {
+            Some(TaskParameters::Coupled(p)) => p.frame.as_ref().and_then(|frame| {
+                let frame = experiment.robot().model.frame_id(frame).ok()?;
+                Some((frame, orientation::from_rpy(p.axes_rpy_rad)))
+            }),
+            _ => None,
+        };
+        Self {
+            experiment,
+            control: Control::default(),
+            frame,
+            task,
+            home: None,
+            time_s: Vec::new(),
+            position: Vec::new(),
+            operator: Vec::new(),
+            touch_n: Vec::new(),
+            work_j: Vec::new(),
+            ticks: Ticks::default(),
+        }
+    }
+
+    fn add(&mut self, recording: &Recording, is_last: bool) {
+        let Some(run) = Run::new(self.experiment, recording, &mut self.control, is_last) else { return };
+        self.add_ticks(&run);
+        let Some(truth) = recording.channel(TRUTH_CHANNEL) else { return };
+        let Some((frame, _)) = self.frame else { return };
+        let environment = &self.experiment.task().file.environment;
+        let operator = environment.iter().find_map(|(name, object)| {
+            matches!(object, EnvironmentObjectParameters::Spring(_)).then_some(name)
+        });
+        let operator = operator.and_then(|name| truth.signal(&signal_names::of(name, FORCE)));
+        let surfaces: Vec<_> = environment
+            .iter()
+            .filter(|(_, object)| !matches!(object, EnvironmentObjectParameters::Spring(_)))
+            .filter_map(|(name, _)| truth.signal(&signal_names::of(name, FORCE)))
+            .collect();
+        let works: Vec<_> =
+            environment.keys().filter_map(|name| truth.signal(&signal_names::of(name, WORK))).collect();
+        let world = AxesFrame::Fixed(Matrix3::identity());
+        for (k, pose, _) in run.poses(ControlledFrame::Frame(frame), |_| world) {
+            self.time_s.push(truth.time_s[k] - run.start_s);
+            self.home.get_or_insert(pose.translation);
+            self.position.push(pose.translation);
+            let vector = |row: &[f64]| Vector3::new(row[0], row[1], row[2]);
+            self.operator.push(operator.map_or_else(Vector3::zeros, |force| vector(force.row(k))));
+            self.touch_n.push(surfaces.iter().map(|force| vector(force.row(k)).norm()).fold(0.0, f64::max));
+            self.work_j.push(works.iter().map(|work| work.row(k)[0]).sum());
+        }
+    }
+
+    fn add_ticks(&mut self, run: &Run<'_>) {
+        let signal = |quantity| run.tick.signal(&signal_names::of(self.task, quantity));
+        let (Some(sent), Some(displacement), Some(closed), Some(force)) =
+            (signal(PORT_POSITION), signal(DISPLACEMENT), signal(PORT_CLOSED), signal(PORT_FORCE))
+        else {
+            return;
+        };
+        let (Some(energy_in), Some(energy_out), Some(lost), Some(passivity)) =
+            (signal(PORT_ENERGY_IN), signal(PORT_ENERGY_OUT), signal(PACKETS_LOST), signal(PASSIVITY_TIME))
+        else {
+            return;
+        };
+        let ticks = &mut self.ticks;
+        ticks.rows = sent.elements().iter().cloned().zip(sent.units().iter().cloned()).collect();
+        for k in (0..run.tick.len()).filter(|&k| {
+            run.tick.time_s[k] >= run.start_s - run.same_s && run.tick.time_s[k] <= run.to_s + run.same_s
+        }) {
+            ticks.time_s.push(run.tick.time_s[k] - run.start_s);
+            ticks.sent.push(sent.row(k).to_vec());
+            ticks.displacement.push(displacement.row(k).to_vec());
+            ticks.closed.push(closed.row(k)[0] == 1.0);
+            ticks.force.push(force.row(k).to_vec());
+            ticks.energy_j.push([energy_in.row(k)[0], energy_out.row(k)[0]]);
+            ticks.packets_lost.push(lost.row(k)[0]);
+            ticks.passivity_s.push(passivity.row(k)[0]);
+        }
+    }
+
+    /// Index of the last cycle at `time_s` or before.
+    fn tick_at(&self, time_s: f64) -> Option<usize> {
+        let half_s = 0.25 * self.experiment.profile().1.period_s();
+        self.ticks.time_s.partition_point(|&t| t <= time_s + half_s).checked_sub(1)
+    }
+
+    /// Index of the last row of the true state at `time_s` or before.
+    fn row_at(&self, time_s: f64) -> Option<usize> {
+        let half_s = 0.25 * self.experiment.profile().1.period_s();
+        self.time_s.partition_point(|&t| t <= time_s + half_s).checked_sub(1)
+    }
+
+    /// True position in the leader's coordinates at a time, by rows: that which is sent, with the error of the measured
+    /// displacement taken off. `scale` is that of positions, 1 for the leader.
+    fn port_position(&self, time_s: f64, scale: f64) -> Option<Vec<f64>> {
+        let tick = self.tick_at(time_s)?;
+        let mut position = self.ticks.sent[tick].clone();
+        let (Some((_, axes)), Some(home), Some(row)) = (self.frame, self.home, self.row_at(time_s)) else {
+            return Some(position);
+        };
+        let Some(TaskParameters::Coupled(p)) = self.experiment.task().file.task.get(self.task) else {
+            return Some(position);
+        };
+        let moved = axes.tr_mul(&(self.position[row] - home));
+        let coupled =
+            p.axes.as_ref().map_or_else(|| vec![0, 1, 2], |axes| axes.iter().map(|a| a.index()).collect());
+        for (at, &axis) in coupled.iter().enumerate().filter(|(_, axis)| **axis < 3) {
+            position[at] += (moved[axis] - self.ticks.displacement[tick][at]) / scale;
+        }
+        Some(position)
+    }
+}
+
+impl<'a> CouplingEvaluator<'a> {
+    pub(crate) fn new(experiment: &'a CoupledExperiment, coupling: &'a Coupling) -> Self {
+        let track = |end: &'a (usize, String)| Track::new(&experiment.members[end.0].experiment, &end.1);
+        Self {
+            coupling,
+            members: [coupling.leader.0, coupling.follower.0],
+            tracks: [track(&coupling.leader), track(&coupling.follower)],
+            settle_s: experiment.file.settle_s.get(),
+        }
+    }
+
+    /// Adds the next segment of the log of a robot.
+    pub(crate) fn add(&mut self, member: usize, recording: &Recording, is_last: bool) {
+        for (number, track) in self.members.iter().zip(&mut self.tracks) {
+            if *number == member {
+                track.add(recording, is_last);
+            }
+        }
+    }
+
+    pub(crate) fn finish(&self) -> CouplingMetrics {
+        let [leader, follower] = &self.tracks;
+        let sum_of_last = |values: fn(&Ticks) -> &Vec<f64>| {
+            Some(values(&leader.ticks).last()? + values(&follower.ticks).last()?)
+        };
+        let mut metrics = CouplingMetrics {
+            energy_extracted_j: self.energy_extracted_j(),
+            fast_velocity_m_per_s: self
+                .tracks
+                .iter()
+                .filter_map(|t| t.fast_velocity(self.settle_s))
+                .reduce(f64::max),
+            passivity_time_s: sum_of_last(|ticks| &ticks.passivity_s),
+            packets_lost: sum_of_last(|ticks| &ticks.packets_lost),
+            ..CouplingMetrics::default()
+        };
+        self.add_tracking(&mut metrics);
+        let mut force = RmsMax::default();
+        let has_operator = self.probe().is_some() || leader.operator.iter().any(|f| *f != Vector3::zeros());
+        for (_, f) in leader.time_s.iter().zip(&leader.operator).filter(|(t, _)| **t >= self.settle_s) {
+            force.add(f.norm());
+        }
+        metrics.hand_force_rms_n = force.rms().filter(|_| has_operator);
+        self.add_felt(&mut metrics);
+        metrics
+    }
+
+    fn add_tracking(&self, metrics: &mut CouplingMetrics) {
+        let [leader, follower] = &self.tracks;
+        let scale = self.coupling.file.teleoperation.scale.position.get();
+        let end_s = leader.ticks.time_s.last().copied().unwrap_or(0.0);
+        let (mut distance, mut drift) = (RmsMax::default(), RmsMax::default());
+        for (k, &time_s) in leader.ticks.time_s.iter().enumerate() {
+            let Some(at) = follower.tick_at(time_s) else { continue };
+            let is_closed = leader.ticks.closed[k] && follower.ticks.closed[at];
+            let ports = leader.port_position(time_s, 1.0).zip(follower.port_position(time_s, scale));
+            let Some((a, b)) = ports.filter(|_| is_closed) else { continue };
+            let apart = a.iter().zip(&b).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt();
+            let touches = follower.row_at(time_s).is_some_and(|row| follower.touch_n[row] > TOUCH_N);
+            if time_s >= self.settle_s && !touches {
+                distance.add(apart);
+            }
+            if time_s >= end_s - WINDOW_S[1] {
+                drift.add(apart);
+            }
+        }
+        metrics.tracking_rms_m = distance.rms();
+        metrics.tracking_max_m = distance.max();
+        metrics.drift_m = drift.rms();
+    }
+
+    /// Work of the environment on both robots, at a row of the leader, J.
+    pub(crate) fn work_at(&self, row: usize) -> f64 {
+        let [leader, follower] = &self.tracks;
+        let of_follower = follower.row_at(leader.time_s[row]).map_or(0.0, |row| follower.work_j[row]);
+        leader.work_j[row] + of_follower
+    }
+
+    /// Largest energy that operator and environment have received from the pair.
+    fn energy_extracted_j(&self) -> Option<f64> {
+        let rows = 0..self.tracks[0].time_s.len();
+        rows.map(|row| -self.work_at(row)).reduce(f64::max).map(|most| most.max(0.0))
+    }
+
+    /// Name and unit of each row of the coupling; none before the first segment.
+    pub(crate) fn rows(&self) -> Vec<(String, String)> {
+        self.tracks[0].ticks.rows.clone()
+    }
+
+    /// Probe of the leader's operator.
+    fn probe(&self) -> Option<&'a ProbeMotion> {
+        self.tracks[0].experiment.task().file.environment.values().find_map(|object| match object {
+            EnvironmentObjectParameters::Spring(spring) => match &spring.motion {
+                OperatorMotion::Scripted(motion) => motion.probe.as_ref(),
+                _ => None,
+            },
+            _ => None,
+        })
+    }
+
+    /// Stiffness of the follower's first wall, N/m.
+    fn wall_n_per_m(&self) -> Option<f64> {
+        self.tracks[1].experiment.task().file.environment.values().find_map(|object| match object {
+            EnvironmentObjectParameters::Wall(wall) => Some(wall.stiffness_n_per_m.get()),
+            _ => None,
+        })
+    }
+
+    fn add_felt(&self, metrics: &mut CouplingMetrics) {
+        let Some(probe) = self.probe() else { return };
+        let [leader, follower] = &self.tracks;
+        let until_s = probe.until_s.map_or(f64::INFINITY, |until| until.get() - probe.ramp_s.get());
+        let from_s = probe.from_s.get() + probe.ramp_s.get();
+        let probed = |t: &f64| *t >= from_s && *t <= until_s;
+        let axis = Vector3::from(probe.axis).normalize();
+        let rows: Vec<usize> = (0..leader.time_s.len()).filter(|&k| probed(&leader.time_s[k])).collect();
+        let series = |value: &dyn Fn(usize) -> f64| -> Vec<(f64, f64)> {
+            rows.iter().map(|&k| (leader.time_s[k], value(k))).collect()
+        };
+        let lines: Vec<f64> = probe.lines_hz.iter().map(|line| line.get()).collect();
+        let force = fit(&series(&|k| leader.operator[k].dot(&axis)), &lines);
+        let motion = fit(&series(&|k| leader.position[k].dot(&axis)), &lines);
+        let (Some(force), Some(motion)) = (force, motion) else { return };
+        metrics.felt = felt(&lines, &force, &motion);
+        let summarised =
+            metrics.felt.iter().filter(|line| (FELT_HZ[0]..=FELT_HZ[1]).contains(&line.frequency_hz));
+        let stiffness: Vec<f64> = summarised.map(|line| line.stiffness_n_per_m).collect();
+        metrics.felt_least_n_per_m = stiffness.iter().copied().reduce(f64::min);
+        metrics.felt_largest_n_per_m = stiffness.iter().copied().reduce(f64::max);
+        let law = &self.coupling.file.teleoperation;
+        if let Some(wall) = self.wall_n_per_m() {
+            let spring = law.stiffness_n_per_m.get();
+            let scale = law.scale.force.get() * law.scale.position.get();
+            let in_series = scale * spring * wall / (spring + wall);
+            metrics.felt_over_series_least = metrics.felt_least_n_per_m.map(|felt| felt / in_series);
+            metrics.felt_over_series_largest = metrics.felt_largest_n_per_m.map(|felt| felt / in_series);
+            let mut lost_s = 0.0;
+            for k in 1..follower.time_s.len() {
+                if probed(&follower.time_s[k]) && follower.touch_n[k] < TOUCH_N {
+                    lost_s += follower.time_s[k] - follower.time_s[k - 1];
+                }
+            }
+            metrics.contact_lost_s = Some(lost_s);
+        }
+    }
+}
+
+impl Track<'_> {
+    /// Largest rms over a window of the velocity above 20 Hz, m/s.
+    fn fast_velocity(&self, settle_s: f64) -> Option<f64> {
+        let period_s = self.experiment.profile().1.period_s();
+        let mut filter = HighPass::new(FAST_HZ, period_s);
+        let window = ((WINDOW_S[0] / period_s).round() as usize).max(1);
+        let (mut squares, mut sum, mut most) = (Vec::new(), 0.0, None::<f64>);
+        for k in 1..self.position.len() {
+            let velocity = (self.position[k] - self.position[k - 1]) / period_s;
+            let square = filter.update(velocity).norm_squared();
+            squares.push(square);
+            sum += square;
+            if squares.len() > window {
+                sum -= squares[squares.len() - 1 - window];
+            }
+            if self.time_s[k] >= settle_s && squares.len() >= window {
+                let rms = (sum.max(0.0) / window as f64).sqrt();
+                most = Some(most.map_or(rms, |most| most.max(rms)));
+            }
+        }
+        most
+    }
+}
+
+/// Amplitude and phase of the felt stiffness at each line.
+fn felt(lines: &[f64], force: &[Harmonics], motion: &[Harmonics]) -> Vec<FeltLine> {
+    let lines = lines.iter().zip(force).zip(motion);
+    lines
+        .map(|((&frequency_hz, force), motion)| {
+            let phase = force.phase_rad() - motion.phase_rad();
+            FeltLine {
+                frequency_hz,
+                stiffness_n_per_m: force.amplitude() / motion.amplitude(),
+                phase_rad: (phase + PI).rem_euclid(TAU) - PI,
+            }
+        })
+        .collect()
+}
+
+/// High pass of second order (Butterworth, bilinear transform).
+struct HighPass {
+    gain: f64,
+    a: [f64; 2],
+    input: [Vector3<f64>; 2],
+    output: [Vector3<f64>; 2],
+    is_started: bool,
+}
+
+impl HighPass {
+    fn new(corner_hz: f64, period_s: f64) -> Self {
+        let w = (PI * corner_hz * period_s).tan();
+        let (w2, damping) = (w * w, 2f64.sqrt() * w);
+        let norm = 1.0 / (1.0 + damping + w2);
+        let zero = [Vector3::zeros(); 2];
+        Self {
+            gain: norm,
+            a: [2.0 * (w2 - 1.0) * norm, (1.0 - damping + w2) * norm],
+            input: zero,
+            output: zero,
+            is_started: false,
+        }
+    }
+
+    fn update(&mut self, x: Vector3<f64>) -> Vector3<f64> {
+        if !self.is_started {
+            // Without a step from zero at the start.
+            (self.input, self.is_started) = ([x; 2], true);
+        }
+        let ([x1, x2], [y1, y2]) = (self.input, self.output);
+        let y = (x - x1 * 2.0 + x2) * self.gain - y1 * self.a[0] - y2 * self.a[1];
+        (self.input, self.output) = ([x, x1], [y, y1]);
+        y
+    }
+}

@@ -1,0 +1,136 @@
+//! Files of experiments with several robots: robots with their tasks, couplings between tasks, and channels.
+
+use crate::files::expectation::Expectation;
+use crate::run::experiment::ControllerKind;
+use opspace_backend::CommandKind;
+use opspace_backend::quantity::{Fraction, NonNegative, Positive, exactly};
+use opspace_control::TeleoperationParameters;
+use opspace_transformer::TransformerKind;
+#[cfg(feature = "schema")]
+use schemars::JsonSchema;
+use serde::Deserialize;
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+/// Contents of the file of an experiment with several robots.
+#[derive(Clone, Debug, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(deny_unknown_fields)]
+#[non_exhaustive]
+pub struct ExperimentFile {
+    /// Duration of control, s; it replaces those of the tasks.
+    pub duration_s: Positive,
+    /// Start of the statistics, s after the start of control; it replaces those of the tasks.
+    #[serde(default)]
+    pub settle_s: NonNegative,
+    /// Seed of all random numbers in a simulation; each robot and each channel gets one of its own from it.
+    #[serde(default = "one")]
+    pub seed: u64,
+    /// Robots, by name. Of cycles at the same time, that of the robot whose name comes first in the alphabet is first.
+    pub robots: BTreeMap<String, ExperimentRobot>,
+    /// Couplings between tasks of two robots, by name.
+    pub couplings: BTreeMap<String, CouplingFile>,
+    /// Channels, by name.
+    #[serde(default)]
+    pub channels: BTreeMap<String, ChannelFile>,
+    /// Bounds on metrics of the couplings, `COUPLING.metric`; a run that misses one ends with exit code 1. Bounds on metrics
+    /// of a single robot belong in its task file.
+    #[serde(default)]
+    pub expect: BTreeMap<String, Expectation>,
+}
+
+const fn one() -> u64 {
+    1
+}
+
+/// A robot of an experiment.
+#[derive(Clone, Debug, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(deny_unknown_fields)]
+#[non_exhaustive]
+pub struct ExperimentRobot {
+    /// Task file; the path is relative to this file.
+    pub task: PathBuf,
+    /// Robot that replaces that of the task: its folder or its robot.toml, relative to this file.
+    #[serde(default)]
+    pub robot: Option<PathBuf>,
+    /// Kind of robot: `position`, `velocity` or `torque`; that of robot.toml if absent.
+    #[serde(default)]
+    pub backend: Option<CommandKind>,
+    /// Controller; `osc` if absent.
+    #[serde(default)]
+    pub controller: Option<ControllerKind>,
+    /// Transformer that replaces the one of the profile.
+    #[serde(default)]
+    pub transformer: Option<TransformerKind>,
+    /// Profile that replaces the default profile of the robot.
+    #[serde(default)]
+    pub profile: Option<String>,
+    /// Settings as on the command line: those that begin with `robot.` change the robot file, all others the task file.
+    #[serde(default)]
+    pub set: Vec<String>,
+    /// Position of the robot's base in the world that the robots share, m.
+    #[serde(default, deserialize_with = "exactly")]
+    pub base_m: [f64; 3],
+    /// Orientation of the base: roll, pitch and yaw (fixed axes, in that order), rad.
+    #[serde(default, deserialize_with = "exactly")]
+    pub base_rpy_rad: [f64; 3],
+}
+
+/// A coupling between `coupled` tasks of two robots.
+#[derive(Clone, Debug, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(deny_unknown_fields)]
+#[non_exhaustive]
+pub struct CouplingFile {
+    /// Robot that the operator moves, and its task.
+    pub leader: CouplingEnd,
+    /// Robot that follows, and its task.
+    pub follower: CouplingEnd,
+    /// Channel between the two, in both directions; without delay or loss if absent.
+    #[serde(default)]
+    pub channel: Option<String>,
+    /// Law of the coupling.
+    pub teleoperation: TeleoperationParameters,
+}
+
+/// A task of a robot.
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct CouplingEnd {
+    /// Name of the robot in this file.
+    pub robot: String,
+    /// Name of its task, of kind `coupled`.
+    pub task: String,
+}
+
+/// A channel between two robots.
+#[derive(Clone, Copy, Debug, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(deny_unknown_fields, default)]
+#[non_exhaustive]
+pub struct ChannelFile {
+    /// Constant delay, s.
+    pub delay_s: NonNegative,
+    /// Largest additional delay, uniformly distributed, s.
+    pub jitter_s: NonNegative,
+    /// Probability that a packet is lost.
+    pub loss: Fraction,
+    /// True if a packet may arrive after one that was sent later; it is then not used.
+    pub reordering: bool,
+    /// Time without a packet after which the receiver is held, s; 0.5 if absent.
+    pub hold_after_s: Positive,
+}
+
+impl Default for ChannelFile {
+    fn default() -> Self {
+        Self {
+            delay_s: NonNegative::default(),
+            jitter_s: NonNegative::default(),
+            loss: Fraction::default(),
+            reordering: false,
+            hold_after_s: Positive::literal(0.5),
+        }
+    }
+}

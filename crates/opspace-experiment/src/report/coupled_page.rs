@@ -1,0 +1,85 @@
+//! Page about an experiment with several robots.
+
+use crate::evaluate::coupling::FeltLine;
+use crate::report::coupled_table::{coupling_notes, coupling_table};
+use crate::report::document::run_blocks;
+use crate::report::figure::{Figure, Panel, Series, Style};
+use crate::report::html::Page;
+use crate::report::run_section::RunSection;
+use crate::run::coupled_experiment::CoupledExperiment;
+use crate::run::coupled_summary::CoupledSummary;
+
+/// Builds the page about a run: the couplings, then each robot.
+pub(crate) fn coupled_page(
+    experiment: &CoupledExperiment,
+    summary: &CoupledSummary,
+    figures: &[Figure],
+    robots: &[(String, RunSection)],
+) -> String {
+    let notes = coupling_notes();
+    let notes: Vec<&str> = notes.iter().map(String::as_str).collect();
+    let settle_s = experiment.file.settle_s.get();
+    let mut page = Page::new(format!("{}, seed {}", summary.experiment, summary.seed))
+        .lead("Several robots, coupled through channels, in one run.")
+        .section("Couplings")
+        .table(
+            &format!("Couplings, after the first {settle_s} s (settle_s)"),
+            &coupling_table(std::slice::from_ref(summary)),
+            &notes,
+        );
+    for failure in summary.failures() {
+        page = page.warning(&format!("{failure}."));
+    }
+    for hold in &summary.holds {
+        let until = hold.until_s.map_or_else(|| "the end".to_owned(), |until_s| format!("{until_s:.3} s"));
+        page = page.warning(&format!(
+            "{} was held from {:.3} s to {until}: {}.",
+            hold.robot, hold.from_s, hold.reason
+        ));
+    }
+    for figure in figures {
+        page = page.figure(figure);
+    }
+    if let Some(figure) = felt_figure(summary) {
+        page = page.figure(&figure);
+    }
+    for (name, section) in robots {
+        page = run_blocks(page, &format!("{name}: {}", section.title), section);
+    }
+    page.facts([("experiment", experiment.source.name())]).render()
+}
+
+/// Figure of the felt stiffness over the frequency; `None` without a probe.
+fn felt_figure(summary: &CoupledSummary) -> Option<Figure> {
+    let panels: Vec<Panel> = summary
+        .couplings
+        .iter()
+        .filter(|(_, metrics)| !metrics.felt.is_empty())
+        .flat_map(|(name, metrics)| {
+            let line = |value: fn(&FeltLine) -> f64| {
+                let x = metrics.felt.iter().map(|line| line.frequency_hz).collect();
+                vec![Series::new("felt", x, metrics.felt.iter().map(value).collect()).style(Style::Solid)]
+            };
+            let panel = |y_label: &str, series| Panel {
+                title: name.clone(),
+                x_label: "frequency (Hz)".to_owned(),
+                y_label: y_label.to_owned(),
+                series,
+                ..Panel::default()
+            };
+            [
+                panel("stiffness (kN/m)", line(|line| line.stiffness_n_per_m / 1e3)),
+                panel("phase (rad)", line(|line| line.phase_rad)),
+            ]
+        })
+        .collect();
+    (!panels.is_empty()).then(|| Figure {
+        title: "Felt impedance".to_owned(),
+        caption: "Force of the operator over the motion of the leader, at the lines of the probe. A phase of zero is a spring, \
+                  half π a damper, and π a mass."
+            .to_owned(),
+        panels,
+        columns: Some(2),
+        ..Figure::default()
+    })
+}

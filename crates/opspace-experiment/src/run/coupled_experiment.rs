@@ -1,0 +1,433 @@
+//! Experiment with several robots: each with its own task, backend, rate and log, coupled through channels.
+//!
+//! All robots run on one clock. A robot sees the others only through links; what it received is in its own log, so that each
+//! log can be replayed alone.
+
+use crate::extensions::Extensions;
+use crate::files::experiment_file::{
+    ChannelFile, CouplingEnd, CouplingFile, ExperimentFile, ExperimentRobot,
+};
+use crate::files::origin::{Files, Kind, beside};
+use crate::files::overrides;
+use crate::files::source::{FileError, Source, parse};
+use crate::files::suggest::choices;
+use crate::run::coupled_summary::check_expectations;
+use crate::run::error::RunError;
+use crate::run::execute::Progress;
+use crate::run::experiment::{ControllerKind, Experiment, RunOptions};
+use opspace_backend::quantity::{NonNegative, Positive};
+use opspace_backend::{Backend, GroundTruth, Layout, Sink, TICK, TruthLayouts};
+use opspace_control::{CouplingSide, PACKET_SIGNALS, Reflected};
+use opspace_loop::{ChannelParameters, ControlLoop, Driven, Link, Run, RunOutcome, Timeline, drive_together};
+use opspace_sim::{PhysicsEngine, SimulatedArm};
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+/// Distance of a rate from a whole number of hertz that is rounding, relative.
+const ROUNDING: f64 = 1e-9;
+
+/// Robot of a coupled experiment.
+#[derive(Clone, Debug)]
+pub struct Member {
+    /// Name of the robot in the file.
+    pub name: String,
+    /// Its task.
+    pub experiment: Experiment,
+    rate_hz: u32,
+}
+
+/// Coupling of a coupled experiment.
+#[derive(Clone, Debug)]
+pub struct Coupling {
+    /// Name of the coupling.
+    pub name: String,
+    /// Number and task of the leader.
+    pub leader: (usize, String),
+    /// Number and task of the follower.
+    pub follower: (usize, String),
+    /// The entry in the file.
+    pub file: CouplingFile,
+    channel: ChannelFile,
+}
+
+/// Experiment with several robots, read from its file and checked.
+#[derive(Clone, Debug)]
+pub struct CoupledExperiment {
+    /// Text of the file, with settings applied.
+    pub source: Source,
+    /// Contents of the file.
+    pub file: ExperimentFile,
+    /// Robots, in the order of their names.
+    pub members: Vec<Member>,
+    /// Couplings, in the order of their names.
+    pub couplings: Vec<Coupling>,
+    /// Name of the settings in the table of a suite.
+    pub label: Option<String>,
+}
+
+impl CoupledExperiment {
+    /// Reads an experiment and all files that it names. Settings that begin with the name of a robot and a dot are settings
+    /// of this robot (`leader.task.hand.coupled.damping_ns_per_m=5`), all others change the file of the experiment.
+    ///
+    /// # Errors
+    /// Mistakes in any of the files, and contradictions between them, each with its place.
+    pub fn load(
+        extensions: &Extensions,
+        files: Files,
+        path: &Path,
+        settings: &[String],
+    ) -> Result<Self, FileError> {
+        let source = files.read(path)?;
+        Kind::Experiment.require(&source)?;
+        let names: Vec<String> = parse::<ExperimentFile>(&source)?.robots.into_keys().collect();
+        let mut of_robots: BTreeMap<String, Vec<String>> = BTreeMap::new();
+        let mut own = settings.to_vec();
+        for name in &names {
+            let (of_robot, others) = overrides::split(&own, name);
+            own = others;
+            let stripped = of_robot.iter().map(|set| set.trim_start()[name.len() + 1..].to_owned());
+            of_robots.insert(name.clone(), stripped.collect());
+        }
+        let source = overrides::apply(&source, &own)?;
+        let file: ExperimentFile = parse(&source)?;
+        if file.robots.len() < 2 {
+            let help = Some("add another robot; a task of one robot needs no file of this kind".to_owned());
+            return Err(FileError::at_key(&source, "robots", "at least two robots are needed", help));
+        }
+        let couplings = couplings(&file, &source)?;
+        let mut members = Vec::new();
+        for (number, (name, robot)) in file.robots.iter().enumerate() {
+            let mut set = robot.set.clone();
+            set.push(format!("settle_s={}", file.settle_s.get()));
+            for coupling in &couplings {
+                set.extend(task_settings(&source, coupling, number));
+            }
+            set.extend(of_robots.remove(name).unwrap_or_default());
+            let experiment = member(extensions, files, path, robot, &set, seed_of(&file, number), &file)
+                .map_err(|error| placed(error, &source, &couplings, name))?;
+            let rate_hz = rate_hz(&experiment)
+                .ok_or_else(|| FileError::at_key(&source, ["robots", name], NOT_WHOLE, None))?;
+            members.push(Member { name: name.clone(), experiment, rate_hz });
+        }
+        let new = Self { source, file, members, couplings, label: None };
+        new.check_couplings()?;
+        check_expectations(&new)?;
+        Ok(new)
+    }
+
+    /// Name of the experiment: its file name without extension.
+    #[must_use]
+    pub fn name(&self) -> String {
+        let stem = Path::new(self.source.name()).file_stem();
+        stem.map_or_else(|| self.source.name().to_owned(), |s| s.to_string_lossy().into_owned())
+    }
+
+    /// Duration of control, s.
+    #[must_use]
+    pub fn duration_s(&self) -> f64 {
+        self.file.duration_s.get()
+    }
+
+    /// Number of interface cycles of all robots in a complete run, with the rest before control starts.
+    #[must_use]
+    pub fn ticks(&self) -> u64 {
+        self.members.iter().map(|member| member.experiment.ticks()).sum()
+    }
+
+    /// Paths of the files from which the experiment was read.
+    #[must_use]
+    pub fn input_paths(&self) -> Vec<PathBuf> {
+        let of_members = self.members.iter().flat_map(|member| member.experiment.input_paths());
+        of_members.chain([self.source.name().into()]).collect()
+    }
+
+    /// Returns the experiment with all robots on another plant; each has one of its own.
+    ///
+    /// # Errors
+    /// A robot that the engine cannot simulate.
+    pub fn on_engine(mut self, engine: &Arc<dyn PhysicsEngine>) -> Result<Self, FileError> {
+        for member in &mut self.members {
+            member.experiment = member.experiment.clone().on_engine(Arc::clone(engine))?;
+        }
+        Ok(self)
+    }
+
+    /// Runs the experiment in simulation. `open` returns the control loop and the sink of each robot; the sinks and outcomes
+    /// are returned in the order of the robots.
+    pub(crate) fn drive<S: Sink>(
+        &self,
+        progress: &Progress,
+        mut open: impl FnMut(usize, &SimulatedArm) -> Result<(ControlLoop, S), RunError>,
+    ) -> Result<Vec<(S, RunOutcome)>, RunError> {
+        let arms = self.members.iter().map(|member| member.experiment.simulated_arm());
+        let mut arms = arms.collect::<Result<Vec<_>, _>>()?;
+        let mut loops = Vec::new();
+        let mut sinks = Vec::new();
+        for (number, arm) in arms.iter().enumerate() {
+            let (control, sink) = open(number, arm)?;
+            loops.push(control);
+            sinks.push(sink);
+        }
+        let rates: Vec<u32> = self.members.iter().map(|member| member.rate_hz).collect();
+        let mut timeline =
+            Timeline::new(&rates).map_err(|error| self.mistake("robots", &error.to_string()))?;
+        let mut links = self.links(&timeline, &loops)?;
+        let mut runs: Vec<Run<'_>> = loops
+            .into_iter()
+            .zip(&mut sinks)
+            .map(|(control, sink)| {
+                Run::new(control, self.duration_s(), sink).with_stop_request(&progress.interrupt)
+            })
+            .collect();
+        let mut driven: Vec<Driven<'_, '_>> = arms
+            .iter_mut()
+            .zip(&mut runs)
+            .map(|(arm, run)| Driven { backend: arm as &mut dyn Backend, run })
+            .collect();
+        drive_together(&mut driven, &mut links, &mut timeline);
+        drop(driven);
+        let outcomes: Vec<RunOutcome> = runs.into_iter().map(Run::finish).collect();
+        Ok(sinks.into_iter().zip(outcomes).collect())
+    }
+
+    /// Layouts of the rows of a simulated arm's true state.
+    pub(crate) fn truth(arm: &SimulatedArm) -> Option<TruthLayouts> {
+        arm.ground_truth().map(GroundTruth::layouts)
+    }
+
+    /// Links in both directions between all robots: with the packets of a coupling between two that have one.
+    fn links(&self, timeline: &Timeline, loops: &[ControlLoop]) -> Result<Vec<Link>, RunError> {
+        let rows: Vec<Layout> =
+            loops.iter().map(|control| Run::layouts(control, None).swap_remove(TICK)).collect();
+        let mut links = Vec::new();
+        let mistake = |key: &str, error: opspace_loop::LinkError| self.mistake(key, &error.to_string());
+        let mut seed = self.file.seed.wrapping_mul(SEEDS_OF_AN_EXPERIMENT).wrapping_add(FIRST_CHANNEL);
+        for (number, coupling) in self.couplings.iter().enumerate() {
+            let key = format!("couplings.{}", coupling.name);
+            for (from, to) in [(&coupling.leader, &coupling.follower), (&coupling.follower, &coupling.leader)]
+            {
+                let parameters = channel_parameters(&coupling.channel, seed);
+                seed = seed.wrapping_add(1);
+                let signals: Vec<(String, &str)> = PACKET_SIGNALS
+                    .iter()
+                    .map(|(signal, input)| (opspace_backend::signal_names::of(&from.1, signal), *input))
+                    .collect();
+                let copies: Vec<(&str, &str)> =
+                    signals.iter().map(|(signal, input)| (signal.as_str(), *input)).collect();
+                let target = (to.0, &loops[to.0].targets(), to.1.as_str());
+                let link = Link::new(timeline, (from.0, &rows[from.0]), target, &copies, parameters);
+                links.push(link.map_err(|error| mistake(&key, error))?);
+            }
+            let _ = number;
+        }
+        for from in 0..loops.len() {
+            for to in 0..loops.len() {
+                let linked = links.iter().any(|link: &Link| link.from() == from && link.to() == to);
+                if from != to && !linked {
+                    let parameters = channel_parameters(&ChannelFile::default(), seed);
+                    let link = Link::status(timeline, (from, &rows[from]), to, parameters);
+                    links.push(link.map_err(|error| mistake("robots", error))?);
+                }
+            }
+        }
+        Ok(links)
+    }
+
+    fn mistake(&self, key: &str, message: &str) -> FileError {
+        FileError::at_key(&self.source, key, message, None)
+    }
+
+    /// Checks each coupling against the tasks that it names.
+    fn check_couplings(&self) -> Result<(), FileError> {
+        for coupling in &self.couplings {
+            let key = format!("couplings.{}", coupling.name);
+            let rows = [&coupling.leader, &coupling.follower].map(|(robot, task)| {
+                let experiment = &self.members[*robot].experiment;
+                let control = experiment.control_loop().ok()?;
+                let name =
+                    opspace_backend::signal_names::of(task, opspace_backend::signal_names::PORT_POSITION);
+                let signals = Run::layouts(&control, None).swap_remove(TICK).signals;
+                signals.into_iter().find(|signal| signal.name == name)
+            });
+            let [Some(leader), Some(follower)] = rows else { continue };
+            if leader.units != follower.units {
+                let message = format!(
+                    "the two tasks have different rows: {} of the leader, {} of the follower",
+                    described(&leader),
+                    described(&follower)
+                );
+                let help = Some("couple the same number of axes or joints, in the same units".to_owned());
+                return Err(FileError::at_key(&self.source, key, message, help));
+            }
+            let is_constant =
+                coupling.channel.jitter_s == NonNegative::default() && coupling.channel.loss.get() == 0.0;
+            if matches!(coupling.file.teleoperation.reflect, Reflected::Waves { .. }) && !is_constant {
+                let help =
+                    Some("choose another `reflect`, or a channel without jitter_s and loss".to_owned());
+                let message = "wave variables are passive with a constant delay only, but the channel has jitter or loss";
+                return Err(FileError::at_key(
+                    &self.source,
+                    format!("{key}.teleoperation.reflect"),
+                    message,
+                    help,
+                ));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Message for a robot that no clock can order.
+const NOT_WHOLE: &str = "the rate of this robot is not a whole number of hertz";
+
+/// Distance of the seeds of experiments with adjacent seeds, and the first seed of a channel within it.
+const SEEDS_OF_AN_EXPERIMENT: u64 = 1000;
+const FIRST_CHANNEL: u64 = 500;
+
+fn seed_of(file: &ExperimentFile, robot: usize) -> u64 {
+    file.seed.wrapping_mul(SEEDS_OF_AN_EXPERIMENT).wrapping_add(robot as u64)
+}
+
+fn described(signal: &opspace_backend::Signal) -> String {
+    let rows = signal.elements.iter().zip(&signal.units).map(|(row, unit)| format!("{row} ({unit})"));
+    rows.collect::<Vec<_>>().join(", ")
+}
+
+fn channel_parameters(channel: &ChannelFile, seed: u64) -> ChannelParameters {
+    ChannelParameters {
+        delay_s: channel.delay_s.get(),
+        jitter_s: channel.jitter_s.get(),
+        loss: channel.loss.get(),
+        reordering: channel.reordering,
+        seed,
+        hold_after_s: Some(channel.hold_after_s.get()),
+    }
+}
+
+/// Reads the task of a robot.
+fn member(
+    extensions: &Extensions,
+    files: Files,
+    path: &Path,
+    robot: &ExperimentRobot,
+    set: &[String],
+    seed: u64,
+    file: &ExperimentFile,
+) -> Result<Experiment, FileError> {
+    let task = beside(path, &robot.task);
+    let folder = robot.robot.as_ref().map(|robot| beside(path, robot));
+    let backend = match robot.backend {
+        Some(backend) => backend,
+        None => Experiment::declared_command(extensions, files, &task, folder.as_deref(), set)?,
+    };
+    let options = RunOptions {
+        backend,
+        controller: robot.controller.unwrap_or(ControllerKind::Osc),
+        transformer: robot.transformer,
+        profile: robot.profile.clone(),
+        seed: Some(seed),
+        duration_s: Some(file.duration_s.get()),
+        label: None,
+    };
+    Experiment::load_with(extensions, files, &task, folder.as_deref(), options, set)
+}
+
+/// Rate of a robot's interface, if it is a whole number of hertz.
+fn rate_hz(experiment: &Experiment) -> Option<u32> {
+    let rate = Positive::try_from(1.0 / experiment.profile().1.period_s()).ok()?.get();
+    let whole = rate.round();
+    ((rate - whole).abs() <= ROUNDING * rate && whole >= 1.0 && whole <= f64::from(u32::MAX))
+        .then_some(whole as u32)
+}
+
+/// Resolves the couplings of a file.
+fn couplings(file: &ExperimentFile, source: &Source) -> Result<Vec<Coupling>, FileError> {
+    let names: Vec<&str> = file.robots.keys().map(String::as_str).collect();
+    let mut found: Vec<Coupling> = Vec::new();
+    for (name, entry) in &file.couplings {
+        let end = |end: &CouplingEnd, side: &str| {
+            let number = names.iter().position(|known| *known == end.robot).ok_or_else(|| {
+                let message = format!("there is no robot '{}'", end.robot);
+                let key = ["couplings", name, side, "robot"];
+                FileError::at_key(source, key, message, Some(choices(&end.robot, &names)))
+            })?;
+            Ok::<_, FileError>((number, end.task.clone()))
+        };
+        let (leader, follower) = (end(&entry.leader, "leader")?, end(&entry.follower, "follower")?);
+        if leader.0 == follower.0 {
+            let key = ["couplings", name, "follower", "robot"];
+            return Err(FileError::at_key(source, key, "a robot cannot be coupled with itself", None));
+        }
+        let is_taken = |end: &(usize, String)| found.iter().any(|c| c.leader == *end || c.follower == *end);
+        if let Some((side, end)) =
+            [("leader", &leader), ("follower", &follower)].into_iter().find(|(_, e)| is_taken(e))
+        {
+            let message = format!("task '{}' is already coupled", end.1);
+            return Err(FileError::at_key(source, ["couplings", name, side, "task"], message, None));
+        }
+        let channel = match &entry.channel {
+            None => ChannelFile::default(),
+            Some(wanted) => *file.channels.get(wanted).ok_or_else(|| {
+                let known: Vec<&str> = file.channels.keys().map(String::as_str).collect();
+                let message = format!("there is no channel '{wanted}'");
+                FileError::at_key(
+                    source,
+                    ["couplings", name, "channel"],
+                    message,
+                    Some(choices(wanted, &known)),
+                )
+            })?,
+        };
+        found.push(Coupling { name: name.clone(), leader, follower, file: entry.clone(), channel });
+    }
+    for (number, name) in names.iter().enumerate() {
+        if !found.iter().any(|coupling| coupling.leader.0 == number || coupling.follower.0 == number) {
+            let help = Some("add a coupling, or remove the robot".to_owned());
+            let message = "this robot is not coupled with another one";
+            return Err(FileError::at_key(source, ["robots", name], message, help));
+        }
+    }
+    Ok(found)
+}
+
+/// Settings that write a coupling into the task of a robot, if it takes part in it.
+fn task_settings(source: &Source, coupling: &Coupling, robot: usize) -> Vec<String> {
+    let sides = [(&coupling.leader, CouplingSide::Leader), (&coupling.follower, CouplingSide::Follower)];
+    let Some(((_, task), side)) = sides.into_iter().find(|((number, _), _)| *number == robot) else {
+        return Vec::new();
+    };
+    let side = match side {
+        CouplingSide::Leader => "leader",
+        CouplingSide::Follower => "follower",
+    };
+    let document: toml::Table = source.text().parse().unwrap_or_default();
+    let law = document
+        .get("couplings")
+        .and_then(|couplings| couplings.get(&coupling.name)?.get("teleoperation"))
+        .map_or_else(|| "{}".to_owned(), toml::Value::to_string);
+    vec![format!("task.{task}.coupled.side=\"{side}\""), format!("task.{task}.coupled.teleoperation={law}")]
+}
+
+/// Places an error about a setting that a coupling or a robot wrote at the entry in the experiment's file.
+fn placed(error: FileError, source: &Source, couplings: &[Coupling], robot: &str) -> FileError {
+    if error.line().is_some() {
+        return error;
+    }
+    let Some((text, _)) = error.excerpt() else { return error };
+    let of_law = |coupling: &&Coupling| {
+        [&coupling.leader, &coupling.follower]
+            .iter()
+            .any(|(_, task)| text.starts_with(&format!("task.{task}.coupled.")))
+    };
+    let (message, help) = (error.message().to_owned(), error.help().map(str::to_owned));
+    match couplings.iter().find(of_law) {
+        Some(coupling) => FileError::at_key(
+            source,
+            ["couplings", &coupling.name],
+            format!("robot '{robot}': {message}"),
+            help,
+        ),
+        None => error,
+    }
+}

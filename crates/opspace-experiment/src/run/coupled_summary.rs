@@ -1,0 +1,197 @@
+//! Summary of an experiment with several robots.
+
+use crate::evaluate::coupling::{CouplingEvaluator, CouplingMetrics};
+use crate::evaluate::table::format_number;
+use crate::files::expectation::Expectation;
+use crate::files::source::FileError;
+use crate::files::suggest::choices;
+use crate::run::coupled_experiment::CoupledExperiment;
+use crate::run::summary::Summary;
+use opspace_backend::signal_names::{TARGET_HOLD, TICK_CHANNEL};
+use opspace_control::HoldCause;
+use opspace_log::Recording;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// Summary of an experiment with several robots.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[non_exhaustive]
+pub struct CoupledSummary {
+    /// Name of the experiment.
+    pub experiment: String,
+    /// Name of its settings in the table of a suite.
+    pub label: Option<String>,
+    /// Seed of the experiment.
+    pub seed: u64,
+    /// Metrics of the couplings, by name.
+    pub couplings: BTreeMap<String, CouplingMetrics>,
+    /// Holds of robots because of others, in order of time.
+    pub holds: Vec<RobotHold>,
+    /// Expectations of the experiment that the run missed.
+    pub missed_expectations: Vec<String>,
+    /// Summaries of the robots, by name.
+    pub robots: BTreeMap<String, Summary>,
+    /// Files that could not be written completely, each with the cause.
+    pub not_saved: Vec<String>,
+}
+
+/// Hold of a robot because of another one.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[non_exhaustive]
+pub struct RobotHold {
+    /// Robot that was held.
+    pub robot: String,
+    /// Beginning on the common clock, s.
+    pub from_s: f64,
+    /// End, s; `None` if it lasted to the end of the run.
+    pub until_s: Option<f64>,
+    /// Reason: which other robot is held or stopped, or is not heard.
+    pub reason: String,
+}
+
+impl CoupledSummary {
+    /// True if a robot was stopped by a fault, or an expectation of the experiment or of a robot was missed.
+    #[must_use]
+    pub fn has_failed(&self) -> bool {
+        let failed = |robot: &Summary| robot.faulted.is_some() || !robot.missed_expectations.is_empty();
+        !self.missed_expectations.is_empty() || self.robots.values().any(failed)
+    }
+
+    /// Faults and missed expectations, each with the name of its robot.
+    #[must_use]
+    pub fn failures(&self) -> Vec<String> {
+        let mut failures = self.missed_expectations.clone();
+        for (name, robot) in &self.robots {
+            if let Some(fault) = &robot.faulted {
+                let time_s = robot.fault_time_s.unwrap_or(f64::NAN);
+                failures.push(format!("{name} was stopped at {time_s:.3} s: {fault}"));
+            }
+            failures.extend(robot.missed_expectations.iter().map(|missed| format!("{name}: {missed}")));
+        }
+        failures
+    }
+}
+
+/// Evaluates an experiment while segments of its robots' logs arrive.
+pub(crate) struct CoupledEvaluator<'a> {
+    experiment: &'a CoupledExperiment,
+    pub(crate) couplings: Vec<CouplingEvaluator<'a>>,
+    holds: Vec<RobotHold>,
+    /// Cause of the present hold of each robot.
+    held: Vec<Option<HoldCause>>,
+}
+
+impl<'a> CoupledEvaluator<'a> {
+    pub(crate) fn new(experiment: &'a CoupledExperiment) -> Self {
+        Self {
+            experiment,
+            couplings: experiment.couplings.iter().map(|c| CouplingEvaluator::new(experiment, c)).collect(),
+            holds: Vec::new(),
+            held: vec![None; experiment.members.len()],
+        }
+    }
+
+    /// Adds the next segment of the log of a robot.
+    pub(crate) fn add(&mut self, member: usize, recording: &Recording, is_last: bool) {
+        self.couplings.iter_mut().for_each(|coupling| coupling.add(member, recording, is_last));
+        self.add_holds(member, recording);
+    }
+
+    fn add_holds(&mut self, member: usize, recording: &Recording) {
+        let Some(tick) = recording.channel(TICK_CHANNEL) else { return };
+        let Some(hold) = tick.signal(TARGET_HOLD) else { return };
+        let name =
+            |robot: usize| self.experiment.members.get(robot).map_or("another robot", |m| m.name.as_str());
+        for k in 0..tick.len() {
+            let cause = HoldCause::from_code(hold.row(k)[0]);
+            if cause == self.held[member] {
+                continue;
+            }
+            let own = name(member);
+            if self.held[member].is_some()
+                && let Some(last) = self.holds.iter_mut().rfind(|hold| hold.robot == own)
+            {
+                last.until_s = Some(tick.time_s[k]);
+            }
+            self.held[member] = cause;
+            let reason = match cause {
+                None => continue,
+                Some(HoldCause::RobotHeld(robot)) => format!("{} is held or stopped", name(robot)),
+                Some(HoldCause::RobotSilent(robot)) => format!("nothing arrives from {}", name(robot)),
+                Some(_) => "requested".to_owned(),
+            };
+            self.holds.push(RobotHold {
+                robot: own.to_owned(),
+                from_s: tick.time_s[k],
+                until_s: None,
+                reason,
+            });
+        }
+    }
+
+    /// Returns the summary; `robots` are those of the robots, in their order.
+    pub(crate) fn finish(mut self, robots: Vec<Summary>) -> CoupledSummary {
+        self.holds.sort_by(|a, b| a.from_s.total_cmp(&b.from_s));
+        let experiment = self.experiment;
+        let names = experiment.couplings.iter().map(|coupling| coupling.name.clone());
+        let couplings: BTreeMap<_, _> =
+            names.zip(self.couplings.iter().map(CouplingEvaluator::finish)).collect();
+        CoupledSummary {
+            experiment: experiment.name(),
+            label: experiment.label.clone(),
+            seed: experiment.file.seed,
+            missed_expectations: missed(experiment, &couplings),
+            couplings,
+            holds: self.holds,
+            robots: experiment.members.iter().map(|member| member.name.clone()).zip(robots).collect(),
+            not_saved: Vec::new(),
+        }
+    }
+}
+
+/// Names of the metrics of a coupling.
+fn metric_names() -> Vec<String> {
+    match serde_json::to_value(CouplingMetrics::default()) {
+        Ok(serde_json::Value::Object(map)) => {
+            map.into_iter().filter(|(_, v)| !v.is_array()).map(|(k, _)| k).collect()
+        }
+        _ => Vec::new(),
+    }
+}
+
+/// Checks that each expectation has a bound, and names a coupling and one of its metrics.
+pub(crate) fn check_expectations(experiment: &CoupledExperiment) -> Result<(), FileError> {
+    let couplings: Vec<&str> = experiment.couplings.iter().map(|coupling| coupling.name.as_str()).collect();
+    for (name, Expectation { at_most, at_least }) in &experiment.file.expect {
+        let refuse = |message: String, help: String| {
+            Err(FileError::at_key(&experiment.source, ["expect", name], message, Some(help)))
+        };
+        if at_most.is_none() && at_least.is_none() {
+            return refuse("no bound is given".to_owned(), "add `at_most` or `at_least`".to_owned());
+        }
+        let (coupling, metric) = name.split_once('.').unwrap_or((name, ""));
+        if !couplings.contains(&coupling) {
+            return refuse(format!("there is no coupling '{coupling}'"), choices(coupling, &couplings));
+        }
+        let metrics = metric_names();
+        if !metrics.iter().any(|known| known == metric) {
+            return refuse(format!("unknown metric `{metric}` of a coupling"), choices(metric, &metrics));
+        }
+    }
+    Ok(())
+}
+
+/// Describes each expectation that a run missed.
+fn missed(experiment: &CoupledExperiment, couplings: &BTreeMap<String, CouplingMetrics>) -> Vec<String> {
+    let mut missed = Vec::new();
+    for (name, expectation) in &experiment.file.expect {
+        let value = name.split_once('.').and_then(|(coupling, metric)| {
+            serde_json::to_value(couplings.get(coupling)?).ok()?.get(metric)?.as_f64()
+        });
+        missed.extend(expectation.missed_by(value).map(|bound| match value {
+            Some(value) => format!("{name} is {}, expected {bound}", format_number(value)),
+            None => format!("{name} does not exist in this run, expected {bound}"),
+        }));
+    }
+    missed
+}
