@@ -174,6 +174,8 @@ pub const PORT_VELOCITY: &str = "port_velocity";
 pub const PORT_FORCE: &str = "port_force";
 /// Time at which a coupled task sends, on its robot's clock, s.
 pub const PORT_TIME: &str = "port_time";
+/// Time of sending of the newest packet that a coupled task has received, on the partner's clock, s.
+pub const PORT_ECHO: &str = "port_echo";
 /// Integral of the wave variable that a coupled task sends (rows).
 pub const PORT_WAVE: &str = "port_wave";
 /// Number of packets that did not arrive before a later one did.

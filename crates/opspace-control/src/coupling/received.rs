@@ -12,6 +12,8 @@ pub struct Packet {
     pub sequence: u64,
     /// Time of sending on the sender's clock, s.
     pub sent_s: f64,
+    /// Time of sending of the newest packet that the sender had received, on the receiver's clock, s; NaN if there was none.
+    pub echo_s: f64,
     /// Position of the axes, m or rad.
     pub position: Vector6<f64>,
     /// Velocity of the axes, m/s or rad/s.
@@ -30,7 +32,8 @@ impl Packet {
     /// True if all numbers are finite.
     #[must_use]
     pub fn is_finite(&self) -> bool {
-        let Self { sequence: _, sent_s, position, velocity, force, wave, energy_in_j, closed: _ } = self;
+        let Self { sequence: _, sent_s, echo_s: _, position, velocity, force, wave, energy_in_j, closed: _ } =
+            self;
         let vectors = [position, velocity, force, wave];
         let is_finite = |v: &Vector6<f64>| v.iter().all(|x| x.is_finite());
         [sent_s, energy_in_j].iter().all(|x| x.is_finite()) && vectors.into_iter().all(is_finite)

@@ -15,17 +15,19 @@ use crate::tasks::task::{Task, TaskInput};
 use crate::tasks::teleoperation::Teleoperation;
 use nalgebra::{Matrix6, Matrix6xX, Vector6};
 use opspace_backend::signal_names::{
-    DISPLACEMENT, PACKET_AGE, PACKETS_LOST, PASSIVITY_TIME, PORT_CLOSED, PORT_ENERGY_IN, PORT_ENERGY_OUT,
-    PORT_FORCE, PORT_POSITION, PORT_SEQUENCE, PORT_TIME, PORT_VELOCITY, PORT_WAVE, REFERENCE, SENSED_FORCE,
+    DISPLACEMENT, PACKET_AGE, PACKETS_LOST, PASSIVITY_TIME, PORT_CLOSED, PORT_ECHO, PORT_ENERGY_IN,
+    PORT_ENERGY_OUT, PORT_FORCE, PORT_POSITION, PORT_SEQUENCE, PORT_TIME, PORT_VELOCITY, PORT_WAVE,
+    REFERENCE, SENSED_FORCE,
 };
 use opspace_backend::{Signal, SignalRecorder};
 use opspace_model::{Data, Model};
 use std::any::Any;
 
-/// Inputs with one value: number of the packet, time on the sender's clock, 1 if the sender's coupling is closed, cumulative energy that entered the
+/// Inputs with one value: number of the packet, time on the sender's clock, time of the
+/// newest packet that the sender had received, on the receiver's clock, 1 if the sender's coupling is closed, cumulative energy that entered the
 /// coupling at the sender (J).
-const SCALARS: [(&str, &str); 4] =
-    [("sequence", "1"), ("time_sent", "s"), ("closed", "1"), ("energy_in", "J")];
+const SCALARS: [(&str, &str); 5] =
+    [("sequence", "1"), ("time_sent", "s"), ("echo", "s"), ("closed", "1"), ("energy_in", "J")];
 /// Inputs with one value per row: position, velocity and force of the sender in the leader's coordinates, and the integral of
 /// its wave variable.
 const VECTORS: [&str; 4] = ["position", "velocity", "force", "wave"];
@@ -33,11 +35,12 @@ const VECTORS: [&str; 4] = ["position", "velocity", "force", "wave"];
 const CLUTCH: &str = "clutch_open";
 
 /// Signals of a coupled task that its partner receives, and the inputs to which they are copied.
-pub const PACKET_SIGNALS: [(&str, &str); 8] = [
+pub const PACKET_SIGNALS: [(&str, &str); 9] = [
     (PORT_SEQUENCE, SCALARS[0].0),
     (PORT_TIME, SCALARS[1].0),
-    (PORT_CLOSED, SCALARS[2].0),
-    (PORT_ENERGY_IN, SCALARS[3].0),
+    (PORT_ECHO, SCALARS[2].0),
+    (PORT_CLOSED, SCALARS[3].0),
+    (PORT_ENERGY_IN, SCALARS[4].0),
     (PORT_POSITION, VECTORS[0]),
     (PORT_VELOCITY, VECTORS[1]),
     (PORT_FORCE, VECTORS[2]),
@@ -147,7 +150,10 @@ impl CoupledTask {
 
 /// Reads the packet of `rows` rows from the values of the task's inputs; `None` before the first one.
 fn packet(values: &[f64], rows: usize) -> Option<Packet> {
-    let [sequence, sent_s, closed, energy_in_j] = given::<4>(values, 0)?;
+    let (&[sequence, sent_s, echo_s, closed, energy_in_j], _) = values.split_first_chunk()?;
+    if ![sequence, sent_s, closed, energy_in_j].iter().all(|value| value.is_finite()) {
+        return None;
+    }
     let vector = |number: usize| {
         let values = values.get(SCALARS.len() + number * rows..)?.get(..rows)?;
         values
@@ -158,6 +164,7 @@ fn packet(values: &[f64], rows: usize) -> Option<Packet> {
     Some(Packet {
         sequence: sequence as u64,
         sent_s,
+        echo_s,
         closed: closed == 1.0,
         energy_in_j,
         position: vector(0)?,
@@ -293,6 +300,8 @@ impl Task for CoupledTask {
         out.signal((name, REFERENCE), &self.position_units, &self.row_names, &reference.as_slice()[..rows]);
         out.scalar((name, PORT_SEQUENCE), "1", self.sequence as f64);
         out.scalar((name, PORT_TIME), "s", self.clock_s);
+        let echo_s = self.partner.newest().map_or(f64::NAN, |packet| packet.sent_s);
+        out.scalar((name, PORT_ECHO), "s", echo_s);
         out.scalar((name, PORT_CLOSED), "1", f64::from(u8::from(sent.closed)));
         let passivity = coupling.passivity();
         out.scalar((name, PORT_ENERGY_IN), "J", passivity.energy_in_j());

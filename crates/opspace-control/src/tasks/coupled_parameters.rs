@@ -125,6 +125,9 @@ pub struct TeleoperationParameters {
     pub handle_feedback: NonNegative,
     /// Passivity control.
     pub passivity: Passivity,
+    /// Largest damping of the leader that pays for the delay of a reflected force, Ns/m (Nms/rad): in contact, the leader is
+    /// damped by the stiffness times the round-trip time of the packets, up to this.
+    pub delay_damping_at_most_ns_per_m: NonNegative,
     /// Times at which the clutch is open, from and until, s after the start of control: the leader moves without the
     /// follower. When it closes, the follower continues from where it is.
     pub clutch_open_s: Vec<[f64; 2]>,
@@ -143,6 +146,7 @@ impl Default for TeleoperationParameters {
             scale: CouplingScale::default(),
             handle_feedback: NonNegative::default(),
             passivity: Passivity::default(),
+            delay_damping_at_most_ns_per_m: NonNegative::literal(150.0),
             clutch_open_s: Vec::new(),
             timeout_s: Positive::literal(0.2),
         }

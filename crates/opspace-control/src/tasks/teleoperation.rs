@@ -26,6 +26,9 @@ use opspace_backend::quantity::NonNegative;
 /// Store of a passivity control that only observes, J.
 const UNLIMITED_J: NonNegative = NonNegative::literal(1e9);
 
+/// Force above which the delay damping acts in full, N or Nm.
+const CONTACT_N: f64 = 2.0;
+
 /// Time over which the leader's force fades in after the coupling closes, s.
 const FADE_S: f64 = 0.1;
 
@@ -47,6 +50,8 @@ pub(crate) struct Teleoperation {
     position_scale: f64,
     force_scale: f64,
     handle_feedback: f64,
+    /// Largest damping that pays for the delay.
+    delay_damping_at_most: f64,
     clutch_open_s: Vec<[f64; 2]>,
     period_s: f64,
     passivity: PortPassivity,
@@ -117,6 +122,7 @@ impl Teleoperation {
             position_scale: p.scale.position.get(),
             force_scale: p.scale.force.get(),
             handle_feedback: p.handle_feedback.get(),
+            delay_damping_at_most: p.delay_damping_at_most_ns_per_m.get(),
             clutch_open_s: p.clutch_open_s.clone(),
             period_s,
             passivity: PortPassivity::new(&limits, angular, period_s),
@@ -213,12 +219,33 @@ impl Teleoperation {
         self.closed = packet.is_some() && !is_open;
         let packet = packet.filter(|packet| packet.closed && !is_open);
         match self.side {
-            CouplingSide::Leader => self.lead(state, &moved, packet),
+            CouplingSide::Leader => self.lead(state, &moved, packet, clock_s),
             CouplingSide::Follower => self.follow(state, &moved, packet, partner),
         }
     }
 
-    fn lead(&mut self, state: &RowState, moved: &Vector6<f64>, packet: Option<&Packet>) -> Vector6<f64> {
+    /// Force by which the delay is paid for: a force that arrives the round trip T late lacks K T v of that of the spring K
+    /// behind it, and would give this energy away in each push. It is taken along the force, in the measure of the force, so
+    /// that neither motion without contact nor sliding is braked.
+    fn delay_damping(&self, packet: &Packet, velocity: &Vector6<f64>, clock_s: f64) -> Vector6<f64> {
+        let round_trip_s = clock_s - packet.echo_s - self.period_s;
+        let force = packet.force.norm();
+        if round_trip_s.is_nan() || round_trip_s <= 0.0 || force == 0.0 {
+            return Vector6::zeros();
+        }
+        let direction = packet.force / force;
+        let stiffness = self.spring.component_mul(&direction).dot(&direction) * self.position_scale;
+        let damping = (stiffness * round_trip_s).min(self.delay_damping_at_most);
+        direction * (damping * direction.dot(velocity) * (force / CONTACT_N).min(1.0))
+    }
+
+    fn lead(
+        &mut self,
+        state: &RowState,
+        moved: &Vector6<f64>,
+        packet: Option<&Packet>,
+        clock_s: f64,
+    ) -> Vector6<f64> {
         let wanted = match packet {
             None => {
                 self.share = 0.0;
@@ -238,7 +265,7 @@ impl Teleoperation {
                             wave.receive(packet.sent_s, &packet.wave);
                             wave.update(&state.velocity)
                         }
-                        _ => packet.force,
+                        _ => packet.force - self.delay_damping(packet, &state.velocity, clock_s),
                     },
                 };
                 force * (self.force_scale * self.share)
@@ -329,6 +356,16 @@ impl Teleoperation {
             None => Vector6::zeros(),
         };
         let energy_in_j = self.passivity.energy_in_j();
-        Packet { sequence: 0, sent_s: 0.0, closed: self.closed, energy_in_j, position, velocity, force, wave }
+        Packet {
+            sequence: 0,
+            sent_s: 0.0,
+            echo_s: 0.0,
+            closed: self.closed,
+            energy_in_j,
+            position,
+            velocity,
+            force,
+            wave,
+        }
     }
 }

@@ -425,35 +425,38 @@ fn felt(lines: &[f64], force: &[Harmonics], motion: &[Harmonics]) -> Vec<FeltLin
         .collect()
 }
 
-/// High pass of second order (Butterworth, bilinear transform).
-struct HighPass {
+/// High pass of fourth order (Butterworth): two of second order.
+struct HighPass([SecondOrder; 2]);
+
+/// High pass of second order (bilinear transform).
+struct SecondOrder {
     gain: f64,
     a: [f64; 2],
     input: [Vector3<f64>; 2],
     output: [Vector3<f64>; 2],
-    is_started: bool,
 }
 
 impl HighPass {
     fn new(corner_hz: f64, period_s: f64) -> Self {
         let w = (PI * corner_hz * period_s).tan();
-        let (w2, damping) = (w * w, 2f64.sqrt() * w);
-        let norm = 1.0 / (1.0 + damping + w2);
-        let zero = [Vector3::zeros(); 2];
-        Self {
-            gain: norm,
-            a: [2.0 * (w2 - 1.0) * norm, (1.0 - damping + w2) * norm],
-            input: zero,
-            output: zero,
-            is_started: false,
-        }
+        // Damping of the two pairs of poles: 2 cos(π/8) and 2 cos(3π/8).
+        Self([1.0, 3.0].map(|k| SecondOrder::new(w, 2.0 * (k * PI / 8.0).cos())))
     }
 
     fn update(&mut self, x: Vector3<f64>) -> Vector3<f64> {
-        if !self.is_started {
-            // Without a step from zero at the start.
-            (self.input, self.is_started) = ([x; 2], true);
-        }
+        self.0.iter_mut().fold(x, |x, part| part.update(x))
+    }
+}
+
+impl SecondOrder {
+    fn new(w: f64, damping: f64) -> Self {
+        let norm = 1.0 / (1.0 + damping * w + w * w);
+        let zero = [Vector3::zeros(); 2];
+        let a = [2.0 * (w * w - 1.0) * norm, (1.0 - damping * w + w * w) * norm];
+        Self { gain: norm, a, input: zero, output: zero }
+    }
+
+    fn update(&mut self, x: Vector3<f64>) -> Vector3<f64> {
         let ([x1, x2], [y1, y2]) = (self.input, self.output);
         let y = (x - x1 * 2.0 + x2) * self.gain - y1 * self.a[0] - y2 * self.a[1];
         (self.input, self.output) = ([x, x1], [y, y1]);
