@@ -139,8 +139,8 @@ impl Default for TeleoperationParameters {
     fn default() -> Self {
         Self {
             reflect: Reflected::default(),
-            stiffness_n_per_m: NonNegative::literal(3000.0),
-            damping_ns_per_m: NonNegative::literal(60.0),
+            stiffness_n_per_m: NonNegative::literal(6000.0),
+            damping_ns_per_m: NonNegative::literal(120.0),
             stiffness_nm_per_rad: NonNegative::literal(30.0),
             damping_nms_per_rad: NonNegative::literal(0.6),
             scale: CouplingScale::default(),

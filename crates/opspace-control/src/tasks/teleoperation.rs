@@ -228,7 +228,7 @@ impl Teleoperation {
     /// behind it, and would give this energy away in each push. It is taken along the force, in the measure of the force, so
     /// that neither motion without contact nor sliding is braked.
     fn delay_damping(&self, packet: &Packet, velocity: &Vector6<f64>, clock_s: f64) -> Vector6<f64> {
-        let round_trip_s = clock_s - packet.echo_s - self.period_s;
+        let round_trip_s = clock_s - packet.echo_s;
         let force = packet.force.norm();
         if round_trip_s.is_nan() || round_trip_s <= 0.0 || force == 0.0 {
             return Vector6::zeros();

@@ -43,7 +43,8 @@ pub struct CouplingMetrics {
     pub energy_extracted_j: Option<f64>,
     /// Rms force of the operator after `settle_s`, N.
     pub hand_force_rms_n: Option<f64>,
-    /// Largest rms over 0.25 s of the velocity of one of the frames above 20 Hz, after `settle_s`, m/s.
+    /// Largest rms over 0.25 s of the velocity of one of the frames above 20 Hz, m/s: while the operator probes, or after
+    /// `settle_s` without a probe.
     pub fast_velocity_m_per_s: Option<f64>,
     /// Time in which the follower did not touch anything while the operator probed, s.
     pub contact_lost_s: Option<f64>,
@@ -269,7 +270,7 @@ impl<'a> CouplingEvaluator<'a> {
             fast_velocity_m_per_s: self
                 .tracks
                 .iter()
-                .filter_map(|t| t.fast_velocity(self.settle_s))
+                .filter_map(|t| t.fast_velocity(self.held_s()))
                 .reduce(f64::max),
             passivity_time_s: sum_of_last(|ticks| &ticks.passivity_s),
             packets_lost: sum_of_last(|ticks| &ticks.packets_lost),
@@ -339,6 +340,17 @@ impl<'a> CouplingEvaluator<'a> {
         })
     }
 
+    /// Time in which the operator probes, or from `settle_s` on if he does not, s after the start of control.
+    fn held_s(&self) -> [f64; 2] {
+        match self.probe().filter(|probe| probe.rms_m.get() > 0.0) {
+            None => [self.settle_s, f64::INFINITY],
+            Some(probe) => [
+                probe.from_s.get() + probe.ramp_s.get(),
+                probe.until_s.map_or(f64::INFINITY, |until| until.get() - probe.ramp_s.get()),
+            ],
+        }
+    }
+
     /// Stiffness of the follower's first wall, N/m.
     fn wall_n_per_m(&self) -> Option<f64> {
         self.tracks[1].experiment.task().file.environment.values().find_map(|object| match object {
@@ -348,10 +360,9 @@ impl<'a> CouplingEvaluator<'a> {
     }
 
     fn add_felt(&self, metrics: &mut CouplingMetrics) {
-        let Some(probe) = self.probe() else { return };
+        let Some(probe) = self.probe().filter(|probe| probe.rms_m.get() > 0.0) else { return };
         let [leader, follower] = &self.tracks;
-        let until_s = probe.until_s.map_or(f64::INFINITY, |until| until.get() - probe.ramp_s.get());
-        let from_s = probe.from_s.get() + probe.ramp_s.get();
+        let [from_s, until_s] = self.held_s();
         let probed = |t: &f64| *t >= from_s && *t <= until_s;
         let axis = Vector3::from(probe.axis).normalize();
         let rows: Vec<usize> = (0..leader.time_s.len()).filter(|&k| probed(&leader.time_s[k])).collect();
@@ -388,7 +399,7 @@ impl<'a> CouplingEvaluator<'a> {
 
 impl Track<'_> {
     /// Largest rms over a window of the velocity above 20 Hz, m/s.
-    fn fast_velocity(&self, settle_s: f64) -> Option<f64> {
+    fn fast_velocity(&self, [from_s, until_s]: [f64; 2]) -> Option<f64> {
         let period_s = self.experiment.profile().1.period_s();
         let mut filter = HighPass::new(FAST_HZ, period_s);
         let window = ((WINDOW_S[0] / period_s).round() as usize).max(1);
@@ -401,7 +412,7 @@ impl Track<'_> {
             if squares.len() > window {
                 sum -= squares[squares.len() - 1 - window];
             }
-            if self.time_s[k] >= settle_s && squares.len() >= window {
+            if (from_s..=until_s).contains(&self.time_s[k]) && squares.len() >= window {
                 let rms = (sum.max(0.0) / window as f64).sqrt();
                 most = Some(most.map_or(rms, |most| most.max(rms)));
             }
