@@ -4,17 +4,20 @@
 //!
 //! # Bound
 //!
-//! W is the net energy that has flowed into the network at a port, E_in and E_out are its flows in both directions
-//! ([`EnergyPlay`]), s is the slack of the play: W = E_in − E_out + s. Each side sends its E_in and keeps
+//! W is the net energy that has flowed into the network at a port. Each side sends the energy E_in that its partner may spend,
+//! which never falls, and keeps
 //!
 //! ```text
-//! budget = E_in(received from the partner) + store/2 − E_out + s ≥ 0          i.e.  W ≥ E_in − E_in(received) − store/2
+//! budget = E_in(received from the partner) + store/2 + W − E_in ≥ 0      i.e.   W ≥ E_in − E_in(received) − store/2
 //! ```
 //!
-//! The sum for both sides is W₁ + W₂ ≥ (E_in,1 − E_in,1(received by 2)) + (E_in,2 − E_in,2(received by 1)) − store. E_in never
-//! falls, so that whatever was received, at any time and in any order, is at most E_in now: both brackets are not negative,
-//! and **the energy out is at most the energy in plus the store**. The width of the play does not appear: s contains it.
-//! Energy that flows in moves s and E_in, never E_out: the budget falls only by the energy that flows out.
+//! The sum for both sides is W₁ + W₂ ≥ (E_in,1 − E_in,1(received by 2)) + (E_in,2 − E_in,2(received by 1)) − store. Whatever
+//! was received, at any time and in any order, is at most E_in now, so that both brackets are not negative: **the energy out
+//! is at most the energy in plus the store**.
+//!
+//! E_in grows with the energy that flows in, as counted by the play ([`EnergyPlay`]), so that noise does not move the budget of one
+//! side to the other. While the budget is below store/2, energy that flows in restores it and is not sent. The budget
+//! falls only by the energy that flows out.
 //!
 //! # Force into the handle (impedance)
 //!
@@ -34,7 +37,7 @@
 //!
 //! If the motion breaks the bound (an impact, a missed cycle), the budget can become negative by |F| times the
 //! displacement beyond the bound: a *debt*. While there is a debt, only force is allowed that takes energy in every
-//! displacement within the bound. The energy out is then at most the energy in plus the store plus the largest debt
+//! displacement within the bound; this energy, and that which the partner sends, pays it. The energy out is then at most the energy in plus the store plus the largest debt
 //! ([`PortPassivity::largest_debt_j`]) of each side.
 //!
 //! # Displacement of a reference (admittance)
@@ -45,8 +48,7 @@
 //!
 //! # Holds
 //!
-//! The sums outlive a hold of the robot: [`PortPassivity::restart`] forgets only the gap. What happens during a hold is not
-//! the network's. The partner need not know of it, and the bound holds over any number of holds of either side. A side whose
+//! The sums outlive a hold of the robot: [`PortPassivity::restart`] forgets only the gap. Motion during a hold is not counted. The partner need not know of it, and the bound holds over any number of holds of either side. A side whose
 //! sums are lost, because its program was restarted, can't be continued by its partner: both begin anew.
 
 use crate::coupling::energy_play::EnergyPlay;
@@ -109,6 +111,8 @@ pub struct PortPassivity {
     repair_at_most: Vector6<f64>,
     flow: EnergyPlay,
     received_j: f64,
+    /// Energy that the partner may spend.
+    sent_j: f64,
     gap: Vector6<f64>,
     largest_debt_j: f64,
     active_s: f64,
@@ -132,6 +136,7 @@ impl PortPassivity {
             repair_at_most: per_axis(p.repair_at_most_m_per_s, p.repair_at_most_rad_per_s) * period_s,
             flow: EnergyPlay::new(p.hysteresis_j.get()),
             received_j: 0.0,
+            sent_j: 0.0,
             gap: Vector6::zeros(),
             largest_debt_j: 0.0,
             active_s: 0.0,
@@ -152,8 +157,7 @@ impl PortPassivity {
     pub fn observe(&mut self, force: &Vector6<f64>, displacement: &Vector6<f64>) {
         let out_j = force.dot(displacement);
         if out_j.is_finite() {
-            self.flow.add(-out_j);
-            self.largest_debt_j = self.largest_debt_j.max(-self.budget_j());
+            self.count(out_j);
         }
     }
 
@@ -166,13 +170,15 @@ impl PortPassivity {
         // In these units the bound on the displacement is a ball of radius 1.
         let scaled_force = force.component_mul(&self.uncertainty);
         let scaled_displacement = velocity.component_div(&self.uncertainty) * self.period_s;
-        let allowed = match most_work(&scaled_force, &scaled_displacement) {
-            work if work <= budget_j => return *force,
-            work if work.is_finite() => nearest_force(&scaled_force, &scaled_displacement, budget_j),
-            _ => Vector6::zeros(),
-        };
+        let most_j = most_work(&scaled_force, &scaled_displacement);
+        if most_j.is_finite() && most_j <= budget_j {
+            return *force;
+        }
         self.active_s += self.period_s;
-        allowed.component_div(&self.uncertainty)
+        if !most_j.is_finite() {
+            return Vector6::zeros();
+        }
+        nearest_force(&scaled_force, &scaled_displacement, budget_j).component_div(&self.uncertainty)
     }
 
     /// Returns the displacement (m, rad) of the reference in this cycle, and counts its work: `displacement` and a part of the
@@ -195,7 +201,7 @@ impl PortPassivity {
             self.active_s += self.period_s;
         }
         self.gap += displacement - allowed;
-        self.flow.add(-force.dot(&allowed));
+        self.count(force.dot(&allowed));
         allowed
     }
 
@@ -208,14 +214,14 @@ impl PortPassivity {
     /// Continues from the port of the previous task set.
     pub fn inherit_state(&mut self, before: &Self) {
         self.flow.inherit_state(&before.flow);
-        (self.received_j, self.gap) = (before.received_j, before.gap);
+        (self.received_j, self.sent_j, self.gap) = (before.received_j, before.sent_j, before.gap);
         (self.largest_debt_j, self.active_s) = (before.largest_debt_j, before.active_s);
     }
 
-    /// Energy that has flowed in at this port, J, to be sent to the partner. Never falls.
+    /// Energy that has flowed in at this port and that the partner may spend, J, to be sent with each packet. Never falls.
     #[must_use]
     pub fn energy_in_j(&self) -> f64 {
-        self.flow.in_j()
+        self.sent_j
     }
 
     /// Energy that has flowed out at this port, J. Never falls.
@@ -230,10 +236,16 @@ impl PortPassivity {
         self.received_j
     }
 
+    /// Energy that has flowed in and out at this port.
+    #[must_use]
+    pub fn flow(&self) -> &EnergyPlay {
+        &self.flow
+    }
+
     /// Energy that may flow out now, J. Negative: a debt.
     #[must_use]
     pub fn budget_j(&self) -> f64 {
-        self.received_j + self.half_store_j - self.flow.out_j() + self.flow.slack_j()
+        self.received_j + self.half_store_j + (self.flow.net_j() - self.sent_j)
     }
 
     /// Largest debt so far, J, not negative.
@@ -254,6 +266,15 @@ impl PortPassivity {
         self.active_s
     }
 
+    /// Counts energy that has flowed out (J), or in. What flows in restores the store first.
+    fn count(&mut self, out_j: f64) {
+        let before_j = self.flow.in_j();
+        self.flow.add(-out_j);
+        let spare_j = (self.budget_j() - self.half_store_j).max(0.0);
+        self.sent_j += (self.flow.in_j() - before_j).min(spare_j);
+        self.largest_debt_j = self.largest_debt_j.max(-self.budget_j());
+    }
+
     /// Part of the gap to be closed in this cycle.
     fn repair(&self) -> Vector6<f64> {
         let step = self.gap * self.repair_share;
@@ -270,13 +291,18 @@ fn most_work(force: &Vector6<f64>, displacement: &Vector6<f64>) -> f64 {
 
 /// Force nearest to `force` whose most work is `budget_j` (J, not negative). `force` must be able to do more.
 fn nearest_force(force: &Vector6<f64>, displacement: &Vector6<f64>, budget_j: f64) -> Vector6<f64> {
-    // The conditions of the minimum give the force as a function of their multiplier μ, whose work falls with μ.
-    let at = |multiplier: f64| {
-        let g = force - displacement * multiplier;
-        let norm = g.norm();
-        if norm > multiplier { g * (1.0 - multiplier / norm) } else { Vector6::zeros() }
+    let length = displacement.norm();
+    let direction = if length > 0.0 { displacement / length } else { Vector6::zeros() };
+    let along = force.dot(&direction);
+    let across = (force - direction * along).norm();
+    // The conditions of the minimum give the force as a function of their multiplier μ, whose work falls with μ: the share
+    // that is left of G = F − μ d.
+    let share = |multiplier: f64| (1.0 - multiplier / (along - multiplier * length).hypot(across)).max(0.0);
+    let is_enough = |multiplier: f64| {
+        let along = along - multiplier * length;
+        let share = share(multiplier);
+        share == 0.0 || share * (along * length + along.hypot(across)) <= budget_j
     };
-    let is_enough = |multiplier: f64| most_work(&at(multiplier), displacement) <= budget_j;
     let (mut low, mut high) = (0.0, force.norm());
     for _ in 0..DOUBLINGS {
         if is_enough(high) {
@@ -291,7 +317,7 @@ fn nearest_force(force: &Vector6<f64>, displacement: &Vector6<f64>, budget_j: f6
         let middle = 0.5 * (low + high);
         if is_enough(middle) { high = middle } else { low = middle }
     }
-    at(high)
+    (force - displacement * high) * share(high)
 }
 
 /// Doublings of the bracket: enough for all but motion at exactly the radius of the bound.

@@ -4,6 +4,7 @@ mod admittance;
 mod allocation;
 mod collisions;
 mod common;
+mod coupling;
 mod files;
 mod force_control;
 mod hierarchy;

@@ -1,0 +1,603 @@
+//! Coupling of two ports over a channel: the energy that leaves it, compared with the energy that enters it, for random and
+//! adversarial ports, laws and channels. Energies are computed here from forces and displacements, without the port's own sums.
+
+use nalgebra::Vector6;
+use opspace_backend::quantity::NonNegative;
+use opspace_control::coupling::{
+    EnergyPlay, FollowerWave, LeaderWave, Packet, PortPassivity, PortPassivityParameters, ReceivedState,
+};
+use proptest::prelude::*;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+/// Rounding of the energies of a run, relative to the sum of their magnitudes and 1 J.
+const ROUNDING: f64 = 1e-12;
+
+/// Store of the coupling, J, and the largest acceleration of a port (default values of the parameters).
+const STORE_J: f64 = 0.05;
+const ACCELERATION: [f64; 2] = [50.0, 250.0];
+
+fn parameters(store_j: f64, hysteresis_j: f64) -> PortPassivityParameters {
+    let mut parameters = PortPassivityParameters::default();
+    parameters.store_j = NonNegative::try_from(store_j).expect("not negative");
+    parameters.hysteresis_j = NonNegative::try_from(hysteresis_j).expect("not negative");
+    parameters
+}
+
+/// Random vector of norm at most 1 with `count` rows that are not zero.
+fn within_ball(random: &mut ChaCha8Rng, count: usize) -> Vector6<f64> {
+    loop {
+        let v = Vector6::from_fn(|i, _| if i < count { random.random_range(-1.0..1.0) } else { 0.0 });
+        if v.norm() <= 1.0 {
+            return v;
+        }
+    }
+}
+
+// --- Play ---
+
+/// Compared: the two sums and the sum of all flows, at every step, and each sum with its value before.
+#[test]
+fn sums_of_the_play_differ_by_the_net_energy() {
+    for seed in 0..300 {
+        let mut random = ChaCha8Rng::seed_from_u64(seed);
+        let width = if seed % 5 == 0 { 0.0 } else { random.random_range(0.0..0.01) };
+        let (mut play, mut net, mut moved) = (EnergyPlay::new(width), 0.0, 0.0);
+        let scale = 10f64.powf(random.random_range(-5.0..1.0));
+        for _ in 0..500 {
+            let (before, flow) = (play, scale * random.random_range(-1.0..1.0));
+            play.add(flow);
+            (net, moved) = (net + flow, moved + f64::abs(flow));
+            assert!(play.in_j() >= before.in_j() && play.out_j() >= before.out_j(), "seed {seed}");
+            let tolerance = 1e-15 * moved;
+            assert!((play.in_j() - play.out_j() - net).abs() <= 0.5 * width + tolerance, "seed {seed}");
+            assert!((play.net_j() - net).abs() <= tolerance, "seed {seed}");
+        }
+    }
+}
+
+/// Energy that goes to and fro by less than the width is not counted; without a play, all of it is.
+#[test]
+fn flow_to_and_fro_within_the_play_is_not_counted() {
+    for (width, counted) in [(0.002, 0.0), (0.0, 0.5)] {
+        let mut play = EnergyPlay::new(width);
+        for k in 0..1000 {
+            play.add(if k % 2 == 0 { 0.001 } else { -0.001 });
+        }
+        assert!((play.in_j() - counted).abs() < 1e-12 && (play.out_j() - counted).abs() < 1e-12, "{play:?}");
+    }
+}
+
+// --- Ports and channels ---
+
+/// Output of a port.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Causality {
+    Force,
+    Reference,
+}
+use Causality::{Force, Reference};
+
+/// Law or motion of a side.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Kind {
+    /// Random numbers in each cycle.
+    Random,
+    /// Gives out as much energy as it can: force along the velocity, acceleration along the force, motion along the force.
+    Adversary,
+    /// Spring and damper to the position that was received; a mass at a spring; a spring at the reference.
+    Spring,
+    /// The force that was received; a mass driven by noise; a force that changes slowly.
+    Partner,
+}
+
+const KINDS: [Kind; 4] = [Kind::Random, Kind::Adversary, Kind::Spring, Kind::Partner];
+
+/// One side of a coupling: a port, the law that commands it, and the body or environment that moves it.
+struct Side {
+    causality: Causality,
+    law: Kind,
+    world: Kind,
+    count: usize,
+    angular: [bool; 6],
+    period_us: u64,
+    next_us: u64,
+    port: PortPassivity,
+    received: ReceivedState,
+    is_limited: bool,
+    mass: f64,
+    stiffness: f64,
+    position: Vector6<f64>,
+    velocity: Vector6<f64>,
+    /// Mean velocity of the last cycle, and whether it is what the port gets.
+    mean_velocity: Vector6<f64>,
+    gets_mean_velocity: bool,
+    /// True if the acceleration is sometimes beyond the bound.
+    impacts: bool,
+    force: Vector6<f64>,
+    acceleration: Vector6<f64>,
+    slow: Vector6<f64>,
+    held_until_us: u64,
+    sequence: u64,
+    /// True energy out, its largest value during the present cycle, and the sum of |F| |Δx|, J.
+    out_j: f64,
+    peak_j: f64,
+    turnover_j: f64,
+}
+
+impl Side {
+    fn new(random: &mut ChaCha8Rng, causality: Causality, count: usize, store_j: f64) -> Self {
+        let period_us = (500.0 * 40f64.powf(random.random_range(0.0..1.0))) as u64;
+        let angular = [0, 1, 2, 3, 4, 5].map(|_| random.random_range(0.0..1.0) < 0.3);
+        let hysteresis_j = [0.0, 0.002, 0.1][random.random_range(0..3)];
+        Self {
+            causality,
+            law: KINDS[random.random_range(0..4)],
+            world: KINDS[random.random_range(0..4)],
+            count,
+            angular,
+            period_us,
+            next_us: random.random_range(0..period_us),
+            port: PortPassivity::new(&parameters(store_j, hysteresis_j), &angular, period_us as f64 * 1e-6),
+            received: ReceivedState::new(f64::INFINITY),
+            is_limited: true,
+            mass: 10f64.powf(random.random_range(-1.0..1.0)),
+            stiffness: 10f64.powf(random.random_range(1.0..4.0)),
+            position: Vector6::zeros(),
+            velocity: within_ball(random, count) * 0.2,
+            mean_velocity: Vector6::zeros(),
+            gets_mean_velocity: random.random_range(0..2) == 0,
+            impacts: false,
+            force: Vector6::zeros(),
+            acceleration: Vector6::zeros(),
+            slow: Vector6::zeros(),
+            held_until_us: 0,
+            sequence: 0,
+            out_j: 0.0,
+            peak_j: 0.0,
+            turnover_j: 0.0,
+        }
+    }
+
+    fn period_s(&self) -> f64 {
+        self.period_us as f64 * 1e-6
+    }
+
+    fn largest_acceleration(&self) -> Vector6<f64> {
+        Vector6::from_fn(|i, _| if i < self.count { ACCELERATION[usize::from(self.angular[i])] } else { 0.0 })
+    }
+
+    fn flow_out(&mut self, displacement: &Vector6<f64>) {
+        self.out_j += self.force.dot(displacement);
+        self.turnover_j += self.force.norm() * displacement.norm();
+    }
+
+    /// Ends the cycle before and begins the next one at `now_us`. Returns the packet to be sent.
+    fn cycle(&mut self, random: &mut ChaCha8Rng, now_us: u64, restarts: bool) -> Option<Packet> {
+        let t = self.period_s();
+        let was_held = now_us < self.held_until_us;
+        if self.causality == Force && !was_held {
+            let displacement = self.velocity * t + self.acceleration * (0.5 * t * t);
+            self.position += displacement;
+            self.velocity += self.acceleration * t;
+            self.mean_velocity = displacement / t;
+            self.flow_out(&displacement);
+            self.port.observe(&self.force, &displacement);
+        }
+        self.peak_j = self.out_j;
+        self.next_us = now_us + self.period_us;
+        if !was_held && restarts && random.random_range(0.0..1.0) < 0.01 {
+            self.held_until_us = now_us + random.random_range(1..100_000);
+        }
+        if now_us < self.held_until_us {
+            // The robot is moved without the coupling, and comes to rest somewhere.
+            self.position += within_ball(random, self.count) * 0.01;
+            (self.velocity, self.mean_velocity) = (Vector6::zeros(), Vector6::zeros());
+            (self.force, self.acceleration) = (Vector6::zeros(), Vector6::zeros());
+            self.port.restart();
+            return None;
+        }
+        match self.causality {
+            Force => self.impedance_cycle(random),
+            Reference => self.admittance_cycle(random),
+        }
+        self.sequence += 1;
+        Some(Packet {
+            sequence: self.sequence,
+            sent_s: now_us as f64 * 1e-6,
+            position: self.position,
+            velocity: self.velocity,
+            force: -self.force,
+            energy_in_j: self.port.energy_in_j(),
+            ..Packet::default()
+        })
+    }
+
+    fn impedance_cycle(&mut self, random: &mut ChaCha8Rng) {
+        let wanted = match self.law {
+            Kind::Random => within_ball(random, self.count) * 60.0,
+            Kind::Adversary => self.velocity * (40.0 / self.velocity.norm().max(1e-9)),
+            Kind::Spring => self.received.newest().map_or(Vector6::zeros(), |packet| {
+                (packet.position - self.position) * self.stiffness + (packet.velocity - self.velocity) * 5.0
+            }),
+            Kind::Partner => self.received.newest().map_or(Vector6::zeros(), |packet| packet.force),
+        };
+        let known = if self.gets_mean_velocity { self.mean_velocity } else { self.velocity };
+        let allowed = self.port.limit_force(&known, &wanted);
+        self.force = if self.is_limited { allowed } else { wanted };
+        let most = self.largest_acceleration();
+        let noise = within_ball(random, self.count);
+        let scaled = match self.world {
+            Kind::Random => noise,
+            // Along the force, and back before it is too fast.
+            Kind::Adversary if self.velocity.norm() < 1.0 => self.force.component_mul(&most),
+            Kind::Adversary => -self.velocity.component_div(&most.add_scalar(1e-300)),
+            Kind::Spring => {
+                (self.force - self.position * self.stiffness).component_div(&most.add_scalar(1e-300))
+                    / self.mass
+            }
+            Kind::Partner => {
+                (self.force - self.velocity + noise * 20.0).component_div(&most.add_scalar(1e-300))
+                    / self.mass
+            }
+        };
+        let scaled = match self.world {
+            Kind::Adversary => scaled / scaled.norm().max(1e-9),
+            _ => scaled / scaled.norm().max(1.0),
+        };
+        self.acceleration = scaled.component_mul(&most);
+        if self.impacts {
+            // The debt is that at the end of a cycle.
+            let times = if random.random_range(0..50) == 0 { 30.0 } else { 1.0 };
+            self.acceleration *= times;
+            return;
+        }
+        // Largest energy out within the coming cycle.
+        for part in [0.25, 0.5, 0.75, 1.0] {
+            let t = part * self.period_s();
+            let displacement = self.velocity * t + self.acceleration * (0.5 * t * t);
+            self.peak_j = self.peak_j.max(self.out_j + self.force.dot(&displacement));
+        }
+    }
+
+    fn admittance_cycle(&mut self, random: &mut ChaCha8Rng) {
+        let t = self.period_s();
+        let noise = within_ball(random, self.count);
+        let wanted = match self.law {
+            Kind::Random => noise * t,
+            Kind::Adversary => self.force * (t / self.force.norm().max(1e-9)),
+            Kind::Spring => {
+                self.received.newest().map_or(Vector6::zeros(), |p| (p.position - self.position) * 0.5)
+            }
+            Kind::Partner => self.received.newest().map_or(Vector6::zeros(), |packet| packet.velocity * t),
+        };
+        self.slow += (within_ball(random, self.count) * 30.0 - self.slow) * (t / 0.05).min(1.0);
+        self.force = match self.world {
+            Kind::Random => within_ball(random, self.count) * 40.0,
+            Kind::Adversary => wanted * (40.0 / wanted.norm().max(1e-12)),
+            Kind::Spring => self.position * self.stiffness,
+            Kind::Partner => self.slow,
+        };
+        let allowed = self.port.limit_displacement(&wanted, &self.force);
+        let displacement = if self.is_limited { allowed } else { wanted };
+        self.velocity = displacement / t;
+        self.position += displacement;
+        self.flow_out(&displacement);
+        self.peak_j = self.out_j;
+    }
+}
+
+/// Channel with delay, jitter, loss and reordering: packets with their times of arrival, µs.
+struct Channel {
+    delay_us: u64,
+    jitter_us: u64,
+    loss: f64,
+    copies: f64,
+    transit: Vec<(u64, Packet)>,
+}
+
+impl Channel {
+    fn new(random: &mut ChaCha8Rng) -> Self {
+        let some = |random: &mut ChaCha8Rng| random.random_range(0..3) > 0;
+        Self {
+            delay_us: if some(random) { random.random_range(0..=200_000) } else { 0 },
+            jitter_us: if some(random) { random.random_range(0..=50_000) } else { 0 },
+            loss: if some(random) { random.random_range(0.0..0.5) } else { 0.0 },
+            copies: if some(random) { 0.0 } else { 0.1 },
+            transit: Vec::new(),
+        }
+    }
+
+    fn send(&mut self, random: &mut ChaCha8Rng, now_us: u64, packet: Packet) {
+        for probability in [1.0 - self.loss, self.copies] {
+            if random.random_range(0.0..1.0) < probability {
+                let late = random.random_range(0..=self.jitter_us);
+                self.transit.push((now_us + self.delay_us + late, packet));
+            }
+        }
+    }
+
+    /// Every packet reaches the port; only newer ones are accepted as the partner's state.
+    fn deliver(&mut self, now_us: u64, side: &mut Side) {
+        self.transit.retain(|(arrives, packet)| {
+            if *arrives <= now_us {
+                side.port.receive(packet.energy_in_j);
+                side.received.accept(packet);
+            }
+            *arrives > now_us
+        });
+    }
+}
+
+/// Outcome of a run: largest energy out beyond that in, J, the sums at the end, and the turnover.
+struct Outcome {
+    most_j: f64,
+    turnover_j: f64,
+    active: bool,
+    debt_j: f64,
+}
+
+/// Runs two sides for `CYCLES` cycles. `change` edits the sides before the run.
+fn run(seed: u64, causalities: [Causality; 2], store_j: f64, change: impl Fn(&mut [Side; 2])) -> Outcome {
+    let random = &mut ChaCha8Rng::seed_from_u64(seed);
+    let count = random.random_range(1..=6);
+    let mut sides = causalities.map(|causality| Side::new(random, causality, count, store_j));
+    let mut channels = [0, 1].map(|_| Channel::new(random));
+    let restarts = random.random_range(0..2) == 0;
+    change(&mut sides);
+    let mut most_j: f64 = 0.0;
+    for _ in 0..CYCLES {
+        let i = usize::from(sides[1].next_us < sides[0].next_us);
+        let now_us = sides[i].next_us;
+        channels[1 - i].deliver(now_us, &mut sides[i]);
+        if let Some(packet) = sides[i].cycle(random, now_us, restarts) {
+            channels[i].send(random, now_us, packet);
+        }
+        most_j = most_j.max(sides[0].peak_j + sides[1].peak_j);
+    }
+    Outcome {
+        most_j,
+        turnover_j: sides[0].turnover_j + sides[1].turnover_j,
+        active: sides.iter().any(|side| side.port.active_s() > 0.0),
+        debt_j: sides.iter().map(|side| side.port.largest_debt_j()).sum(),
+    }
+}
+
+const CYCLES: usize = 3000;
+const COMBINATIONS: [[Causality; 2]; 3] = [[Force, Reference], [Force, Force], [Reference, Reference]];
+
+/// Checks the bound on the energy for a seed; returns the energies with and without the limits.
+fn check_bound(seed: u64, causalities: [Causality; 2], store_j: f64) -> [Outcome; 2] {
+    let limited = run(seed, causalities, store_j, |_| {});
+    let tolerance = ROUNDING * (1.0 + limited.turnover_j);
+    assert!(
+        limited.most_j <= store_j + tolerance,
+        "seed {seed}, {causalities:?}: {} J out, store {store_j} J",
+        limited.most_j
+    );
+    [
+        limited,
+        run(seed, causalities, store_j, |sides| sides.iter_mut().for_each(|side| side.is_limited = false)),
+    ]
+}
+
+/// The energy out of both ports is at most the energy in plus the store at every time, also within cycles, for any law, port
+/// and channel, and holds of either side. Without the limits, most of the same runs deliver more.
+#[test]
+fn energy_out_is_at_most_energy_in_plus_store() {
+    for causalities in COMBINATIONS {
+        let (mut active, mut used, mut more) = (0, 0, 0);
+        for seed in 0..300 {
+            let store_j = if seed % 10 == 0 { 0.0 } else { STORE_J };
+            let [limited, free] = check_bound(seed, causalities, store_j);
+            active += usize::from(limited.active);
+            used += usize::from(limited.most_j > 0.4 * store_j && store_j > 0.0);
+            more += usize::from(free.most_j > store_j + 0.1);
+        }
+        println!("{causalities:?}: {active} limited, {used} use the store, {more} beyond it without limits");
+        assert!(active > 150 && used > 100 && more > 150, "{causalities:?}: {active} {used} {more}");
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(100) })]
+
+    /// As above, with seeds that are drawn in each execution of the test.
+    #[test]
+    fn energy_is_bounded_for_drawn_seeds(seed: u64, store_j in 0.0..1.0f64) {
+        for causalities in COMBINATIONS {
+            check_bound(seed, causalities, store_j);
+        }
+    }
+}
+
+/// Motion beyond the bound on the acceleration: the energy out is at most the energy in plus the store plus the largest debt
+/// of each side. Without such motion there is no debt.
+#[test]
+fn energy_beyond_the_store_is_at_most_the_debt() {
+    for causalities in [[Force, Reference], [Force, Force]] {
+        let mut in_debt = 0;
+        for seed in 0..300 {
+            let regular = run(seed, causalities, STORE_J, |_| {});
+            assert!(
+                regular.debt_j <= ROUNDING * (1.0 + regular.turnover_j),
+                "seed {seed}: {}",
+                regular.debt_j
+            );
+            let impacts =
+                run(seed, causalities, STORE_J, |sides| sides.iter_mut().for_each(|s| s.impacts = true));
+            let tolerance = ROUNDING * (1.0 + impacts.turnover_j);
+            assert!(
+                impacts.most_j <= STORE_J + impacts.debt_j + tolerance,
+                "seed {seed}: {}",
+                impacts.most_j
+            );
+            in_debt += usize::from(impacts.most_j > STORE_J + 1e-3);
+        }
+        assert!(in_debt > 50, "{in_debt}");
+    }
+}
+
+// --- One port ---
+
+/// Period of the ports below, s.
+const PERIOD_S: f64 = 1e-3;
+
+const LINEAR: [bool; 6] = [false; 6];
+
+fn along_x(x: f64) -> Vector6<f64> {
+    Vector6::new(x, 0.0, 0.0, 0.0, 0.0, 0.0)
+}
+
+/// In debt, force that gives energy out is not allowed, force that certainly takes energy is not changed, and pays the debt.
+#[test]
+fn debt_is_paid_by_opposing_forces_alone() {
+    let mut port = PortPassivity::new(&parameters(STORE_J, 0.0), &LINEAR, PERIOD_S);
+    let (along, opposing) = (along_x(30.0), along_x(-30.0));
+    let velocity = along_x(1.0);
+    port.observe(&along, &along_x(0.01));
+    assert!((port.budget_j() - (0.025 - 0.3)).abs() < 1e-15 && (port.largest_debt_j() - 0.275).abs() < 1e-15);
+    assert_eq!(port.limit_force(&velocity, &along), Vector6::zeros());
+    assert_eq!(port.active_s(), PERIOD_S);
+    for _ in 0..10 {
+        assert!(port.budget_j() < 0.0);
+        assert_eq!(port.limit_force(&velocity, &opposing), opposing);
+        port.observe(&opposing, &along_x(1e-3));
+    }
+    assert_eq!(port.active_s(), PERIOD_S);
+    // 0.025 J are left: 1 mm, and the bound of 50 µm, at 30 N would need 0.0315 J.
+    let allowed = port.limit_force(&velocity, &along);
+    assert!((allowed.x * (1e-3 + 50e-6) - 0.025).abs() < 1e-12, "{}", allowed.x);
+}
+
+/// Compared: the allowed force, and all forces that keep the budget in every displacement within the bound. It is one of them,
+/// and none is nearer to the wanted force, in units of the uncertainty of each axis.
+#[test]
+fn allowed_force_is_the_nearest_one() {
+    let mut changed = 0;
+    for seed in 0..300 {
+        let random = &mut ChaCha8Rng::seed_from_u64(seed);
+        let count = random.random_range(1..=6);
+        let angular = [0, 1, 2, 3, 4, 5].map(|_| random.random_range(0..2) == 0);
+        let store_j = if seed % 4 == 0 { 0.0 } else { 10f64.powf(random.random_range(-4.0..-1.0)) };
+        let mut port = PortPassivity::new(&parameters(store_j, 0.002), &angular, PERIOD_S);
+        let r = Vector6::from_fn(|i, _| ACCELERATION[usize::from(angular[i])] * PERIOD_S * PERIOD_S);
+        let speed = if seed % 7 == 0 { 0.0 } else { 10f64.powf(random.random_range(-3.0..1.0)) };
+        let velocity = within_ball(random, count) * speed;
+        let wanted = within_ball(random, count) * 10f64.powf(random.random_range(0.0..3.0));
+        let (allowed, budget_j) = (port.limit_force(&velocity, &wanted), 0.5 * store_j);
+        let most = |force: &Vector6<f64>| force.dot(&velocity) * PERIOD_S + force.component_mul(&r).norm();
+        let scale = wanted.norm() * (velocity.norm() * PERIOD_S + r.norm());
+        assert!(most(&allowed) <= budget_j + 1e-14 * scale, "seed {seed}");
+        for _ in 0..100 {
+            let displacement = velocity * PERIOD_S + within_ball(random, 6).component_mul(&r);
+            assert!(allowed.dot(&displacement) <= budget_j + 1e-14 * scale, "seed {seed}");
+        }
+        if most(&wanted) <= budget_j {
+            assert_eq!(allowed, wanted);
+            continue;
+        }
+        changed += 1;
+        let removed = (wanted - allowed).component_mul(&r);
+        for _ in 0..300 {
+            let other = within_ball(random, count) * 10f64.powf(random.random_range(-3.0..3.0));
+            let other = if random.random_range(0..2) == 0 { allowed + other * 1e-2 } else { other };
+            if most(&other) <= budget_j {
+                // The allowed forces are a convex set, and this is the condition of the nearest point.
+                let gain = removed.dot(&(other - allowed).component_mul(&r));
+                assert!(
+                    gain <= 1e-9 * removed.norm() * (other - allowed).component_mul(&r).norm(),
+                    "seed {seed}"
+                );
+            }
+        }
+    }
+    assert!(changed > 150, "{changed}");
+}
+
+/// Compared: the displacement that is returned with the wanted one, its work with the budget, and their sum with the gap. The
+/// gap is repaired when the partner sends energy, no faster than stated.
+#[test]
+fn displacement_beyond_the_budget_is_kept_as_a_gap_and_repaired() {
+    let mut port = PortPassivity::new(&parameters(STORE_J, 0.0), &LINEAR, PERIOD_S);
+    let force = Vector6::new(10.0, 0.0, 0.0, 0.0, 0.0, 0.0);
+    // 0.1 J wanted, 0.025 J allowed; the motion across the force is not changed.
+    let moved = port.limit_displacement(&Vector6::new(0.01, 0.02, 0.0, 0.0, 0.0, 0.0), &force);
+    assert!((moved - Vector6::new(0.0025, 0.02, 0.0, 0.0, 0.0, 0.0)).norm() < 1e-15, "{moved}");
+    assert!((port.gap() - along_x(0.0075)).norm() < 1e-15);
+    assert!(port.limit_displacement(&Vector6::zeros(), &force).norm() < 1e-15);
+    port.receive(0.055);
+    let (mut sum, mut fastest) = (0.0, 0.0);
+    for _ in 0..1000 {
+        let moved = port.limit_displacement(&Vector6::zeros(), &force).x;
+        (sum, fastest) = (sum + moved, f64::max(fastest, moved / PERIOD_S));
+    }
+    // 0.055 J at 10 N are 5.5 mm of 7.5 mm.
+    assert!((sum - 0.0055).abs() < 1e-12 && (port.gap().x - 0.002).abs() < 1e-12, "{sum}");
+    assert!((fastest - 0.0075 / 0.2).abs() < 1e-12, "{fastest}");
+    assert!((port.energy_out_j() - 0.08).abs() < 1e-12);
+    // Without force nothing holds the repair but its time constant and speed.
+    let _ = port.limit_displacement(&along_x(0.5), &force);
+    let repaired = port.limit_displacement(&Vector6::zeros(), &Vector6::zeros());
+    assert!((repaired.x / PERIOD_S - 0.1).abs() < 1e-12, "{}", repaired.x);
+    port.restart();
+    assert_eq!(*port.gap(), Vector6::zeros());
+    assert!((port.energy_out_j() - 0.08).abs() < 1e-12);
+}
+
+/// Inputs that are not finite give no force and no motion, and change no sum.
+#[test]
+fn inputs_that_are_not_finite_give_no_output() {
+    for bad in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
+        let mut port = PortPassivity::new(&parameters(STORE_J, 0.0), &LINEAR, PERIOD_S);
+        let (bad, good) = (along_x(bad), along_x(0.1));
+        port.receive(bad.x);
+        port.observe(&bad, &good);
+        port.observe(&good, &bad);
+        for [a, b] in [[&bad, &good], [&good, &bad], [&bad, &Vector6::zeros()], [&Vector6::zeros(), &bad]] {
+            assert_eq!(port.limit_force(a, b), Vector6::zeros());
+            assert_eq!(port.limit_displacement(a, b), Vector6::zeros());
+        }
+        assert_eq!(port.budget_j(), 0.5 * STORE_J);
+        assert_eq!((port.energy_in_j(), port.energy_out_j(), *port.gap()), (0.0, 0.0, Vector6::zeros()));
+    }
+}
+
+// --- What the limits must not take ---
+
+/// Handle that is pressed in and released by 20 mm each second, for 10 s, without delay; the follower is a reference in
+/// a spring. Returns the felt stiffness, N/m, and the fraction of cycles in which a port was active.
+fn felt_by_reference(stiffness: f64, limited: bool) -> [f64; 2] {
+    let mut ports = [0, 1].map(|_| PortPassivity::new(&parameters(STORE_J, 0.002), &LINEAR, PERIOD_S));
+    let [leader, follower] = &mut ports;
+    let (mut force, mut x_before, mut tip) = (Vector6::zeros(), 0.0, 0.0);
+    let mut sums = [0.0; 2];
+    for k in 0..10_000 {
+        let phase = std::f64::consts::TAU * PERIOD_S * f64::from(k);
+        let x = 0.01 * (1.0 - phase.cos());
+        leader.observe(&force, &along_x(x - x_before));
+        follower.receive(leader.energy_in_j());
+        let wanted = along_x(x - x_before);
+        let moved = follower.limit_displacement(&wanted, &along_x(stiffness * tip));
+        tip += if limited { moved.x } else { wanted.x };
+        leader.receive(follower.energy_in_j());
+        let velocity = along_x(0.01 * phase.sin() * std::f64::consts::TAU);
+        let wanted = along_x(-stiffness * tip);
+        let allowed = leader.limit_force(&velocity, &wanted);
+        force = if limited { allowed } else { wanted };
+        (sums[0], sums[1]) = (sums[0] - force.x * x, sums[1] + x * x);
+        x_before = x;
+    }
+    [sums[0] / sums[1], (leader.active_s() + follower.active_s()) / 10.0]
+}
+
+/// Compared: the felt stiffness and that of the spring. All energy that goes in comes out again.
+#[test]
+fn ports_pass_the_energy_of_a_spring() {
+    for stiffness in [200.0, 1000.0, 5000.0] {
+        let [felt, active] = felt_by_reference(stiffness, true);
+        println!("reference, {stiffness} N/m: {felt} N/m, active {active}");
+        assert!((felt / stiffness - 1.0).abs() < 0.02, "{felt} of {stiffness} N/m");
+        assert!(active < 0.01, "{active}");
+    }
+}
