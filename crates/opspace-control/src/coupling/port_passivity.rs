@@ -17,7 +17,13 @@
 //!
 //! E_in grows with the energy that flows in, as counted by the play ([`EnergyPlay`]), so that noise does not move the budget of one
 //! side to the other. While the budget is below store/2, energy that flows in restores it and is not sent. The budget
-//! falls only by the energy that flows out.
+//! falls only by the energy that flows out and by what is sent.
+//!
+//! A spring between the positions of the two sides stores energy in the network. If all that flows in were sent, a side that
+//! compresses the spring could not get its energy back: the partner has it and can't know that it is not needed.
+//! Therefore each side keeps what has flowed in, up to the energy of the spring, as a *reserve*
+//! ([`PortPassivity::set_reserve`]), and sends it when the spring relaxes and it was not spent. The bound does not depend on
+//! the reserve.
 //!
 //! # Force into the handle (impedance)
 //!
@@ -113,6 +119,9 @@ pub struct PortPassivity {
     received_j: f64,
     /// Energy that the partner may spend.
     sent_j: f64,
+    /// Energy that has flowed in, and is neither spent nor sent.
+    unsent_j: f64,
+    reserve_j: f64,
     gap: Vector6<f64>,
     largest_debt_j: f64,
     active_s: f64,
@@ -137,6 +146,8 @@ impl PortPassivity {
             flow: EnergyPlay::new(p.hysteresis_j.get()),
             received_j: 0.0,
             sent_j: 0.0,
+            unsent_j: 0.0,
+            reserve_j: 0.0,
             gap: Vector6::zeros(),
             largest_debt_j: 0.0,
             active_s: 0.0,
@@ -148,6 +159,15 @@ impl PortPassivity {
     pub fn receive(&mut self, energy_in_j: f64) {
         if energy_in_j.is_finite() {
             self.received_j = self.received_j.max(energy_in_j);
+        }
+    }
+
+    /// Sets the energy (J, not negative) that has flowed in and is not sent to the partner, because this side may have to
+    /// give it back: the energy that a spring between the two positions stores now. Zero at first.
+    pub fn set_reserve(&mut self, energy_j: f64) {
+        if energy_j.is_finite() {
+            self.reserve_j = energy_j.max(0.0);
+            self.send();
         }
     }
 
@@ -215,6 +235,7 @@ impl PortPassivity {
     pub fn inherit_state(&mut self, before: &Self) {
         self.flow.inherit_state(&before.flow);
         (self.received_j, self.sent_j, self.gap) = (before.received_j, before.sent_j, before.gap);
+        (self.unsent_j, self.reserve_j) = (before.unsent_j, before.reserve_j);
         (self.largest_debt_j, self.active_s) = (before.largest_debt_j, before.active_s);
     }
 
@@ -266,13 +287,23 @@ impl PortPassivity {
         self.active_s
     }
 
-    /// Counts energy that has flowed out (J), or in. What flows in restores the store first.
+    /// Counts energy that has flowed out (J), or in.
     fn count(&mut self, out_j: f64) {
-        let before_j = self.flow.in_j();
+        let before = self.flow;
         self.flow.add(-out_j);
-        let spare_j = (self.budget_j() - self.half_store_j).max(0.0);
-        self.sent_j += (self.flow.in_j() - before_j).min(spare_j);
+        let (gained_j, spent_j) = (self.flow.in_j() - before.in_j(), self.flow.out_j() - before.out_j());
+        let beyond_store_j = (self.budget_j() - self.half_store_j).max(0.0);
+        self.unsent_j = (self.unsent_j + gained_j - spent_j).clamp(0.0, beyond_store_j);
+        self.send();
         self.largest_debt_j = self.largest_debt_j.max(-self.budget_j());
+    }
+
+    /// Credits the partner with energy that has flowed in, but not with the store and the reserve.
+    fn send(&mut self) {
+        let spare_j = self.budget_j() - self.half_store_j - self.reserve_j;
+        let sent_j = self.unsent_j.min(spare_j).max(0.0);
+        self.unsent_j -= sent_j;
+        self.sent_j += sent_j;
     }
 
     /// Part of the gap to be closed in this cycle.

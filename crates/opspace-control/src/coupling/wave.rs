@@ -16,7 +16,9 @@
 //!
 //! At zero delay the pair is rigid: the sum of the follower's velocities in two consecutive cycles is twice the leader's
 //! (up to the change of F/b), a lag of half a cycle. An environment with F = b ẋ reflects nothing (w = 0): the leader feels b ẋ.
-//! A sampled follower in contact with the stiffness K (N/m) is stable for K T < 2 b.
+//! All else is reflected. The waves themselves have no damping: echoes between a prescribed velocity and a prescribed force
+//! do not decay, at zero delay those at half the rate of the cycles. A sampled follower in contact with the stiffness K
+//! (N/m) is stable for K T < 2 b, and at a damper B (Ns/m) for B < b.
 //!
 //! The identity F ẋ = (u² − w²)/2 holds for the sampled force and velocity. The work of a force that is held until the next
 //! cycle differs from it by at most |F| a T² per cycle at an acceleration of at most a.
