@@ -266,7 +266,7 @@ impl PortPassivity {
     /// Energy that may flow out now, J. Negative: a debt.
     #[must_use]
     pub fn budget_j(&self) -> f64 {
-        self.received_j + self.half_store_j + (self.flow.net_j() - self.sent_j)
+        self.half_store_j + self.beyond_store_j()
     }
 
     /// Largest debt so far, J, not negative.
@@ -287,21 +287,24 @@ impl PortPassivity {
         self.active_s
     }
 
+    /// Budget beyond this side's half of the store, J. Negative if the store was spent.
+    fn beyond_store_j(&self) -> f64 {
+        self.received_j + (self.flow.net_j() - self.sent_j)
+    }
+
     /// Counts energy that has flowed out (J), or in.
     fn count(&mut self, out_j: f64) {
         let before = self.flow;
         self.flow.add(-out_j);
         let (gained_j, spent_j) = (self.flow.in_j() - before.in_j(), self.flow.out_j() - before.out_j());
-        let beyond_store_j = (self.budget_j() - self.half_store_j).max(0.0);
-        self.unsent_j = (self.unsent_j + gained_j - spent_j).clamp(0.0, beyond_store_j);
+        self.unsent_j = (self.unsent_j + gained_j - spent_j).clamp(0.0, self.beyond_store_j().max(0.0));
         self.send();
         self.largest_debt_j = self.largest_debt_j.max(-self.budget_j());
     }
 
     /// Credits the partner with energy that has flowed in, but not with the store and the reserve.
     fn send(&mut self) {
-        let spare_j = self.budget_j() - self.half_store_j - self.reserve_j;
-        let sent_j = self.unsent_j.min(spare_j).max(0.0);
+        let sent_j = self.unsent_j.min(self.beyond_store_j() - self.reserve_j).max(0.0);
         self.unsent_j -= sent_j;
         self.sent_j += sent_j;
     }

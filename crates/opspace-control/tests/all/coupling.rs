@@ -858,9 +858,10 @@ fn matched_environment_reflects_nothing() {
     }
 }
 
-/// A sampled follower on a spring comes to rest in contact for K T < 2 b, and not for K T > 2 b, at a leader that is held.
+/// A sampled follower comes to rest on a spring for K T < 2 b and not for K T > 2 b, and at a damper for B < b and not for
+/// B > b, at a leader that is held.
 #[test]
-fn contact_is_stable_up_to_twice_the_impedance() {
+fn contact_is_stable_up_to_a_stiffness_and_a_damping() {
     for (ratio, is_stable) in [(1.9, true), (2.1, false)] {
         let (impedance, period) = (20.0, 1e-3);
         let stiffness = ratio * impedance / period;
@@ -871,6 +872,16 @@ fn contact_is_stable_up_to_twice_the_impedance() {
         }
         assert_eq!(tip.abs() < 1e-6, is_stable, "{tip}");
         assert_eq!(tip.abs() > 1.0, !is_stable, "{tip}");
+    }
+    for (ratio, is_stable) in [(0.95, true), (1.05, false)] {
+        let (impedance, period) = (20.0, 1e-3);
+        let mut follower = FollowerWave::new(impedance, period);
+        let mut velocity = 1e-3;
+        for _ in 0..400 {
+            velocity = follower.update(&along_x(ratio * impedance * velocity)).x / period;
+        }
+        assert_eq!(velocity.abs() < 1e-6, is_stable, "{velocity}");
+        assert_eq!(velocity.abs() > 1.0, !is_stable, "{velocity}");
     }
 }
 
