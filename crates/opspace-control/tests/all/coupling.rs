@@ -324,7 +324,7 @@ impl Channel {
         self.transit.retain(|(arrives, packet)| {
             if *arrives <= now_us {
                 side.port.receive(packet.energy_in_j);
-                side.received.accept(packet);
+                side.received.accept(packet, now_us as f64 * 1e-6);
             }
             *arrives > now_us
         });
@@ -707,14 +707,17 @@ fn only_newer_packets_are_accepted() {
     assert_eq!((received.accepted(), received.missing(), received.refused()), (0, 0, 0));
     // 7 and 8 are late or lost; 9 is a copy.
     for (sequence, is_accepted) in [(5, true), (6, true), (9, true), (7, false), (9, false), (10, true)] {
-        assert_eq!(received.accept(&packet(sequence, 0.01 * sequence as f64)), is_accepted, "{sequence}");
+        let arrived_s = 0.01 * sequence as f64;
+        assert_eq!(received.accept(&packet(sequence, 7.0), arrived_s), is_accepted, "{sequence}");
     }
-    assert!(!received.accept(&Packet { velocity: along_x(f64::NAN), ..packet(11, 0.11) }));
-    assert_eq!(received.newest(), Some(&packet(10, 0.1)));
+    assert!(!received.accept(&Packet { velocity: along_x(f64::NAN), ..packet(11, 7.0) }, 0.11));
+    assert_eq!(received.newest(), Some(&packet(10, 7.0)));
     assert_eq!((received.accepted(), received.missing(), received.refused()), (4, 2, 3));
     assert!((received.age_s(0.15).expect("a packet") - 0.05).abs() < 1e-15);
-    assert_eq!((received.fresh(0.15), received.fresh(0.21)), (Some(&packet(10, 0.1)), None));
+    assert_eq!((received.fresh(0.15), received.fresh(0.21)), (Some(&packet(10, 7.0)), None));
     assert!(!received.is_stale(0.15) && received.is_stale(0.21));
+    received.restart();
+    assert_eq!(received, ReceivedState::new(0.1));
 }
 
 // --- Wave variables ---
