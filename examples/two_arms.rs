@@ -37,7 +37,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         damping_ns_per_m: NonNegative::literal(2.0),
     };
     let arms = vec![leader.arm_config()?, ArmConfig { placement, ..follower.arm_config()? }];
-    let mut arms = Simulation::new(SimulationConfig { arms, couplings: vec![band] })?.into_arms();
+    let mut arms =
+        Simulation::new(SimulationConfig { arms, couplings: vec![band], ..SimulationConfig::default() })?
+            .into_arms();
     let [first, second] = &mut arms[..] else { unreachable!("two arms were configured") };
 
     let (capabilities, truth) = (first.capabilities().clone(), first.layouts());

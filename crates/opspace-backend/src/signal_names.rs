@@ -107,11 +107,11 @@ pub const REFERENCE: &str = "reference";
 pub const REFERENCE_VELOCITY: &str = "reference_velocity";
 /// Orientation of the reference of a task, unit quaternion w, x, y, z.
 pub const REFERENCE_ORIENTATION: &str = "reference_orientation";
-/// Position of the controlled frame; true position of a mass of the environment (3; m).
+/// Position of the controlled frame; true position of a mass of the environment, or of an object that hands hold (3; m).
 pub const POSITION: &str = "position";
-/// Velocity of the controlled frame (3; m/s) or of the task coordinate.
+/// Velocity of the controlled frame (3; m/s) or of the task coordinate; true velocity of an object that hands hold.
 pub const VELOCITY: &str = "velocity";
-/// Orientation of the controlled frame, unit quaternion w, x, y, z.
+/// Orientation of the controlled frame, or true orientation of an object that hands hold, unit quaternion w, x, y, z.
 pub const ORIENTATION: &str = "orientation";
 /// Value of the task coordinate.
 pub const VALUE: &str = "value";
@@ -119,6 +119,8 @@ pub const VALUE: &str = "value";
 pub const ERROR: &str = "error";
 /// Task force along the task's rows, or contact force.
 pub const FORCE: &str = "force";
+/// True moment of a hand's grip on an object, on the robot about the frame's origin, world axes (3; Nm).
+pub const MOMENT: &str = "moment";
 /// Work that a true contact force has done on the robot since the start of control, J.
 pub const WORK: &str = "work";
 /// True normal force of an environment object with friction, N.

@@ -9,7 +9,8 @@ use crate::mjcf::{LOAD_CELL, ModelSettings, contents, joint_name, write};
 use nalgebra::Vector3;
 use opspace_model::Force;
 use opspace_sim::{
-    EnvironmentObject, ExternalForce, Plant, PlantArm, PlantArms, PlantConfig, PlantError, PlantFrame, Scene,
+    EnvironmentObject, ExternalForce, HeldObject, Plant, PlantArm, PlantArms, PlantConfig, PlantError,
+    PlantFrame, Scene,
 };
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -160,12 +161,20 @@ impl Plant for MujocoPlant {
         self.arms.contact_force(arm, contact)
     }
 
+    fn contact_moment(&self, arm: usize, contact: usize) -> Vector3<f64> {
+        self.arms.contact_moment(arm, contact)
+    }
+
     fn contact_work(&self, arm: usize, contact: usize) -> f64 {
         self.arms.contact_work(arm, contact)
     }
 
     fn environment_object(&self, arm: usize, contact: usize) -> Option<&EnvironmentObject> {
         self.arms.environment_object(arm, contact)
+    }
+
+    fn held_object(&self, object: usize) -> &HeldObject {
+        self.arms.held_object(object)
     }
 
     fn push(&mut self, arm: usize, force: Option<ExternalForce>) {

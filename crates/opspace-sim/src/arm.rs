@@ -46,7 +46,7 @@ impl SimulatedArm {
     /// # Errors
     /// If parameters contradict each other; the error names the key.
     pub fn new(config: ArmConfig) -> Result<Self, SimulationError> {
-        let config = SimulationConfig { arms: vec![config], couplings: Vec::new() };
+        let config = SimulationConfig { arms: vec![config], ..SimulationConfig::default() };
         Simulation::new(config)?.into_arms().pop().ok_or(SimulationError::NoArm)
     }
 
@@ -55,7 +55,7 @@ impl SimulatedArm {
     /// # Errors
     /// As [`new`](Self::new), or if the engine cannot simulate the arm.
     pub fn on_engine(config: ArmConfig, engine: &dyn PhysicsEngine) -> Result<Self, SimulationError> {
-        let config = SimulationConfig { arms: vec![config], couplings: Vec::new() };
+        let config = SimulationConfig { arms: vec![config], ..SimulationConfig::default() };
         let simulation = Simulation::with_plant(config, |parts| engine.build(parts))?;
         simulation.into_arms().pop().ok_or(SimulationError::NoArm)
     }

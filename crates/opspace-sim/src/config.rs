@@ -7,6 +7,7 @@ use crate::error::SimulationError;
 use crate::force_sensor::SimulatedForceSensor;
 use crate::friction::LuGre;
 use crate::gear::{ElasticGear, GearConfig, MAX_STEPS};
+use crate::held_object::HeldObjectConfig;
 use crate::motor::{AngleTorque, Motor};
 use crate::parameters::{EncoderSide, SimulatedParameters};
 use crate::random::{RngStream, generator};
@@ -70,10 +71,12 @@ pub struct SimulationConfig {
     pub arms: Vec<ArmConfig>,
     /// Springs between arms.
     pub couplings: Vec<CouplingConfig>,
+    /// Objects that arms hold.
+    pub objects: Vec<HeldObjectConfig>,
 }
 
-/// Spring and damper between the origins of frames of two arms, relaxed at the start: an elastic object that both arms
-/// hold.
+/// Spring and damper between the origins of frames of two arms, relaxed at the start: an elastic object without mass that
+/// both arms hold.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CouplingConfig {
     /// Name in the true rows of both arms.

@@ -5,13 +5,13 @@
 //! An object that is in contact with the robot, or has a mass, has a state of its own. It advances with the steps of
 //! the plant, whichever engine computes the robot.
 
-mod body;
+pub(crate) mod body;
 mod contact;
 mod cylinder;
 mod drawer;
 mod hole;
 mod mass;
-mod mistake;
+pub(crate) mod mistake;
 mod operator;
 mod pushes;
 mod wall;

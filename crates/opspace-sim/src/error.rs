@@ -184,6 +184,14 @@ pub enum SimulationError {
         /// Description: missing arm or frame, or an arm coupled with itself.
         reason: String,
     },
+    /// Object held by arms with contradictory parameters, or by an arm or a frame that doesn't exist.
+    #[error("objects.{object}: {}", mistake.message)]
+    HeldObject {
+        /// Name of the object.
+        object: String,
+        /// Key and description.
+        mistake: Mistake,
+    },
     /// Bus that loses every cycle.
     #[error("the fraction of lost cycles is {share}; it must be less than 1")]
     LostCycles {
@@ -332,6 +340,10 @@ impl SimulationError {
             Self::PhysicsRate { .. } | Self::GearRate { .. } => {
                 Key::Robot(vec!["simulated".into(), "physics_hz".into()])
             }
+            Self::HeldObject { object, mistake } => {
+                let path = ["objects", object].into_iter().chain(mistake.key.split_terminator('.'));
+                Key::Simulation(path.map(str::to_owned).collect())
+            }
             Self::LostCycles { .. } => bus("lost_cycles_share"),
             Self::Dropout { .. } => bus("dropouts"),
             Self::Jitter { .. } => bus("jitter_servo_ticks"),
@@ -362,4 +374,6 @@ pub enum Key {
     Profile(Vec<String>),
     /// Path in the task file.
     Task(Vec<String>),
+    /// Path in the file that describes the simulation of several robots.
+    Simulation(Vec<String>),
 }

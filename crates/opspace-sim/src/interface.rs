@@ -11,7 +11,7 @@ use crate::plant::{Plant, PlantFrame};
 use crate::setpoint_check::SetpointCheck;
 use crate::timing::{Clock, Timing};
 use crate::torque_sensor::TorqueSensor;
-use crate::truth::{TruthConfig, TruthRows};
+use crate::truth::{ContactSignals, TruthConfig, TruthRows};
 use nalgebra::DVector;
 use opspace_backend::{Capabilities, Command, CommandKind, DeviceFault, Sample, Status};
 use opspace_model::{Data, FrameId, Model, gravity, kinematics};
@@ -46,8 +46,10 @@ pub(crate) struct Place {
     pub index: usize,
     /// Range of its joints in the plant.
     pub joints: Range<usize>,
-    /// Names of its couplings.
-    pub couplings: Vec<String>,
+    /// Its couplings, then its frames that hold objects.
+    pub contacts: Vec<ContactSignals>,
+    /// Objects that it holds: names, and indices in the plant.
+    pub held: Vec<(String, usize)>,
 }
 
 impl ArmInterface {
@@ -76,7 +78,8 @@ impl ArmInterface {
             q: config.start.clone(),
             holding: holding.clone(),
         });
-        let contacts = config.environment.iter().map(|(name, _)| name.clone()).chain(place.couplings);
+        let objects = config.environment.iter().map(|(name, _)| ContactSignals::without_moment(name));
+        let contacts = objects.chain(place.contacts);
         let silent_s: f64 = config.simulated.bus.dropouts.iter().map(|d| d.duration_s.get()).sum();
         let cycles = (silent_s / config.profile.period_s()).ceil() as usize + LOST_CYCLES;
         let setpoint_check = SetpointCheck::new(config);
@@ -85,6 +88,7 @@ impl ArmInterface {
                 model,
                 TruthConfig {
                     contacts: contacts.collect(),
+                    held: place.held,
                     objects: config.contacts(model).into_iter().map(|(_, object)| object).collect(),
                     has_external: config.external_forces,
                     has_setpoint_limits: setpoint_check.is_some(),

@@ -65,6 +65,7 @@ pub mod fault;
 pub mod force_sensor;
 pub mod friction;
 pub mod gear;
+pub mod held_object;
 mod ideal;
 pub mod integrator;
 mod interface;
@@ -74,6 +75,7 @@ pub mod plant;
 pub mod plant_arms;
 pub mod random;
 pub mod rigid;
+mod rotating_body;
 mod sensor_load;
 mod setpoint_check;
 pub mod simulation;
@@ -90,9 +92,13 @@ pub use environment::{
 };
 pub use error::{Key, SimulationError};
 pub use external::{ExternalForce, ExternalForceHandle, Pull};
+pub use held_object::{GripParameters, HeldObject, HeldObjectConfig, HeldObjectParameters};
 pub use integrator::Midpoint;
 pub use parameters::SimulatedParameters;
-pub use plant::{PhysicsEngine, Plant, PlantArm, PlantConfig, PlantCoupling, PlantError, PlantFrame, Scene};
+pub use plant::{
+    PhysicsEngine, Plant, PlantArm, PlantConfig, PlantCoupling, PlantError, PlantFrame, PlantGrip,
+    PlantObject, Scene,
+};
 pub use plant_arms::PlantArms;
 pub use rigid::RigidPlant;
 pub use simulation::Simulation;

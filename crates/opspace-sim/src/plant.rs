@@ -6,6 +6,7 @@
 
 use crate::environment::EnvironmentObject;
 use crate::external::ExternalForce;
+use crate::held_object::HeldObject;
 use nalgebra::Vector3;
 use opspace_model::collision::Capsule;
 use opspace_model::{Force, FrameId, Model};
@@ -30,16 +31,24 @@ pub trait Plant {
     fn contact_wrench(&mut self, frame: PlantFrame) -> Force;
 
     /// Force of a contact on an arm during the last step, world axes (N). Contacts are ordered as
-    /// [`PlantArm::contacts`], followed by the arm's couplings in the order of [`PlantConfig::couplings`].
+    /// [`PlantArm::contacts`], followed by the arm's couplings in the order of [`PlantConfig::couplings`], and by its frames
+    /// that hold objects, in the order of [`PlantConfig::objects`] and [`PlantObject::hands`].
     fn contact_force(&self, arm: usize, contact: usize) -> Vector3<f64>;
+
+    /// Moment of a contact on an arm during the last step about the contact's point, world axes (Nm): zero except for the
+    /// frames that hold objects. Contacts are ordered as in [`contact_force`](Self::contact_force).
+    fn contact_moment(&self, arm: usize, contact: usize) -> Vector3<f64>;
 
     /// Work that the force of a contact has done on an arm since the start of control, J. Contacts are ordered as in
     /// [`contact_force`](Self::contact_force).
     fn contact_work(&self, arm: usize, contact: usize) -> f64;
 
     /// Environment object of an arm, in the order of [`PlantArm::contacts`], with its state after the last step; `None`
-    /// for a coupling.
+    /// for any other contact.
     fn environment_object(&self, arm: usize, contact: usize) -> Option<&EnvironmentObject>;
+
+    /// Object that arms hold, in the order of [`PlantConfig::objects`], with its state after the last step.
+    fn held_object(&self, object: usize) -> &HeldObject;
 
     /// Sets the external force on an arm from the next step on; `None` removes it.
     fn push(&mut self, arm: usize, force: Option<ExternalForce>);
@@ -101,6 +110,8 @@ pub struct PlantConfig {
     pub arms: Vec<PlantArm>,
     /// Springs between arms.
     pub couplings: Vec<PlantCoupling>,
+    /// Objects that arms hold.
+    pub objects: Vec<PlantObject>,
     /// Duration of each step, s.
     pub step_s: f64,
 }
@@ -138,4 +149,62 @@ pub struct PlantCoupling {
     pub stiffness_n_per_m: f64,
     /// Damping B, Ns/m.
     pub damping_ns_per_m: f64,
+}
+
+/// Rigid object that arms hold.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PlantObject {
+    /// Mass, kg.
+    pub mass_kg: f64,
+    /// Principal moments of inertia, kg m²; the principal axes are those of the world at the start.
+    pub inertia_kg_m2: Vector3<f64>,
+    /// Centre of mass at the start, m.
+    pub position_m: Vector3<f64>,
+    /// Gravitational acceleration, world axes, m/s².
+    pub gravity_m_per_s2: Vector3<f64>,
+    /// Time until which a support holds the object in place, s after the start of control.
+    pub supported_until_s: f64,
+    /// Grips of frames on the object.
+    pub grips: Vec<PlantGrip>,
+}
+
+/// Springs and dampers between an object and the origin of a frame, relaxed where both are when the grip begins.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PlantGrip {
+    /// Frame that holds the object.
+    pub frame: PlantFrame,
+    /// Stiffness of the position, N/m.
+    pub stiffness_n_per_m: f64,
+    /// Damping of the position, Ns/m.
+    pub damping_ns_per_m: f64,
+    /// Stiffness of the orientation, Nm/rad.
+    pub stiffness_nm_per_rad: f64,
+    /// Damping of the orientation, Nms/rad.
+    pub damping_nms_per_rad: f64,
+    /// Beginning, s after the start of control.
+    pub from_s: f64,
+    /// End, s after the start of control.
+    pub until_s: f64,
+}
+
+impl PlantObject {
+    /// Returns the frames that hold the object, each once, in the order of their first grips.
+    #[must_use]
+    pub fn hands(&self) -> Vec<PlantFrame> {
+        let mut hands = Vec::new();
+        for grip in &self.grips {
+            if !hands.contains(&grip.frame) {
+                hands.push(grip.frame);
+            }
+        }
+        hands
+    }
+}
+
+impl PlantGrip {
+    /// True if it exerts moments.
+    #[must_use]
+    pub fn has_moment(&self) -> bool {
+        self.stiffness_nm_per_rad > 0.0 || self.damping_nms_per_rad > 0.0
+    }
 }

@@ -1,4 +1,5 @@
-//! Arms of a plant: their motion by midpoint steps, and the forces of environment, couplings and programs on them.
+//! Arms of a plant: their motion by midpoint steps, and the forces of environment, couplings, held objects and programs on
+//! them.
 //!
 //! A physics engine computes the accelerations of the joints; everything else of a step is done here, and is the same for
 //! every engine:
@@ -13,9 +14,10 @@
 
 use crate::environment::EnvironmentObject;
 use crate::external::ExternalForce;
+use crate::held_object::{HandMotion, HeldObject};
 use crate::integrator::Midpoint;
-use crate::plant::{PlantArm, PlantConfig, PlantCoupling, PlantFrame};
-use nalgebra::{DVector, Matrix6xX, Vector3};
+use crate::plant::{PlantArm, PlantConfig, PlantCoupling, PlantFrame, PlantObject};
+use nalgebra::{DVector, Matrix6xX, Rotation3, UnitQuaternion, Vector3};
 use opspace_model::{Force, FrameId, Model, frame_jacobian, frame_placement, frame_velocity};
 use std::ops::Range;
 
@@ -24,6 +26,7 @@ use std::ops::Range;
 pub struct PlantArms {
     arms: Vec<MovingArm>,
     couplings: Vec<Coupling>,
+    held: Vec<Held>,
     q: DVector<f64>,
     dq: DVector<f64>,
     /// True if the present step is after the start of control.
@@ -39,16 +42,18 @@ struct MovingArm {
     /// Mean velocities during the last step (n; rad/s, m/s).
     mean_dq: DVector<f64>,
     objects: Vec<EnvironmentObject>,
-    /// Forces of the objects, then those of the couplings.
+    /// Forces of the objects, then those of the couplings, then those of held objects.
     contacts: Vec<PointForce>,
     external: External,
 }
 
-/// Contact force on the origin of a frame during the last step.
+/// Contact force on the origin of a frame, and moment about it, during the last step.
 struct PointForce {
     frame: FrameId,
     jacobian: Matrix6xX<f64>,
     force: Vector3<f64>,
+    /// Moment, only of a grip (world axes, Nm).
+    moment: Option<Vector3<f64>>,
     /// Work on the robot since the start of control, J.
     work: f64,
 }
@@ -58,6 +63,13 @@ struct External {
     set: Option<ExternalForce>,
     jacobian: Matrix6xX<f64>,
     wrench: Force,
+}
+
+/// Object that arms hold.
+struct Held {
+    object: HeldObject,
+    /// Indices of the forces of its hands in the contact lists of their arms.
+    contacts: Vec<usize>,
 }
 
 /// Spring between two arms.
@@ -71,13 +83,18 @@ struct Coupling {
 
 impl PointForce {
     fn new(frame: FrameId, n: usize) -> Self {
-        Self { frame, jacobian: Matrix6xX::zeros(n), force: Vector3::zeros(), work: 0.0 }
+        Self { frame, jacobian: Matrix6xX::zeros(n), force: Vector3::zeros(), moment: None, work: 0.0 }
     }
 
     /// Power on joints with the velocities `dq` (n; rad/s, m/s), W.
     fn power(&self, dq: &DVector<f64>) -> f64 {
+        let moment = self.moment.unwrap_or_default();
         (self.jacobian.column_iter().zip(dq))
-            .map(|(column, dq)| column.fixed_rows::<3>(0).dot(&self.force) * dq)
+            .map(|(column, dq)| {
+                let [force, moment] =
+                    [column.fixed_rows::<3>(0).dot(&self.force), column.fixed_rows::<3>(3).dot(&moment)];
+                (force + moment) * dq
+            })
             .sum()
     }
 }
@@ -116,6 +133,20 @@ impl MovingArm {
         (x, v)
     }
 
+    /// Motion of a frame in the middle of the present step.
+    fn hand_motion(&self, frame: FrameId) -> HandMotion {
+        let middle = self.integrator.middle();
+        let placement = frame_placement(&self.model, middle, frame);
+        let velocity = frame_velocity(&self.model, middle, frame);
+        let rotation = Rotation3::from_matrix_unchecked(placement.rotation);
+        HandMotion {
+            position: placement.translation,
+            velocity: velocity.linear,
+            orientation: UnitQuaternion::from_rotation_matrix(&rotation),
+            angular_velocity: velocity.angular,
+        }
+    }
+
     /// Advances the environment by a step of `dt_s` to the middle of the present step, and updates its forces and the
     /// external force.
     fn touch(&mut self, time_s: f64, dt_s: f64) {
@@ -134,6 +165,9 @@ impl MovingArm {
         for contact in &mut self.contacts {
             frame_jacobian(&self.model, middle, contact.frame, &mut contact.jacobian);
             add_torques(&contact.jacobian, 0, &contact.force, &mut self.torque);
+            if let Some(moment) = &contact.moment {
+                add_torques(&contact.jacobian, 3, moment, &mut self.torque);
+            }
         }
         if let Some(force) = self.external.set {
             let External { jacobian, wrench, .. } = &mut self.external;
@@ -146,7 +180,7 @@ impl MovingArm {
     /// Adds the work of a step of `dt_s` (s), during which the mean velocities were `mean_dq`.
     fn add_work(&mut self, dt_s: f64) {
         for contact in &mut self.contacts {
-            if contact.force != Vector3::zeros() {
+            if contact.force != Vector3::zeros() || contact.moment.is_some() {
                 contact.work += contact.power(&self.mean_dq) * dt_s;
             }
         }
@@ -169,7 +203,7 @@ impl MovingArm {
             }
         };
         for contact in &self.contacts {
-            add(contact.frame, &contact.force, None);
+            add(contact.frame, &contact.force, contact.moment.as_ref());
         }
         if let Some(force) = self.external.set {
             add(force.frame, &self.external.wrench.linear, Some(&self.external.wrench.angular));
@@ -185,7 +219,7 @@ impl PlantArms {
     /// Returns the arms at rest at their start.
     ///
     /// # Panics
-    /// If the number of start positions differs from the number of joints, or a coupling names an arm that doesn't
+    /// If the number of start positions differs from the number of joints, or a coupling or a grip names an arm that doesn't
     /// exist.
     #[must_use]
     pub fn new(config: PlantConfig) -> Self {
@@ -198,7 +232,9 @@ impl PlantArms {
             arms.push(MovingArm::new(arm, first_joint));
         }
         let couplings = config.couplings.into_iter().map(|c| Coupling::new(c, &mut arms)).collect();
-        Self { arms, couplings, dq: DVector::zeros(q.len()), q: DVector::from_vec(q), is_controlled: false }
+        let held = config.objects.into_iter().map(|object| Held::new(object, &mut arms)).collect();
+        let dq = DVector::zeros(q.len());
+        Self { arms, couplings, held, dq, q: DVector::from_vec(q), is_controlled: false }
     }
 
     /// Positions of all joints, one arm after the other, rad or m.
@@ -226,6 +262,9 @@ impl PlantArms {
         }
         for coupling in &self.couplings {
             coupling.pull(&mut self.arms);
+        }
+        for held in &mut self.held {
+            held.pull(&mut self.arms, middle_s, dt_s);
         }
         for arm in &mut self.arms {
             arm.add_contact_torques();
@@ -282,6 +321,12 @@ impl PlantArms {
         self.arms[arm].contacts[contact].force
     }
 
+    /// Moment of a contact on an arm: see [`Plant::contact_moment`](crate::Plant::contact_moment).
+    #[must_use]
+    pub fn contact_moment(&self, arm: usize, contact: usize) -> Vector3<f64> {
+        self.arms[arm].contacts[contact].moment.unwrap_or_default()
+    }
+
     /// Work of a contact on an arm: see [`Plant::contact_work`](crate::Plant::contact_work).
     #[must_use]
     pub fn contact_work(&self, arm: usize, contact: usize) -> f64 {
@@ -292,6 +337,12 @@ impl PlantArms {
     #[must_use]
     pub fn environment_object(&self, arm: usize, contact: usize) -> Option<&EnvironmentObject> {
         self.arms[arm].objects.get(contact)
+    }
+
+    /// Object that arms hold: see [`Plant::held_object`](crate::Plant::held_object).
+    #[must_use]
+    pub fn held_object(&self, object: usize) -> &HeldObject {
+        &self.held[object].object
     }
 
     /// Sets or removes the external force on an arm: see [`Plant::push`](crate::Plant::push).
@@ -310,14 +361,37 @@ impl PlantArms {
     }
 }
 
+/// Adds a contact force on a frame, and returns its index in the arm's list.
+fn add_contact(arms: &mut [MovingArm], at: PlantFrame) -> usize {
+    let arm = &mut arms[at.arm];
+    arm.contacts.push(PointForce::new(at.frame, arm.model.n()));
+    arm.contacts.len() - 1
+}
+
+impl Held {
+    fn new(object: PlantObject, arms: &mut [MovingArm]) -> Self {
+        let object = HeldObject::new(object);
+        let contacts = object.hands().iter().map(|hand| add_contact(arms, hand.frame)).collect();
+        Self { object, contacts }
+    }
+
+    /// Updates the forces on the hands, and advances the object by a step of `dt_s` (s) with its middle at `time_s` (s).
+    fn pull(&mut self, arms: &mut [MovingArm], time_s: f64, dt_s: f64) {
+        for hand in self.object.hands_mut() {
+            hand.motion = arms[hand.frame.arm].hand_motion(hand.frame.frame);
+        }
+        self.object.step(time_s, dt_s);
+        for (hand, &index) in self.object.hands().iter().zip(&self.contacts) {
+            let contact = &mut arms[hand.frame.arm].contacts[index];
+            contact.force = hand.wrench.linear;
+            contact.moment = (hand.wrench.angular != Vector3::zeros()).then_some(hand.wrench.angular);
+        }
+    }
+}
+
 impl Coupling {
     fn new(parameters: PlantCoupling, arms: &mut [MovingArm]) -> Self {
-        let mut contacts = [0; 2];
-        for (index, at) in contacts.iter_mut().zip(&parameters.frames) {
-            let arm = &mut arms[at.arm];
-            *index = arm.contacts.len();
-            arm.contacts.push(PointForce::new(at.frame, arm.model.n()));
-        }
+        let contacts = parameters.frames.map(|at| add_contact(arms, at));
         let [first, second] = parameters.frames.map(|at| arms[at.arm].point(at.frame).0);
         Self { parameters, contacts, relaxed: second - first }
     }

@@ -2,6 +2,7 @@
 
 use crate::environment::EnvironmentObject;
 use crate::external::ExternalForce;
+use crate::held_object::HeldObject;
 use crate::plant::{Plant, PlantConfig, PlantFrame};
 use crate::plant_arms::PlantArms;
 use nalgebra::Vector3;
@@ -47,12 +48,20 @@ impl Plant for RigidPlant {
         self.arms.contact_force(arm, contact)
     }
 
+    fn contact_moment(&self, arm: usize, contact: usize) -> Vector3<f64> {
+        self.arms.contact_moment(arm, contact)
+    }
+
     fn contact_work(&self, arm: usize, contact: usize) -> f64 {
         self.arms.contact_work(arm, contact)
     }
 
     fn environment_object(&self, arm: usize, contact: usize) -> Option<&EnvironmentObject> {
         self.arms.environment_object(arm, contact)
+    }
+
+    fn held_object(&self, object: usize) -> &HeldObject {
+        self.arms.held_object(object)
     }
 
     fn push(&mut self, arm: usize, force: Option<ExternalForce>) {

@@ -7,13 +7,15 @@
 //! lost, as on a bus; its rows are kept until the arm is read or dropped.
 
 use crate::config::{CouplingConfig, SimulationConfig};
+use crate::environment::Mistake;
 use crate::error::SimulationError;
 use crate::fault;
 use crate::interface::{ArmInterface, Place};
-use crate::plant::{Plant, PlantArm, PlantConfig, PlantCoupling, PlantError, PlantFrame};
+use crate::plant::{Plant, PlantArm, PlantConfig, PlantCoupling, PlantError, PlantFrame, PlantObject};
 use crate::rigid::RigidPlant;
 use crate::timing::Clock;
-use opspace_backend::{DeviceFault, Sample};
+use crate::truth::ContactSignals;
+use opspace_backend::{DeviceFault, Sample, signal_names};
 use opspace_model::{FrameId, Model};
 
 /// Plant with the drives and sensors of its arms.
@@ -55,14 +57,21 @@ impl Simulation {
             config.arms.iter().map(|arm| (arm.profile.servo_hz.get(), arm.simulated.physics_hz.get()));
         let clock = Clock::new(rates)?;
         let models: Vec<Model> = config.arms.iter().map(crate::config::ArmConfig::true_model).collect();
+        let objects = held_objects(&config, &models, clock.physics_hz)?;
         let mut arms = Vec::new();
         let mut first_joint = 0;
         for (index, (arm, model)) in config.arms.iter().zip(&models).enumerate() {
             let joints = first_joint..first_joint + model.n();
             first_joint = joints.end;
             let couplings = config.couplings.iter().filter(|c| c.touches(index));
-            let couplings = couplings.map(|c| c.name.clone()).collect();
-            arms.push(ArmInterface::new(arm, model, Place { index, joints, couplings }, &clock)?);
+            let couplings = couplings.map(|c| ContactSignals::without_moment(&c.name));
+            let named = || config.objects.iter().map(|object| &object.name).zip(&objects);
+            let grips = named().flat_map(|(name, object)| grip_signals(name, object, index, model));
+            let is_held = |object: &PlantObject| object.grips.iter().any(|grip| grip.frame.arm == index);
+            let held = named().enumerate().filter(|(_, (_, object))| is_held(object));
+            let held = held.map(|(object, (name, _))| (name.clone(), object)).collect();
+            let place = Place { index, joints, contacts: couplings.chain(grips).collect(), held };
+            arms.push(ArmInterface::new(arm, model, place, &clock)?);
         }
         let couplings =
             config.couplings.iter().map(|c| coupling(c, &models)).collect::<Result<Vec<_>, _>>()?;
@@ -83,6 +92,7 @@ impl Simulation {
             plant: build(PlantConfig {
                 arms: config.arms.iter().zip(models).map(plant_arm).collect(),
                 couplings,
+                objects,
                 step_s: clock.step_s(),
             })
             .map_err(SimulationError::Plant)?,
@@ -173,5 +183,39 @@ fn coupling(config: &CouplingConfig, models: &[Model]) -> Result<PlantCoupling, 
         frames: [find(&config.first)?, find(&config.second)?],
         stiffness_n_per_m: config.stiffness_n_per_m.get(),
         damping_ns_per_m: config.damping_ns_per_m.get(),
+    })
+}
+
+/// Returns the held objects with their frames resolved.
+fn held_objects(
+    config: &SimulationConfig,
+    models: &[Model],
+    physics_hz: f64,
+) -> Result<Vec<PlantObject>, SimulationError> {
+    let mut objects = Vec::new();
+    for (index, object) in config.objects.iter().enumerate() {
+        let error = |mistake| SimulationError::HeldObject { object: object.name.clone(), mistake };
+        let of_arms = config.arms.iter().flat_map(|arm| arm.environment.iter().map(|(name, _)| name));
+        let others = of_arms.chain(config.couplings.iter().map(|coupling| &coupling.name));
+        let mut others = others.chain(config.objects[..index].iter().map(|other| &other.name));
+        if others.any(|name| *name == object.name) {
+            return Err(error(Mistake::new("", "another object or coupling has the same name")));
+        }
+        objects.push(object.placed(&config.arms, models, physics_hz).map_err(error)?);
+    }
+    Ok(objects)
+}
+
+/// Returns the signals of the grips of one arm on an object.
+fn grip_signals<'a>(
+    name: &'a str,
+    object: &'a PlantObject,
+    arm: usize,
+    model: &'a Model,
+) -> impl Iterator<Item = ContactSignals> + 'a {
+    let hands = object.hands().into_iter().filter(move |hand| hand.arm == arm);
+    hands.map(move |hand| ContactSignals {
+        name: signal_names::of(name, &model.frame(hand.frame).name),
+        has_moment: object.grips.iter().any(|grip| grip.frame == hand && grip.has_moment()),
     })
 }

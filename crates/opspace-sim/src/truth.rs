@@ -2,11 +2,12 @@
 
 use crate::environment::EnvironmentObject;
 use crate::external::{self, ExternalForce, ExternalRows};
+use crate::held_object::HeldObject;
 use crate::plant::Plant;
 use crate::timing::Timing;
-use nalgebra::Vector3;
+use nalgebra::{UnitQuaternion, Vector3};
 use opspace_backend::signal_names::{
-    DQ, FORCE, MOTOR_TORQUE, Q, SERVO_CHANNEL, SETPOINT_LIMITED, TRUTH_CHANNEL, WORK,
+    DQ, FORCE, MOMENT, MOTOR_TORQUE, Q, SERVO_CHANNEL, SETPOINT_LIMITED, TRUTH_CHANNEL, WORK,
 };
 use opspace_backend::{Layout, Signal, SignalRecorder, TruthLayouts, TruthRow};
 use opspace_model::{JointUnits, Model};
@@ -30,8 +31,10 @@ pub(crate) struct TruthRows {
 
 /// Contents of the rows besides the motion.
 pub(crate) struct TruthConfig {
-    /// Names of the contacts.
-    pub contacts: Vec<String>,
+    /// Contacts.
+    pub contacts: Vec<ContactSignals>,
+    /// Held objects: names, and indices in the plant.
+    pub held: Vec<(String, usize)>,
     /// Environment objects at the start, which are the first contacts.
     pub objects: Vec<EnvironmentObject>,
     /// True if external forces may be applied.
@@ -40,12 +43,29 @@ pub(crate) struct TruthConfig {
     pub has_setpoint_limits: bool,
 }
 
+/// Signals of a contact.
+#[derive(Clone, Debug)]
+pub(crate) struct ContactSignals {
+    /// Name that they begin with.
+    pub name: String,
+    /// True if it can exert a moment.
+    pub has_moment: bool,
+}
+
 /// Signals of the true state of an arm.
 struct ArmSignals {
     joints: Vec<String>,
     units: JointUnits,
-    contacts: Vec<String>,
+    contacts: Vec<ContactSignals>,
+    held: Vec<(String, usize)>,
     has_setpoint_limits: bool,
+}
+
+impl ContactSignals {
+    /// Returns those of a contact that exerts no moment.
+    pub fn without_moment(name: &str) -> Self {
+        Self { name: name.to_owned(), has_moment: false }
+    }
 }
 
 /// Contacts of an arm in the last step.
@@ -56,8 +76,14 @@ trait Contacts {
     /// Work of a contact on the arm since the start of control, J.
     fn work(&self, contact: usize) -> f64;
 
+    /// Moment of a contact on the arm, world axes (Nm).
+    fn moment(&self, contact: usize) -> Vector3<f64>;
+
     /// Environment object of a contact, if it is one.
     fn object(&self, contact: usize) -> Option<&EnvironmentObject>;
+
+    /// Records the state of an object of the plant that arms hold.
+    fn record_held(&self, object: usize, name: &str, out: &mut SignalRecorder<'_>);
 }
 
 /// Contacts before the first step.
@@ -72,8 +98,22 @@ impl Contacts for AtStart<'_> {
         0.0
     }
 
+    fn moment(&self, _contact: usize) -> Vector3<f64> {
+        Vector3::zeros()
+    }
+
     fn object(&self, contact: usize) -> Option<&EnvironmentObject> {
         self.0.get(contact)
+    }
+
+    fn record_held(&self, _object: usize, name: &str, out: &mut SignalRecorder<'_>) {
+        HeldObject::record_state(
+            name,
+            &Vector3::zeros(),
+            &UnitQuaternion::identity(),
+            &Vector3::zeros(),
+            out,
+        );
     }
 }
 
@@ -92,8 +132,16 @@ impl Contacts for InPlant<'_> {
         self.plant.contact_work(self.arm, contact)
     }
 
+    fn moment(&self, contact: usize) -> Vector3<f64> {
+        self.plant.contact_moment(self.arm, contact)
+    }
+
     fn object(&self, contact: usize) -> Option<&EnvironmentObject> {
         self.plant.environment_object(self.arm, contact)
+    }
+
+    fn record_held(&self, object: usize, name: &str, out: &mut SignalRecorder<'_>) {
+        self.plant.held_object(object).record(name, out);
     }
 }
 
@@ -108,12 +156,18 @@ impl ArmSignals {
     ) {
         out.signal(Q, &self.units.position, &self.joints, q);
         out.signal(DQ, &self.units.velocity, &self.joints, dq);
-        for (i, contact) in self.contacts.iter().enumerate() {
-            out.signal((contact, FORCE), "N", &["x", "y", "z"], contacts.force(i).as_slice());
-            out.scalar((contact, WORK), "J", contacts.work(i));
-            if let Some(object) = contacts.object(i) {
-                object.record(contact, out);
+        for (i, ContactSignals { name, has_moment }) in self.contacts.iter().enumerate() {
+            out.signal((name, FORCE), "N", &["x", "y", "z"], contacts.force(i).as_slice());
+            if *has_moment {
+                out.signal((name, MOMENT), "Nm", &["x", "y", "z"], contacts.moment(i).as_slice());
             }
+            out.scalar((name, WORK), "J", contacts.work(i));
+            if let Some(object) = contacts.object(i) {
+                object.record(name, out);
+            }
+        }
+        for (name, object) in &self.held {
+            contacts.record_held(*object, name, out);
         }
         if self.has_setpoint_limits {
             out.signal(SETPOINT_LIMITED, "1", &self.joints, setpoint_limited);
@@ -126,8 +180,8 @@ impl TruthRows {
     pub fn new(model: &Model, config: TruthConfig, cycles: usize, ratio: usize) -> Self {
         let joints: Vec<String> = model.joints().iter().map(|j| j.name.clone()).collect();
         let n = joints.len();
-        let TruthConfig { contacts, objects, has_external, has_setpoint_limits } = config;
-        let arm = ArmSignals { joints, units: model.joint_units(), contacts, has_setpoint_limits };
+        let TruthConfig { contacts, held, objects, has_external, has_setpoint_limits } = config;
+        let arm = ArmSignals { joints, units: model.joint_units(), contacts, held, has_setpoint_limits };
         let signals = SignalRecorder::describe(|out| arm.record(&[], &[], &AtStart(&objects), &[], out));
         let truth_width = signals.iter().map(|signal| signal.elements.len()).sum();
         Self {

@@ -645,6 +645,8 @@ impl Experiment {
                 }
                 FileError::at_key(&self.task.source, key, message, help)
             }
+            // A file of several robots has no place in an experiment of one.
+            Key::Simulation(_) => FileError::of_file(self.task.source.name(), message, help),
         }
     }
 }

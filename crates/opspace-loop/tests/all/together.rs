@@ -72,7 +72,7 @@ fn single_arm_rows(arm: usize) -> Vec<u64> {
 /// Compared: the rows of two arms in one simulation, whose buses lose cycles, and the rows of each arm alone.
 #[test]
 fn lost_cycles_do_not_affect_the_other_arm() {
-    let config = SimulationConfig { arms: vec![arm_config(0), arm_config(1)], couplings: Vec::new() };
+    let config = SimulationConfig { arms: vec![arm_config(0), arm_config(1)], ..SimulationConfig::default() };
     let mut arms = Simulation::new(config).expect("a simulation").into_arms();
     let [first, second] = &mut arms[..] else { panic!("two arms") };
     let mut rows = [Rows::default(), Rows::default()];

@@ -8,7 +8,7 @@ use opspace_model::{Data, forward_kinematics, frame_placement};
 use opspace_sim::random::{RngStream, generator};
 use opspace_sim::{
     EnvironmentObject, ExternalForce, PhysicsEngine, Plant, PlantArm, PlantConfig, PlantCoupling, PlantFrame,
-    Pull, RigidPlant,
+    PlantGrip, PlantObject, Pull, RigidPlant,
 };
 
 /// Start of the arm, rad.
@@ -31,7 +31,12 @@ fn panda() -> RobotDefinition {
 
 fn config(step_s: f64) -> PlantConfig {
     let model = panda().model;
-    PlantConfig { arms: vec![PlantArm::new(model, START.to_vec())], couplings: Vec::new(), step_s }
+    PlantConfig {
+        arms: vec![PlantArm::new(model, START.to_vec())],
+        couplings: Vec::new(),
+        objects: Vec::new(),
+        step_s,
+    }
 }
 
 /// Moves a plant for `duration_s` under smooth torques that are functions of time, and returns its positions.
@@ -137,7 +142,7 @@ fn environment_acts_as_on_the_own_plant() {
                 (flange, EnvironmentObject::new(&parameters, at, model.gravity(), random))
             })
             .collect();
-        PlantConfig { arms: vec![arm], couplings: Vec::new(), step_s: STEP_S }
+        PlantConfig { arms: vec![arm], couplings: Vec::new(), objects: Vec::new(), step_s: STEP_S }
     };
     let moved = |mut plant: Box<dyn Plant>| {
         let q = positions_after(&mut *plant, STEP_S, 0.3);
@@ -161,8 +166,8 @@ fn environment_acts_as_on_the_own_plant() {
     assert!(own.3.iter().all(|work| work.abs() > LEAST_J), "{:?}", own.3);
 }
 
-/// Compared: the motion of two coupled arms of which one is pulled, on both plants, and the forces that the plants
-/// report.
+/// Compared: the motion of two coupled arms that hold an object, of which one is pulled, on both plants, and the forces and
+/// the motion of the object that the plants report.
 #[test]
 fn couplings_and_external_forces_act_as_on_the_own_plant() {
     const STEP_S: f64 = 1e-4;
@@ -171,11 +176,28 @@ fn couplings_and_external_forces_act_as_on_the_own_plant() {
     let flange = model.frame_id("flange").expect("a flange");
     let frames = [0, 1].map(|arm| PlantFrame { arm, frame: flange });
     let coupling = PlantCoupling { frames, stiffness_n_per_m: 500.0, damping_ns_per_m: 10.0 };
+    let hold = |frame, lever_nm: f64| PlantGrip {
+        frame,
+        stiffness_n_per_m: 2000.0,
+        damping_ns_per_m: 5.0,
+        stiffness_nm_per_rad: lever_nm,
+        damping_nms_per_rad: 0.0,
+        from_s: f64::NEG_INFINITY,
+        until_s: f64::INFINITY,
+    };
+    let object = PlantObject {
+        mass_kg: 1.5,
+        inertia_kg_m2: Vector3::new(0.01, 0.02, 0.02),
+        position_m: Vector3::new(0.4, 0.1, 0.5),
+        gravity_m_per_s2: model.gravity(),
+        supported_until_s: 0.1,
+        grips: vec![hold(frames[0], 0.0), hold(frames[1], 5.0)],
+    };
     let config = || {
         let mut second = START;
         second[0] += 0.4;
         let arms = [START, second].map(|q| PlantArm::new(model.clone(), q.to_vec())).to_vec();
-        PlantConfig { arms, couplings: vec![coupling], step_s: STEP_S }
+        PlantConfig { arms, couplings: vec![coupling], objects: vec![object.clone()], step_s: STEP_S }
     };
     let pull = Pull::Wrench(opspace_model::Force {
         linear: Vector3::new(10.0, -20.0, 30.0),
@@ -185,7 +207,10 @@ fn couplings_and_external_forces_act_as_on_the_own_plant() {
         plant.push(1, Some(ExternalForce { frame: flange, pull }));
         let q = positions_after(&mut *plant, STEP_S, 0.3);
         let wrench = plant.contact_wrench(frames[1]);
-        (q, plant.contact_force(0, 0), plant.external_force(1), wrench)
+        let object = plant.held_object(0);
+        let held =
+            (object.position(), object.orientation(), plant.contact_moment(1, 1), plant.contact_work(1, 1));
+        (q, plant.contact_force(0, 0), plant.external_force(1), wrench, held)
     };
     let own = moved(Box::new(RigidPlant::new(config())));
     let other = moved(mujoco.build(config()).expect("a plant"));
@@ -193,4 +218,9 @@ fn couplings_and_external_forces_act_as_on_the_own_plant() {
     assert!((own.1 - other.1).norm() < TOLERANCE_N && own.1.norm() > LEAST_N, "{} {}", own.1, other.1);
     assert_eq!(own.2, other.2);
     assert!((own.3.linear - other.3.linear).norm() < TOLERANCE_N && own.3.linear.norm() > LEAST_N);
+    let [(position, orientation, moment, work), other] = [own.4, other.4];
+    assert!((position - other.0).norm() < TOLERANCE_RAD && orientation.angle_to(&other.1) < TOLERANCE_RAD);
+    assert!(orientation.angle() > 0.1, "it turns");
+    assert!((moment - other.2).norm() < TOLERANCE_N && moment.norm() > 0.1 * LEAST_N, "{moment}");
+    assert!((work - other.3).abs() < TOLERANCE_J && work.abs() > LEAST_J, "{work}");
 }

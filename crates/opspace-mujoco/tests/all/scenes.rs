@@ -50,7 +50,7 @@ fn tray() -> (PlantConfig, PlantFrame, Placement) {
         sensors: vec![sensor],
         ..PlantArm::new(model, TRAY.to_vec())
     };
-    let config = PlantConfig { arms: vec![arm], couplings: Vec::new(), step_s: STEP_S };
+    let config = PlantConfig { arms: vec![arm], couplings: Vec::new(), objects: Vec::new(), step_s: STEP_S };
     (config, PlantFrame { arm: 0, frame: sensor }, placement)
 }
 
@@ -115,6 +115,7 @@ fn settings_of_a_scene_do_not_change_the_arm() {
     let config = || PlantConfig {
         arms: vec![PlantArm::new(robot.model.clone(), start.clone())],
         couplings: Vec::new(),
+        objects: Vec::new(),
         step_s: STEP_S,
     };
     let after = |mut plant: Box<dyn Plant>| {

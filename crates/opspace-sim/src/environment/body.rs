@@ -4,7 +4,7 @@ use nalgebra::SVector;
 
 /// Point mass in D dimensions.
 #[derive(Clone, Debug)]
-pub(super) struct Body<const D: usize> {
+pub(crate) struct Body<const D: usize> {
     position: SVector<f64, D>,
     velocity: SVector<f64, D>,
     /// Acceleration of the last step, m/s².
@@ -32,5 +32,10 @@ impl<const D: usize> Body<D> {
     /// Position, m.
     pub fn position(&self) -> SVector<f64, D> {
         self.position
+    }
+
+    /// Velocity, m/s.
+    pub fn velocity(&self) -> SVector<f64, D> {
+        self.velocity
     }
 }

@@ -9,15 +9,15 @@ const LEAST_STEPS: f64 = 20.0;
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Mistake {
     /// Key below the object's table, with a dot between the parts.
-    pub key: &'static str,
+    pub key: Cow<'static, str>,
     /// Description of the mistake, and of what is allowed.
     pub message: Cow<'static, str>,
 }
 
 impl Mistake {
     /// Returns the mistake in the value of a key.
-    pub(super) fn new(key: &'static str, message: impl Into<Cow<'static, str>>) -> Self {
-        Self { key, message: message.into() }
+    pub(crate) fn new(key: impl Into<Cow<'static, str>>, message: impl Into<Cow<'static, str>>) -> Self {
+        Self { key: key.into(), message: message.into() }
     }
 }
 
@@ -30,7 +30,7 @@ pub(super) fn check_length(key: &'static str, direction: [f64; 3]) -> Result<(),
 }
 
 /// Highest frequency that can be simulated with this physics rate, Hz.
-pub(super) fn highest_frequency(physics_hz: f64) -> f64 {
+pub(crate) fn highest_frequency(physics_hz: f64) -> f64 {
     physics_hz / LEAST_STEPS
 }
 

@@ -26,7 +26,7 @@ fn frictionless(dt: f64, q: &[f64]) -> (RigidPlant, Vec<Drivetrain>, Model) {
     };
     let drivetrains = setup.joints.iter().map(drivetrain).collect();
     let arm = PlantArm::new(model.clone(), q.to_vec());
-    let config = PlantConfig { arms: vec![arm], couplings: Vec::new(), step_s: dt };
+    let config = PlantConfig { arms: vec![arm], couplings: Vec::new(), objects: Vec::new(), step_s: dt };
     (RigidPlant::new(config), drivetrains, model)
 }
 

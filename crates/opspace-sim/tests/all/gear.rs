@@ -282,7 +282,12 @@ fn swinging_elastic_arm_conserves_energy() {
         })
         .collect();
     let arm = PlantArm::new(model.clone(), START.to_vec());
-    let mut plant = RigidPlant::new(PlantConfig { arms: vec![arm], couplings: Vec::new(), step_s: DT });
+    let mut plant = RigidPlant::new(PlantConfig {
+        arms: vec![arm],
+        couplings: Vec::new(),
+        objects: Vec::new(),
+        step_s: DT,
+    });
     let mut data = Data::new(&model);
     let mut energy = |plant: &RigidPlant, drivetrains: &[Drivetrain]| {
         kinematics(&model, &mut data, plant.q(), plant.dq());

@@ -11,6 +11,7 @@ mod energy;
 mod environment;
 mod external;
 mod gear;
+mod held_object;
 mod ideal;
 mod motors_and_loads;
 mod probe;
@@ -18,3 +19,7 @@ mod setpoint_limits;
 mod simulation;
 mod velocity;
 mod work;
+
+#[global_allocator]
+static ALLOCATOR: opspace_testing::allocation::CountingAllocator =
+    opspace_testing::allocation::CountingAllocator;

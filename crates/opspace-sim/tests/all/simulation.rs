@@ -6,8 +6,8 @@ use opspace_backend::quantity::NonNegative;
 use opspace_backend::{Backend, Command, CommandKind, GroundTruth, Sample, Setpoints, TruthRow};
 use opspace_model::{Data, Force, Model, Placement, frame_placement, kinematics};
 use opspace_sim::{
-    ArmConfig, CouplingConfig, EnvironmentObject, ExternalForce, Plant, PlantFrame, RigidPlant, SimulatedArm,
-    Simulation, SimulationConfig, SimulationError,
+    ArmConfig, CouplingConfig, EnvironmentObject, ExternalForce, HeldObject, Plant, PlantFrame, RigidPlant,
+    SimulatedArm, Simulation, SimulationConfig, SimulationError,
 };
 
 use std::sync::Arc;
@@ -32,7 +32,7 @@ fn general(command: CommandKind, profile: &str, seed: u64) -> ArmConfig {
 }
 
 fn simulated(arms: Vec<ArmConfig>) -> Vec<SimulatedArm> {
-    let config = SimulationConfig { arms, couplings: Vec::new() };
+    let config = SimulationConfig { arms, ..SimulationConfig::default() };
     Simulation::new(config).unwrap_or_else(|e| panic!("{e}")).into_arms()
 }
 
@@ -240,7 +240,11 @@ fn coupling_forces_are_equal_and_opposite() {
         stiffness_n_per_m: NonNegative::literal(STIFFNESS),
         damping_ns_per_m: NonNegative::literal(20.0),
     };
-    let config = |coupling| SimulationConfig { arms: configs.to_vec(), couplings: vec![coupling] };
+    let config = |coupling| SimulationConfig {
+        arms: configs.to_vec(),
+        couplings: vec![coupling],
+        ..SimulationConfig::default()
+    };
     let mut arms = Simulation::new(config(coupling.clone())).expect("two arms").into_arms();
     let mut forces = [Vector3::zeros(); 2];
     let goal = START.map(|q| q + 0.05);
@@ -304,12 +308,20 @@ impl Plant for OtherEngine {
         self.0.contact_force(arm, contact)
     }
 
+    fn contact_moment(&self, arm: usize, contact: usize) -> Vector3<f64> {
+        self.0.contact_moment(arm, contact)
+    }
+
     fn contact_work(&self, arm: usize, contact: usize) -> f64 {
         self.0.contact_work(arm, contact)
     }
 
     fn environment_object(&self, arm: usize, contact: usize) -> Option<&EnvironmentObject> {
         self.0.environment_object(arm, contact)
+    }
+
+    fn held_object(&self, object: usize) -> &HeldObject {
+        self.0.held_object(object)
     }
 
     fn push(&mut self, arm: usize, force: Option<ExternalForce>) {
@@ -330,7 +342,7 @@ fn plant_can_be_replaced() {
     let expected = run(&mut [arm(config.clone())], &[0], 0.0195);
     let steps = Arc::new(AtomicU64::new(0));
     let counter = Arc::clone(&steps);
-    let config = SimulationConfig { arms: vec![config], couplings: Vec::new() };
+    let config = SimulationConfig { arms: vec![config], ..SimulationConfig::default() };
     let build = |parts| Ok(Box::new(OtherEngine(RigidPlant::new(parts), counter)) as Box<dyn Plant>);
     let mut arms = Simulation::with_plant(config, build).expect("an arm").into_arms();
     assert!(run(&mut arms, &[0], 0.0195) == expected);
@@ -346,7 +358,7 @@ fn incompatible_rates_are_refused() {
     }
     let mut configs = [setup(CommandKind::Position, "a-med"), setup(CommandKind::Position, "a-med")];
     let refused = |configs: &[ArmConfig; 2]| {
-        let config = SimulationConfig { arms: configs.to_vec(), couplings: Vec::new() };
+        let config = SimulationConfig { arms: configs.to_vec(), ..SimulationConfig::default() };
         Simulation::new(config).err().expect("refused")
     };
     configs[1].profile.servo_hz = parsed::<Rate>("hz = 4000.5").hz;
@@ -355,6 +367,6 @@ fn incompatible_rates_are_refused() {
     configs[1].profile.servo_hz = parsed::<Rate>("hz = 3000.0").hz;
     let expected = SimulationError::PhysicsRate { physics_hz: 20_000.0, servo_hz: 15_000.0 };
     assert_eq!(refused(&configs), expected);
-    let none = SimulationConfig { arms: Vec::new(), couplings: Vec::new() };
+    let none = SimulationConfig { arms: Vec::new(), ..SimulationConfig::default() };
     assert_eq!(Simulation::new(none).err(), Some(SimulationError::NoArm));
 }

@@ -39,7 +39,7 @@ fn work_is_exactly_the_kinetic_energy_of_a_slider() {
                   point_m = [0.2, 0.0, 0.0]\nmotion.still = {}";
     let mut arm = PlantArm::new(model.clone(), vec![0.0]);
     arm.contacts = vec![(cart, placed(spring, Vector3::zeros(), &model))];
-    let config = PlantConfig { arms: vec![arm], couplings: Vec::new(), step_s: STEP_S };
+    let config = PlantConfig { arms: vec![arm], couplings: Vec::new(), objects: Vec::new(), step_s: STEP_S };
     let mut plant = RigidPlant::new(config);
     let kinetic = |plant: &RigidPlant| plant.dq()[0].powi(2);
     let (mut at_start, mut least, mut most) = (f64::NAN, f64::INFINITY, f64::NEG_INFINITY);
@@ -91,7 +91,7 @@ impl Pair {
         let arms = vec![arm(START, operator), arm([0.2, -0.3, 0.4, -1.0], load)];
         let frames = [0, 1].map(|arm| PlantFrame { arm, frame: hand });
         let coupling = PlantCoupling { frames, stiffness_n_per_m: stiffness, damping_ns_per_m: damping };
-        let config = PlantConfig { arms, couplings: vec![coupling], step_s };
+        let config = PlantConfig { arms, couplings: vec![coupling], objects: Vec::new(), step_s };
         Self { plant: RigidPlant::new(config), model, data }
     }
 
