@@ -16,14 +16,13 @@
 //! is at most the energy in plus the store**.
 //!
 //! E_in grows with the energy that flows in, as counted by the play ([`EnergyPlay`]), so that noise does not move the budget of one
-//! side to the other. While the budget is below store/2, energy that flows in restores it and is not sent. The budget
-//! falls only by the energy that flows out and by what is sent.
+//! side to the other. The budget falls only by the energy that flows out and by what is sent.
 //!
 //! A spring between the positions of the two sides stores energy in the network. If all that flows in were sent, a side that
 //! compresses the spring could not get its energy back: the partner has it and can't know that it is not needed.
-//! Therefore each side keeps what has flowed in, up to the energy of the spring, as a *reserve*
-//! ([`PortPassivity::set_reserve`]), and sends it when the spring relaxes and it was not spent. The bound does not depend on
-//! the reserve.
+//! Therefore each side of such a spring keeps what has flowed in, up to the energy of the spring and until its half of the
+//! store is whole again, as a *reserve* ([`PortPassivity::set_reserve`]), and sends it when the spring relaxes and it was
+//! not spent. The bound does not depend on the reserve.
 //!
 //! # Force into the handle (impedance)
 //!
@@ -297,8 +296,15 @@ impl PortPassivity {
         let before = self.flow;
         self.flow.add(-out_j);
         let (gained_j, spent_j) = (self.flow.in_j() - before.in_j(), self.flow.out_j() - before.out_j());
-        self.unsent_j = (self.unsent_j + gained_j - spent_j).clamp(0.0, self.beyond_store_j().max(0.0));
-        self.send();
+        if self.reserve_j == 0.0 {
+            // Without a spring, all that flows in is the partner's, except what pays a debt: a side that restores its own budget
+            // starves the other one.
+            let flowed_in_j = gained_j + std::mem::take(&mut self.unsent_j);
+            self.sent_j += flowed_in_j.min(self.budget_j().max(0.0));
+        } else {
+            self.unsent_j = (self.unsent_j + gained_j - spent_j).clamp(0.0, self.beyond_store_j().max(0.0));
+            self.send();
+        }
         self.largest_debt_j = self.largest_debt_j.max(-self.budget_j());
     }
 

@@ -22,6 +22,7 @@ use opspace_backend::signal_names::{
 use opspace_backend::{Signal, SignalRecorder};
 use opspace_model::{Data, Model};
 use std::any::Any;
+use std::f64::consts::TAU;
 
 /// Inputs with one value: number of the packet, time on the sender's clock, time of the
 /// newest packet that the sender had received, on the receiver's clock, 1 if the sender's coupling is closed, cumulative energy that entered the
@@ -93,12 +94,13 @@ impl CoupledTask {
                 let spring = of_rows(coupling.stiffness_n_per_m.get(), coupling.stiffness_nm_per_rad.get());
                 let damper = of_rows(coupling.damping_ns_per_m.get(), coupling.damping_nms_per_rad.get());
                 let (angular, sensed) = (std::array::from_fn(|row| !is_linear(row)), rows.is_sensed());
+                let lag_s = 1.0 / (TAU * parameters.filter_hz.get());
                 let key = format!("{key}.teleoperation");
                 let law = Teleoperation::new(
                     (side, coupling),
                     [spring, damper],
                     (&angular, sensed),
-                    context.period_s,
+                    [context.period_s, lag_s],
                     &key,
                 )?;
                 Some(Box::new(law))

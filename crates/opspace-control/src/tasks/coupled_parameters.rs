@@ -125,8 +125,10 @@ pub struct TeleoperationParameters {
     pub handle_feedback: NonNegative,
     /// Passivity control.
     pub passivity: Passivity,
-    /// Largest damping of the leader that pays for the delay of a reflected force, Ns/m (Nms/rad): in contact, the leader is
-    /// damped by the stiffness times the round-trip time of the packets, up to this.
+    /// Damping of the leader in contact, which pays for the delay of a reflected force: this ratio times the stiffness times the
+    /// time after which a motion of the leader is felt.
+    pub delay_damping_ratio: NonNegative,
+    /// Largest such damping, Ns/m (Nms/rad).
     pub delay_damping_at_most_ns_per_m: NonNegative,
     /// Times at which the clutch is open, from and until, s after the start of control: the leader moves without the
     /// follower. When it closes, the follower continues from where it is.
@@ -139,14 +141,15 @@ impl Default for TeleoperationParameters {
     fn default() -> Self {
         Self {
             reflect: Reflected::default(),
-            stiffness_n_per_m: NonNegative::literal(6000.0),
-            damping_ns_per_m: NonNegative::literal(120.0),
+            stiffness_n_per_m: NonNegative::literal(3000.0),
+            damping_ns_per_m: NonNegative::literal(60.0),
             stiffness_nm_per_rad: NonNegative::literal(30.0),
             damping_nms_per_rad: NonNegative::literal(0.6),
             scale: CouplingScale::default(),
             handle_feedback: NonNegative::default(),
             passivity: Passivity::default(),
-            delay_damping_at_most_ns_per_m: NonNegative::literal(150.0),
+            delay_damping_ratio: NonNegative::literal(2.0),
+            delay_damping_at_most_ns_per_m: NonNegative::literal(300.0),
             clutch_open_s: Vec::new(),
             timeout_s: Positive::literal(0.2),
         }

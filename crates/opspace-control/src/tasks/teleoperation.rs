@@ -50,7 +50,9 @@ pub(crate) struct Teleoperation {
     position_scale: f64,
     force_scale: f64,
     handle_feedback: f64,
-    /// Largest damping that pays for the delay.
+    /// Factor of the damping that pays for the delay, lag without a channel (s), and largest damping.
+    delay_damping_ratio: f64,
+    lag_s: f64,
     delay_damping_at_most: f64,
     clutch_open_s: Vec<[f64; 2]>,
     period_s: f64,
@@ -75,12 +77,12 @@ pub(crate) struct Teleoperation {
 
 impl Teleoperation {
     /// Returns a side of a coupling with `[stiffness, damping]` of each row. `angular` marks the rows in rad and Nm; `sensed`
-    /// is true if the force is sensed.
+    /// is true if the force is sensed; `lag_s` is the lag of the force sensor's filter.
     pub(crate) fn new(
         (side, p): (CouplingSide, &TeleoperationParameters),
         [spring, damper]: [Vector6<f64>; 2],
         (angular, sensed): (&[bool; 6], bool),
-        period_s: f64,
+        [period_s, lag_s]: [f64; 2],
         key: &str,
     ) -> Result<Self, ControlError> {
         let unsensed = |what| ControlError::new(key, Reason::CouplingUnsensed { what });
@@ -122,6 +124,8 @@ impl Teleoperation {
             position_scale: p.scale.position.get(),
             force_scale: p.scale.force.get(),
             handle_feedback: p.handle_feedback.get(),
+            delay_damping_ratio: p.delay_damping_ratio.get(),
+            lag_s: period_s + lag_s,
             delay_damping_at_most: p.delay_damping_at_most_ns_per_m.get(),
             clutch_open_s: p.clutch_open_s.clone(),
             period_s,
@@ -230,12 +234,13 @@ impl Teleoperation {
     fn delay_damping(&self, packet: &Packet, velocity: &Vector6<f64>, clock_s: f64) -> Vector6<f64> {
         let round_trip_s = clock_s - packet.echo_s;
         let force = packet.force.norm();
-        if round_trip_s.is_nan() || round_trip_s <= 0.0 || force == 0.0 {
+        if round_trip_s.is_nan() || round_trip_s < 0.0 || force == 0.0 {
             return Vector6::zeros();
         }
+        let delay_s = self.delay_damping_ratio * (round_trip_s + self.lag_s);
         let direction = packet.force / force;
         let stiffness = self.spring.component_mul(&direction).dot(&direction) * self.position_scale;
-        let damping = (stiffness * round_trip_s).min(self.delay_damping_at_most);
+        let damping = (stiffness * delay_s).min(self.delay_damping_at_most);
         direction * (damping * direction.dot(velocity) * (force / CONTACT_N).min(1.0))
     }
 
@@ -257,8 +262,10 @@ impl Teleoperation {
                     Reflected::Position => {
                         let stretch = packet.position - state.position;
                         let speed = packet.velocity - state.velocity;
-                        let force = self.spring.component_mul(&stretch) + self.damper.component_mul(&speed);
-                        force * self.position_scale
+                        let pull = self.spring.component_mul(&stretch);
+                        let scale = self.force_scale * self.position_scale;
+                        self.passivity.set_reserve(0.5 * scale * pull.dot(&stretch));
+                        (pull + self.damper.component_mul(&speed)) * self.position_scale
                     }
                     _ => match &mut self.wave {
                         Some(Wave::Leader(wave)) => {
@@ -323,6 +330,8 @@ impl Teleoperation {
         let force = self.spring.component_mul(&stretch) + self.damper.component_mul(&speed);
         let force = match self.reflect {
             Reflected::Position => {
+                let stored_j = 0.5 * self.spring.component_mul(&stretch).dot(&stretch);
+                self.passivity.set_reserve(energy_scale * stored_j);
                 self.passivity.observe(&(self.force * energy_scale), moved);
                 self.passivity.limit_force(&state.velocity, &(force * energy_scale)) / energy_scale
             }
