@@ -755,7 +755,7 @@ impl Waves {
         let now = self.now_us;
         self.now_us += 1;
         let mut outputs = [None, None];
-        if now % self.periods_us[0] == 0 {
+        if now.is_multiple_of(self.periods_us[0]) {
             self.transit[1].retain(|(arrives, sent, integral)| {
                 if *arrives <= now {
                     self.leader.receive(*sent as f64 * 1e-6, integral);
@@ -765,7 +765,7 @@ impl Waves {
             outputs[0] = Some(self.leader.update(&leader()));
             self.transit[0].push((now + self.delay_us, now, *self.leader.sent()));
         }
-        if now % self.periods_us[1] == 0 {
+        if now.is_multiple_of(self.periods_us[1]) {
             self.transit[0].retain(|(arrives, sent, integral)| {
                 if *arrives <= now {
                     self.follower.receive(*sent as f64 * 1e-6, integral);
@@ -899,7 +899,7 @@ fn lost_waves_do_not_displace_the_follower() {
     for k in 0..1000 {
         let velocity = if (10..900).contains(&k) { within_ball(random, 6) } else { Vector6::zeros() };
         let _ = leader.update(&velocity);
-        if k < 10 || k > 990 || random.random_range(0.0..1.0) > 0.3 {
+        if !(10..=990).contains(&k) || random.random_range(0.0..1.0) > 0.3 {
             follower.receive(PERIOD_S * f64::from(k), leader.sent());
         }
         moved += follower.update(&Vector6::zeros());
