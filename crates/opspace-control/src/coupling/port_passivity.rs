@@ -297,10 +297,12 @@ impl PortPassivity {
         self.flow.add(-out_j);
         let (gained_j, spent_j) = (self.flow.in_j() - before.in_j(), self.flow.out_j() - before.out_j());
         if self.reserve_j == 0.0 {
-            // Without a spring, all that flows in is the partner's, except what pays a debt: a side that restores its own budget
-            // starves the other one.
+            // Without a spring, what flows in is the partner's, except what pays a debt and a share that restores the own half
+            // of the store: a side that keeps more starves the other one.
             let flowed_in_j = gained_j + std::mem::take(&mut self.unsent_j);
-            self.sent_j += flowed_in_j.min(self.budget_j().max(0.0));
+            let after_debt_j = flowed_in_j.min(self.budget_j().max(0.0));
+            let spent_store_j = (after_debt_j - self.beyond_store_j()).max(0.0);
+            self.sent_j += after_debt_j - (RESTORED_SHARE * after_debt_j).min(spent_store_j);
         } else {
             self.unsent_j = (self.unsent_j + gained_j - spent_j).clamp(0.0, self.beyond_store_j().max(0.0));
             self.send();
@@ -359,6 +361,9 @@ fn nearest_force(force: &Vector6<f64>, displacement: &Vector6<f64>, budget_j: f6
     }
     (force - displacement * high) * share(high)
 }
+
+/// Share of the energy that flows in which restores the own half of the store, if some of it was spent.
+const RESTORED_SHARE: f64 = 0.1;
 
 /// Doublings of the bracket: enough for all but motion at exactly the radius of the bound.
 const DOUBLINGS: usize = 40;
