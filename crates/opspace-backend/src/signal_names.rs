@@ -180,6 +180,14 @@ pub const PORT_TIME: &str = "port_time";
 pub const PORT_ECHO: &str = "port_echo";
 /// Integral of the wave variable that a coupled task sends (rows).
 pub const PORT_WAVE: &str = "port_wave";
+/// Position of the path of a carried object (3; m), as a displacement.
+pub const PORT_PATH: &str = "port_path";
+/// Velocity of the path of a carried object (3; m/s).
+pub const PORT_PATH_VELOCITY: &str = "port_path_velocity";
+/// Acceleration of the path of a carried object (3; m/s²).
+pub const PORT_PATH_ACCELERATION: &str = "port_path_acceleration";
+/// Force with which two hands press on the object that they carry, N.
+pub const INTERNAL_FORCE: &str = "internal_force";
 /// Number of packets that did not arrive before a later one did.
 pub const PACKETS_LOST: &str = "packets_lost";
 /// Time since the last packet arrived, s.

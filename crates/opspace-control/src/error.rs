@@ -272,8 +272,16 @@ pub enum Reason {
         /// The part of the coupling.
         what: &'static str,
     },
-    /// A coupled task with a law but no side, or the reverse.
-    #[error("give both `side` and `teleoperation`, or neither: the file of an experiment writes them")]
+    /// Robots that carry an object with rows other than x, y and z of a frame.
+    #[error("hands that carry an object need a `frame` with the axes x, y and z, and a `sensor`")]
+    CarryRows,
+    /// A direction of length zero.
+    #[error("a direction must not be zero")]
+    ZeroLength,
+    /// A coupled task with a law but no side, or the reverse, or with two laws.
+    #[error(
+        "give `side` and one of `teleoperation` and `carry`, or none of them: the file of an experiment writes them"
+    )]
     CouplingSide,
     /// A clutch that closes before it opens.
     #[error(

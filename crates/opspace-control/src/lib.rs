@@ -129,9 +129,9 @@ pub use tasks::cartesian_target::CartesianTarget;
 pub use tasks::controlled_frame::ControlledFrame;
 pub use tasks::coordinate::Coordinate;
 pub use tasks::coordinate_task::{CoordinateGains, CoordinateTask};
-pub use tasks::coupled::{CoupledTask, PACKET_SIGNALS};
+pub use tasks::coupled::{CoupledTask, CouplingKind};
 pub use tasks::coupled_parameters::{
-    CoupledAxis, CoupledParameters, CouplingScale, CouplingSide, Passivity, Reflected,
+    CarryParameters, CoupledAxis, CoupledParameters, CouplingScale, CouplingSide, Passivity, Reflected,
     TeleoperationParameters,
 };
 pub use tasks::damping::Damping;

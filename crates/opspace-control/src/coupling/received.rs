@@ -22,6 +22,8 @@ pub struct Packet {
     pub force: Vector6<f64>,
     /// Integral of the sent wave, √J·√s; zero without wave variables.
     pub wave: Vector6<f64>,
+    /// Position, velocity and acceleration of the path of an object that both carry; zero for another coupling.
+    pub reference: [Vector6<f64>; 3],
     /// Energy that has flowed in at the sender's port, J.
     pub energy_in_j: f64,
     /// True while the sender's coupling is closed: it receives its partner, and its clutch is closed.
@@ -32,9 +34,10 @@ impl Packet {
     /// True if all numbers are finite.
     #[must_use]
     pub fn is_finite(&self) -> bool {
-        let Self { sequence: _, sent_s, echo_s: _, position, velocity, force, wave, energy_in_j, closed: _ } =
+        let Self { sent_s, position, velocity, force, wave, reference: [path, speed, acceleration], .. } =
             self;
-        let vectors = [position, velocity, force, wave];
+        let energy_in_j = &self.energy_in_j;
+        let vectors = [position, velocity, force, wave, path, speed, acceleration];
         let is_finite = |v: &Vector6<f64>| v.iter().all(|x| x.is_finite());
         [sent_s, energy_in_j].iter().all(|x| x.is_finite()) && vectors.into_iter().all(is_finite)
     }

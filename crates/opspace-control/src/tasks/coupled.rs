@@ -1,6 +1,6 @@
-//! Task that is coupled with a task of another robot: haptic teleoperation.
+//! Task that is coupled with a task of another robot: haptic teleoperation, or an object that both carry.
 //!
-//! Its rows command forces: that of the [coupling](crate::tasks::teleoperation), and a damping. What the other robot sent is
+//! Its rows command the forces of the law (`teleoperation.rs`, `carry.rs`), and a damping. What the other robot sent is
 //! an input of the task, so that a log contains all that is needed to compute the run again. Without a partner, and while
 //! the coupling is open, a leader is a compliant handle, and a follower holds its place by the coupling's spring.
 
@@ -9,15 +9,16 @@ use crate::controller::ControlInput;
 use crate::coupling::received::{Packet, ReceivedState};
 use crate::error::{ControlError, Reason};
 use crate::references::streamed::given;
+use crate::tasks::carry::Carry;
 use crate::tasks::coupled_parameters::{CoupledParameters, CouplingSide};
 use crate::tasks::coupled_rows::{CoupledRows, RowState};
 use crate::tasks::task::{Task, TaskInput};
 use crate::tasks::teleoperation::Teleoperation;
 use nalgebra::{Matrix6, Matrix6xX, Vector6};
 use opspace_backend::signal_names::{
-    DISPLACEMENT, PACKET_AGE, PACKETS_LOST, PASSIVITY_TIME, PORT_CLOSED, PORT_ECHO, PORT_ENERGY_IN,
-    PORT_ENERGY_OUT, PORT_FORCE, PORT_POSITION, PORT_SEQUENCE, PORT_TIME, PORT_VELOCITY, PORT_WAVE,
-    REFERENCE, SENSED_FORCE,
+    DISPLACEMENT, INTERNAL_FORCE, PACKET_AGE, PACKETS_LOST, PASSIVITY_TIME, PORT_CLOSED, PORT_ECHO,
+    PORT_ENERGY_IN, PORT_ENERGY_OUT, PORT_FORCE, PORT_PATH, PORT_PATH_ACCELERATION, PORT_PATH_VELOCITY,
+    PORT_POSITION, PORT_SEQUENCE, PORT_TIME, PORT_VELOCITY, PORT_WAVE, REFERENCE, SENSED_FORCE,
 };
 use opspace_backend::{Signal, SignalRecorder};
 use opspace_model::{Data, Model};
@@ -29,24 +30,53 @@ use std::f64::consts::TAU;
 /// coupling at the sender (J).
 const SCALARS: [(&str, &str); 5] =
     [("sequence", "1"), ("time_sent", "s"), ("echo", "s"), ("closed", "1"), ("energy_in", "J")];
-/// Inputs with one value per row: position, velocity and force of the sender in the leader's coordinates, and the integral of
-/// its wave variable.
-const VECTORS: [&str; 4] = ["position", "velocity", "force", "wave"];
+/// Inputs with one value per row: position, velocity and force of the sender in the leader's coordinates.
+const VECTORS: [&str; 3] = ["position", "velocity", "force"];
+/// Input with one value per row: the integral of the sender's wave variable.
+const WAVE: &str = "wave";
+/// Inputs in place of the wave, for robots that carry an object: its path.
+const PATH: [&str; 3] = ["path", "path_velocity", "path_acceleration"];
 /// Input of the robot's own operator: 1 to open the clutch, 0 to close it, NaN for the times in the file.
 const CLUTCH: &str = "clutch_open";
 
-/// Signals of a coupled task that its partner receives, and the inputs to which they are copied.
-pub const PACKET_SIGNALS: [(&str, &str); 9] = [
-    (PORT_SEQUENCE, SCALARS[0].0),
-    (PORT_TIME, SCALARS[1].0),
-    (PORT_ECHO, SCALARS[2].0),
-    (PORT_CLOSED, SCALARS[3].0),
-    (PORT_ENERGY_IN, SCALARS[4].0),
-    (PORT_POSITION, VECTORS[0]),
-    (PORT_VELOCITY, VECTORS[1]),
-    (PORT_FORCE, VECTORS[2]),
-    (PORT_WAVE, VECTORS[3]),
-];
+/// Law of a coupling.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum CouplingKind {
+    /// Haptic teleoperation.
+    Teleoperation,
+    /// Two robots carry an object.
+    Carry,
+}
+
+impl CouplingKind {
+    /// Signals of a coupled task that its partner receives, without the name of the task, and the inputs to which they are
+    /// copied.
+    #[must_use]
+    pub fn packet_signals(self) -> Vec<(&'static str, &'static str)> {
+        let scalars = [PORT_SEQUENCE, PORT_TIME, PORT_ECHO, PORT_CLOSED, PORT_ENERGY_IN];
+        let vectors = [PORT_POSITION, PORT_VELOCITY, PORT_FORCE].into_iter().zip(VECTORS);
+        let scalars = scalars.into_iter().zip(SCALARS.map(|(name, _)| name));
+        scalars.chain(vectors).chain(self.further()).collect()
+    }
+
+    /// The further vectors of a packet: their signals and inputs.
+    fn further(self) -> Vec<(&'static str, &'static str)> {
+        match self {
+            Self::Teleoperation => vec![(PORT_WAVE, WAVE)],
+            Self::Carry => {
+                [PORT_PATH, PORT_PATH_VELOCITY, PORT_PATH_ACCELERATION].into_iter().zip(PATH).collect()
+            }
+        }
+    }
+}
+
+/// Law of a coupling, with its state.
+#[derive(Clone, Debug)]
+enum Law {
+    Teleoperation(Box<Teleoperation>),
+    Carry(Box<Carry>),
+}
 
 /// A frame, or some joints, coupled with a task of another robot: see [`CoupledParameters`].
 #[derive(Clone, Debug)]
@@ -59,14 +89,15 @@ pub struct CoupledTask {
     force_units: Vec<&'static str>,
     /// Damping of each row, Ns/m or Nms/rad.
     damping: Vector6<f64>,
-    coupling: Option<Box<Teleoperation>>,
+    law: Option<Law>,
     state: RowState,
     partner: ReceivedState,
     /// Cycles since the start: the number of the packet.
     sequence: u64,
     clock_s: f64,
-    /// Force on the rows, N or Nm.
+    /// Force (N, Nm) and acceleration (m/s², rad/s²) of the rows.
     force: Vector6<f64>,
+    acceleration: Vector6<f64>,
 }
 
 impl CoupledTask {
@@ -87,24 +118,34 @@ impl CoupledTask {
             Vector6::from_fn(|row, _| if is_linear(row) { linear } else { angular })
         };
         let damping = of_rows(parameters.damping_ns_per_m.get(), parameters.damping_nms_per_rad.get());
-        let coupling = match (parameters.side, &parameters.teleoperation) {
-            (None, None) => None,
-            (Some(_), None) | (None, Some(_)) => return Err(ControlError::new(key, Reason::CouplingSide)),
-            (Some(side), Some(coupling)) => {
-                let spring = of_rows(coupling.stiffness_n_per_m.get(), coupling.stiffness_nm_per_rad.get());
-                let damper = of_rows(coupling.damping_ns_per_m.get(), coupling.damping_nms_per_rad.get());
+        let law = match (parameters.side, &parameters.teleoperation, &parameters.carry) {
+            (None, None, None) => None,
+            (Some(side), Some(p), None) => {
+                let spring = of_rows(p.stiffness_n_per_m.get(), p.stiffness_nm_per_rad.get());
+                let damper = of_rows(p.damping_ns_per_m.get(), p.damping_nms_per_rad.get());
                 let (angular, sensed) = (std::array::from_fn(|row| !is_linear(row)), rows.is_sensed());
                 let lag_s = 1.0 / (TAU * parameters.filter_hz.get());
-                let key = format!("{key}.teleoperation");
                 let law = Teleoperation::new(
-                    (side, coupling),
+                    (side, p),
                     [spring, damper],
                     (&angular, sensed),
                     [context.period_s, lag_s],
-                    &key,
+                    &format!("{key}.teleoperation"),
                 )?;
-                Some(Box::new(law))
+                Some(Law::Teleoperation(Box::new(law)))
             }
+            (Some(side), None, Some(p)) => {
+                if !rows.is_of_position() || !rows.is_sensed() {
+                    return Err(ControlError::new(key, Reason::CarryRows));
+                }
+                let law = Carry::new(side, p, context.period_s, &format!("{key}.carry"))?;
+                Some(Law::Carry(Box::new(law)))
+            }
+            _ => return Err(ControlError::new(key, Reason::CouplingSide)),
+        };
+        let timeout_s = match &law {
+            Some(Law::Carry(_)) => parameters.carry.as_ref().map_or(0.0, |p| p.timeout_s.get()),
+            _ => parameters.teleoperation.as_ref().map_or(0.0, |p| p.timeout_s.get()),
         };
         let position_units: Vec<_> = rows.names().iter().map(|(_, unit)| *unit).collect();
         Ok(Self {
@@ -115,19 +156,48 @@ impl CoupledTask {
             position_units,
             rows,
             damping,
-            coupling,
+            law,
             state: RowState::default(),
-            partner: ReceivedState::new(parameters.teleoperation.as_ref().map_or(0.0, |p| p.timeout_s.get())),
+            partner: ReceivedState::new(timeout_s),
             sequence: 0,
             clock_s: 0.0,
             force: Vector6::zeros(),
+            acceleration: Vector6::zeros(),
         })
     }
 
     /// Side of the robot in its coupling, if it has one.
     #[must_use]
     pub fn side(&self) -> Option<CouplingSide> {
-        self.coupling.as_ref().map(|coupling| coupling.side())
+        self.law.as_ref().map(|law| match law {
+            Law::Teleoperation(law) => law.side(),
+            Law::Carry(law) => law.side(),
+        })
+    }
+
+    fn kind_of_law(&self) -> Option<CouplingKind> {
+        self.law.as_ref().map(|law| match law {
+            Law::Teleoperation(_) => CouplingKind::Teleoperation,
+            Law::Carry(_) => CouplingKind::Carry,
+        })
+    }
+
+    /// Packet that is sent in this cycle.
+    fn sent(&self) -> Packet {
+        match &self.law {
+            None => Packet::default(),
+            Some(Law::Teleoperation(law)) => law.sent(&self.state),
+            Some(Law::Carry(law)) => law.sent(&self.state),
+        }
+    }
+
+    /// Units of the further vectors of a packet, by rows.
+    fn further_units(&self, kind: CouplingKind) -> Vec<Vec<String>> {
+        let of_all = |unit: &str| vec![unit.to_owned(); self.count()];
+        match kind {
+            CouplingKind::Teleoperation => vec![of_all("J^0.5 s^0.5")],
+            CouplingKind::Carry => ["m", "m/s", "m/s^2"].map(of_all).into(),
+        }
     }
 
     fn count(&self) -> usize {
@@ -139,19 +209,20 @@ impl CoupledTask {
         self.state = self.rows.update(&input.control);
         self.sequence += 1;
         self.clock_s = input.control.clock_s;
-        if let Some(packet) = packet(input.target.values, self.count()) {
+        let further = self.kind_of_law().map_or(0, |kind| kind.further().len());
+        if let Some(packet) = packet(input.target.values, self.count(), further) {
             let _ = self.partner.accept(&packet, self.clock_s);
         }
     }
 
     /// Clutch of the robot's own operator, if one is streamed.
     fn clutch(&self, values: &[f64]) -> Option<bool> {
-        given::<1>(values, SCALARS.len() + VECTORS.len() * self.count()).map(|[open]| open != 0.0)
+        given::<1>(values, values.len().checked_sub(1)?).map(|[open]| open != 0.0)
     }
 }
 
-/// Reads the packet of `rows` rows from the values of the task's inputs; `None` before the first one.
-fn packet(values: &[f64], rows: usize) -> Option<Packet> {
+/// Reads the packet of `rows` rows with `further` vectors from the values of the task's inputs; `None` before the first one.
+fn packet(values: &[f64], rows: usize, further: usize) -> Option<Packet> {
     let (&[sequence, sent_s, echo_s, closed, energy_in_j], _) = values.split_first_chunk()?;
     if ![sequence, sent_s, closed, energy_in_j].iter().all(|value| value.is_finite()) {
         return None;
@@ -172,7 +243,8 @@ fn packet(values: &[f64], rows: usize) -> Option<Packet> {
         position: vector(0)?,
         velocity: vector(1)?,
         force: vector(2)?,
-        wave: vector(3)?,
+        wave: if further == 1 { vector(3)? } else { Vector6::zeros() },
+        reference: if further == 3 { [vector(3)?, vector(4)?, vector(5)?] } else { [Vector6::zeros(); 3] },
     })
 }
 
@@ -191,19 +263,29 @@ impl Task for CoupledTask {
 
     fn update(&mut self, input: &TaskInput<'_>) {
         self.receive(input);
-        self.force = -self.damping.component_mul(&self.state.velocity);
+        let damping = self.damping.component_mul(&self.state.velocity);
         let clutch = self.clutch(input.target.values);
-        if let Some(coupling) = &mut self.coupling {
-            let (time_s, clock_s) = (input.control.measurement.time_s, self.clock_s);
-            self.force += coupling.update(&self.state, &self.partner, clutch, time_s, clock_s);
-        }
+        let (time_s, clock_s) = (input.control.measurement.time_s, self.clock_s);
+        (self.force, self.acceleration) = match &mut self.law {
+            None => (-damping, Vector6::zeros()),
+            Some(Law::Teleoperation(law)) => {
+                let force = law.update(&self.state, &self.partner, clutch, time_s, clock_s);
+                (force - damping, Vector6::zeros())
+            }
+            Some(Law::Carry(law)) => {
+                law.update(&self.state, &self.partner, time_s, clock_s);
+                (law.force() - damping, law.acceleration())
+            }
+        };
     }
 
     fn observe(&mut self, input: &TaskInput<'_>) {
         self.receive(input);
-        self.force = Vector6::zeros();
-        if let Some(coupling) = &mut self.coupling {
-            coupling.rest(&self.state, &self.partner);
+        (self.force, self.acceleration) = (Vector6::zeros(), Vector6::zeros());
+        match &mut self.law {
+            None => {}
+            Some(Law::Teleoperation(law)) => law.rest(&self.state, &self.partner),
+            Some(Law::Carry(law)) => law.rest(&self.state),
         }
     }
 
@@ -221,7 +303,7 @@ impl Task for CoupledTask {
     }
 
     fn acceleration(&self) -> Vector6<f64> {
-        Vector6::zeros()
+        self.acceleration
     }
 
     fn force(&self, _task_inertia: &Matrix6<f64>) -> Option<Vector6<f64>> {
@@ -233,13 +315,19 @@ impl Task for CoupledTask {
         self.partner.restart();
         self.state = self.rows.update(input);
         self.sequence = 0;
-        if let Some(coupling) = &mut self.coupling {
-            coupling.start();
+        match &mut self.law {
+            None => {}
+            Some(Law::Teleoperation(law)) => law.start(),
+            Some(Law::Carry(law)) => law.start(input.measurement.time_s),
         }
     }
 
     /// The coupling closes again from where the robot is.
-    fn resume(&mut self, _input: &ControlInput<'_>) {}
+    fn resume(&mut self, input: &ControlInput<'_>) {
+        if let Some(Law::Carry(law)) = &mut self.law {
+            law.resume(&self.state, input.measurement.time_s);
+        }
+    }
 
     fn inherit(&mut self, before: &mut dyn Task, input: &ControlInput<'_>) {
         match (before as &mut dyn Any).downcast_mut::<Self>() {
@@ -248,8 +336,12 @@ impl Task for CoupledTask {
                 self.partner = before.partner;
                 self.sequence = before.sequence;
                 self.state = before.state;
-                if let (Some(coupling), Some(before)) = (&mut self.coupling, &before.coupling) {
-                    coupling.inherit_state(before);
+                match (&mut self.law, &before.law) {
+                    (Some(Law::Teleoperation(law)), Some(Law::Teleoperation(before))) => {
+                        law.inherit_state(before)
+                    }
+                    (Some(Law::Carry(law)), Some(Law::Carry(before))) => law.inherit_state(before),
+                    _ => {}
                 }
             }
             _ => self.start(input),
@@ -257,18 +349,17 @@ impl Task for CoupledTask {
     }
 
     fn inputs(&self) -> Vec<Signal> {
-        if self.coupling.is_none() {
-            return Vec::new();
-        }
+        let Some(kind) = self.kind_of_law() else { return Vec::new() };
         let scalars = SCALARS.map(|(name, unit)| Signal::scalar(name, unit));
-        let [position, velocity, force, wave] = VECTORS;
+        let [position, velocity, force] = VECTORS;
         let vectors = [
             Signal::new(position, &self.position_units, &self.row_names),
             Signal::new(velocity, &self.velocity_units, &self.row_names),
             Signal::new(force, &self.force_units, &self.row_names),
-            Signal::new(wave, "J^0.5 s^0.5", &self.row_names),
         ];
-        scalars.into_iter().chain(vectors).chain([Signal::scalar(CLUTCH, "1")]).collect()
+        let further = kind.further().into_iter().zip(self.further_units(kind));
+        let further = further.map(|((_, input), units)| Signal::new(input, &units, &self.row_names));
+        scalars.into_iter().chain(vectors).chain(further).chain([Signal::scalar(CLUTCH, "1")]).collect()
     }
 
     fn follows_reference(&self, _row: usize) -> bool {
@@ -296,28 +387,54 @@ impl Task for CoupledTask {
         let (name, rows) = (&self.name, self.count());
         let position = &self.state.position;
         out.signal((name, DISPLACEMENT), &self.position_units, &self.row_names, &position.as_slice()[..rows]);
-        let Some(coupling) = &self.coupling else { return };
-        let sent = coupling.sent(&self.state);
-        let reference = coupling.reference();
+        if self.law.is_none() {
+            return;
+        }
+        let sent = self.sent();
+        let reference = match &self.law {
+            Some(Law::Carry(law)) => law.reference(),
+            Some(Law::Teleoperation(law)) => *law.reference(),
+            None => Vector6::zeros(),
+        };
         out.signal((name, REFERENCE), &self.position_units, &self.row_names, &reference.as_slice()[..rows]);
         out.scalar((name, PORT_SEQUENCE), "1", self.sequence as f64);
         out.scalar((name, PORT_TIME), "s", self.clock_s);
         let echo_s = self.partner.newest().map_or(f64::NAN, |packet| packet.sent_s);
         out.scalar((name, PORT_ECHO), "s", echo_s);
         out.scalar((name, PORT_CLOSED), "1", f64::from(u8::from(sent.closed)));
-        let passivity = coupling.passivity();
-        out.scalar((name, PORT_ENERGY_IN), "J", passivity.energy_in_j());
-        out.scalar((name, PORT_ENERGY_OUT), "J", passivity.energy_out_j());
-        out.scalar((name, PASSIVITY_TIME), "s", passivity.active_s());
-        let port = &sent.position.as_slice()[..rows];
-        out.signal((name, PORT_POSITION), &self.position_units, &self.row_names, port);
-        let port = &sent.velocity.as_slice()[..rows];
-        out.signal((name, PORT_VELOCITY), &self.velocity_units, &self.row_names, port);
-        let port = &sent.force.as_slice()[..rows];
-        out.signal((name, PORT_FORCE), &self.force_units, &self.row_names, port);
-        out.signal((name, PORT_WAVE), "J^0.5 s^0.5", &self.row_names, &sent.wave.as_slice()[..rows]);
+        out.scalar((name, PORT_ENERGY_IN), "J", sent.energy_in_j);
+        let port = |vector: &Vector6<f64>| -> [f64; 6] { (*vector).into() };
+        out.signal(
+            (name, PORT_POSITION),
+            &self.position_units,
+            &self.row_names,
+            &port(&sent.position)[..rows],
+        );
+        out.signal(
+            (name, PORT_VELOCITY),
+            &self.velocity_units,
+            &self.row_names,
+            &port(&sent.velocity)[..rows],
+        );
+        out.signal((name, PORT_FORCE), &self.force_units, &self.row_names, &port(&sent.force)[..rows]);
         out.scalar((name, PACKETS_LOST), "1", self.partner.missing() as f64);
         out.scalar((name, PACKET_AGE), "s", self.partner.age_s(self.clock_s).unwrap_or(f64::NAN));
+        match &self.law {
+            Some(Law::Teleoperation(law)) => {
+                out.scalar((name, PORT_ENERGY_OUT), "J", law.passivity().energy_out_j());
+                out.scalar((name, PASSIVITY_TIME), "s", law.passivity().active_s());
+                out.signal((name, PORT_WAVE), "J^0.5 s^0.5", &self.row_names, &port(&sent.wave)[..rows]);
+            }
+            Some(Law::Carry(law)) => {
+                out.scalar((name, INTERNAL_FORCE), "N", law.internal_n());
+                let [path, speed, acceleration] = &sent.reference;
+                out.signal((name, PORT_PATH), "m", &self.row_names, &port(path)[..rows]);
+                out.signal((name, PORT_PATH_VELOCITY), "m/s", &self.row_names, &port(speed)[..rows]);
+                let last = &port(acceleration)[..rows];
+                out.signal((name, PORT_PATH_ACCELERATION), "m/s^2", &self.row_names, last);
+            }
+            None => {}
+        }
     }
 
     fn record_sensed(&self, out: &mut SignalRecorder<'_>) {

@@ -1,6 +1,7 @@
 //! Parameters of a task that is coupled with a task of another robot: `[task.NAME.coupled]`.
 
 use crate::coupling::port_passivity::PortPassivityParameters;
+use crate::references::reference::Sinusoid;
 use crate::tasks::axes::AXIS_NAMES;
 use opspace_backend::quantity::{NonNegative, Positive, exactly};
 #[cfg(feature = "schema")]
@@ -44,6 +45,10 @@ pub struct CoupledParameters {
     /// Law of the coupling; an experiment with several robots writes it into the task. Without it, nothing is received.
     #[serde(default)]
     pub teleoperation: Option<Box<TeleoperationParameters>>,
+    /// Law of two robots that carry an object, instead of `teleoperation`; an experiment with several robots writes it into the
+    /// task.
+    #[serde(default)]
+    pub carry: Option<Box<CarryParameters>>,
 }
 
 const fn hundred() -> Positive {
@@ -65,6 +70,7 @@ impl CoupledParameters {
             filter_hz: hundred(),
             side: None,
             teleoperation: None,
+            carry: None,
         }
     }
 }
@@ -221,6 +227,68 @@ impl Default for CouplingScale {
     fn default() -> Self {
         Self { position: one(), force: one() }
     }
+}
+
+/// Law of two robots that carry an object together.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(deny_unknown_fields)]
+#[non_exhaustive]
+pub struct CarryParameters {
+    /// Line from the leader's hand to the follower's in the task axes; any length.
+    #[serde(deserialize_with = "exactly")]
+    pub direction: [f64; 3],
+    /// Force with which each hand presses on the object along this line, N; negative: pulls. 0 if absent.
+    #[serde(default)]
+    pub internal_force_n: f64,
+    /// Path of the object, from where it is at the start; it stays there if absent.
+    #[serde(default)]
+    pub path: Option<Sinusoid>,
+    /// Natural frequency ω of the errors of the path and of the distance, rad/s; 14.142 if absent.
+    #[serde(default = "default_frequency")]
+    pub frequency_rad_per_s: Positive,
+    /// Damping ratio ζ of these errors; 1 if absent.
+    #[serde(default = "one")]
+    pub damping_ratio: Positive,
+    /// Feedback of the error of the internal force; 1 if absent.
+    #[serde(default = "one_feedback")]
+    pub gain: NonNegative,
+    /// Integral feedback of the error of the internal force, 1/s; 10 if absent.
+    #[serde(default = "ten")]
+    pub integral_per_s: NonNegative,
+    /// Largest integral, N; 20 if absent.
+    #[serde(default = "twenty")]
+    pub integral_limit_n: NonNegative,
+    /// Time over which the internal force comes in, s; 0.5 if absent.
+    #[serde(default = "half")]
+    pub ramp_s: NonNegative,
+    /// Age of the last packet, measured from its arrival, above which the robots are no longer coupled, s; 0.2 if absent.
+    #[serde(default = "fifth")]
+    pub timeout_s: Positive,
+}
+
+const fn default_frequency() -> Positive {
+    Positive::literal(14.142)
+}
+
+const fn one_feedback() -> NonNegative {
+    NonNegative::literal(1.0)
+}
+
+const fn ten() -> NonNegative {
+    NonNegative::literal(10.0)
+}
+
+const fn twenty() -> NonNegative {
+    NonNegative::literal(20.0)
+}
+
+const fn half() -> NonNegative {
+    NonNegative::literal(0.5)
+}
+
+const fn fifth() -> Positive {
+    Positive::literal(0.2)
 }
 
 /// Passivity control of a coupling.

@@ -30,7 +30,7 @@ pub(crate) struct CoupledRows {
 #[derive(Clone, Debug)]
 enum Kind {
     /// Axes of a frame, and its pose at the start.
-    Frame(TaskAxes, Placement),
+    Frame(Box<(TaskAxes, Placement)>),
     /// Joints, and their positions at the start (rad, m).
     Joints(Vec<usize>, Vector6<f64>),
 }
@@ -83,7 +83,7 @@ impl CoupledRows {
                     .iter()
                     .map(|&axis| (AXIS_NAMES[axis].to_owned(), if axis < 3 { "m" } else { "rad" }));
                 let names = names.collect();
-                (Kind::Frame(axes, Placement::identity()), names)
+                (Kind::Frame(Box::new((axes, Placement::identity()))), names)
             }
             (None, Some(names)) => {
                 if p.axes.is_some() {
@@ -123,6 +123,11 @@ impl CoupledRows {
         matches!(self.kind, Kind::Joints(..))
     }
 
+    /// True if the rows are x, y and z of a frame.
+    pub(crate) fn is_of_position(&self) -> bool {
+        matches!(&self.kind, Kind::Frame(frame) if frame.0.axes() == [0, 1, 2])
+    }
+
     /// True if the force is sensed.
     pub(crate) fn is_sensed(&self) -> bool {
         self.sensor.is_some()
@@ -132,7 +137,7 @@ impl CoupledRows {
     pub(crate) fn start(&mut self, input: &ControlInput<'_>) {
         let ControlInput { model, data, .. } = *input;
         match &mut self.kind {
-            Kind::Frame(axes, home) => *home = axes.controlled.placement(model, data),
+            Kind::Frame(frame) => frame.1 = frame.0.controlled.placement(model, data),
             Kind::Joints(joints, home) => {
                 for (row, &joint) in joints.iter().enumerate() {
                     home[row] = data.q[joint];
@@ -151,7 +156,8 @@ impl CoupledRows {
         let sensor = self.sensor.as_ref().zip(reading);
         let mut state = RowState::default();
         match &self.kind {
-            Kind::Frame(axes, home) => {
+            Kind::Frame(frame) => {
+                let (axes, home) = &**frame;
                 let placement = axes.controlled.placement(model, data);
                 let linear = axes.rotation.tr_mul(&(placement.translation - home.translation));
                 let turned = axes.axes().iter().any(|&axis| axis >= 3);
@@ -192,7 +198,7 @@ impl CoupledRows {
     /// Factor of a row: the characteristic length (m) for the rotation of a frame, else 1.
     pub(crate) fn scale(&self, row: usize) -> f64 {
         match &self.kind {
-            Kind::Frame(axes, _) => axes.axes().get(row).map_or(1.0, |&axis| axes.scale[axis]),
+            Kind::Frame(frame) => frame.0.axes().get(row).map_or(1.0, |&axis| frame.0.scale[axis]),
             Kind::Joints(..) => 1.0,
         }
     }
@@ -200,7 +206,8 @@ impl CoupledRows {
     /// Computes the scaled rows of the Jacobian (6 × n).
     pub(crate) fn jacobian(&self, model: &Model, data: &Data, rows: &mut Matrix6xX<f64>) {
         match &self.kind {
-            Kind::Frame(axes, _) => {
+            Kind::Frame(frame) => {
+                let axes = &frame.0;
                 axes.controlled.jacobian(model, data, rows);
                 axes.select_in_place(rows);
             }
@@ -216,7 +223,8 @@ impl CoupledRows {
     /// J̇ q̇ of the scaled rows.
     pub(crate) fn bias(&self, model: &Model, data: &Data) -> Vector6<f64> {
         match &self.kind {
-            Kind::Frame(axes, _) => {
+            Kind::Frame(frame) => {
+                let axes = &frame.0;
                 axes.rows_of(&axes.of_motion(&axes.controlled.bias_acceleration(model, data)))
             }
             Kind::Joints(..) => Vector6::zeros(),

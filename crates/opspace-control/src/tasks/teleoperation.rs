@@ -366,15 +366,13 @@ impl Teleoperation {
         };
         let energy_in_j = self.passivity.energy_in_j();
         Packet {
-            sequence: 0,
-            sent_s: 0.0,
-            echo_s: 0.0,
             closed: self.closed,
             energy_in_j,
             position,
             velocity,
             force,
             wave,
+            ..Packet::default()
         }
     }
 }
