@@ -73,6 +73,7 @@ pub mod motor;
 pub mod parameters;
 pub mod plant;
 pub mod plant_arms;
+mod plant_object;
 pub mod random;
 pub mod rigid;
 mod rotating_body;

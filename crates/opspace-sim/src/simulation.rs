@@ -15,6 +15,7 @@ use crate::plant::{Plant, PlantArm, PlantConfig, PlantCoupling, PlantError, Plan
 use crate::rigid::RigidPlant;
 use crate::timing::Clock;
 use crate::truth::ContactSignals;
+use nalgebra::Vector3;
 use opspace_backend::{DeviceFault, Sample, signal_names};
 use opspace_model::{FrameId, Model};
 
@@ -192,6 +193,9 @@ fn held_objects(
     models: &[Model],
     physics_hz: f64,
 ) -> Result<Vec<PlantObject>, SimulationError> {
+    let arms: Vec<(&Model, &[f64])> =
+        models.iter().zip(&config.arms).map(|(model, arm)| (model, arm.start.as_slice())).collect();
+    let gravity = config.arms.first().map_or_else(Vector3::zeros, |arm| arm.model.gravity());
     let mut objects = Vec::new();
     for (index, object) in config.objects.iter().enumerate() {
         let error = |mistake| SimulationError::HeldObject { object: object.name.clone(), mistake };
@@ -201,7 +205,7 @@ fn held_objects(
         if others.any(|name| *name == object.name) {
             return Err(error(Mistake::new("", "another object or coupling has the same name")));
         }
-        objects.push(object.placed(&config.arms, models, physics_hz).map_err(error)?);
+        objects.push(object.placed(&arms, gravity, physics_hz).map_err(error)?);
     }
     Ok(objects)
 }

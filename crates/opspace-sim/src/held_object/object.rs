@@ -1,7 +1,7 @@
 //! Motion of a held object, and the forces of its grips.
 
 use crate::environment::body::Body;
-use crate::plant::{PlantFrame, PlantGrip, PlantObject};
+use crate::plant_object::{PlantFrame, PlantGrip, PlantObject};
 use crate::rotating_body::RotatingBody;
 use nalgebra::{UnitQuaternion, Vector3};
 use opspace_backend::SignalRecorder;

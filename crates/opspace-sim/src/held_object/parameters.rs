@@ -1,9 +1,8 @@
 //! Parameters of held objects: `[objects.NAME]` in a file that describes several robots.
 
-use crate::config::ArmConfig;
 use crate::environment::Mistake;
 use crate::environment::mistake::highest_frequency;
-use crate::plant::{PlantFrame, PlantGrip, PlantObject};
+use crate::plant_object::{PlantFrame, PlantGrip, PlantObject};
 use nalgebra::Vector3;
 use opspace_backend::quantity::{NonNegative, Positive, exactly};
 use opspace_model::{Data, Model, frame_placement, kinematics};
@@ -103,11 +102,12 @@ impl HeldObjectParameters {
 }
 
 impl HeldObjectConfig {
-    /// Returns the object of a plant: frames of arms with true `models`, at their start.
+    /// Returns the object of a plant whose arms have these true models and start positions (n; rad or m), with the
+    /// gravitational acceleration `gravity` (world axes, m/s²).
     pub(crate) fn placed(
         &self,
-        arms: &[ArmConfig],
-        models: &[Model],
+        arms: &[(&Model, &[f64])],
+        gravity: Vector3<f64>,
         physics_hz: f64,
     ) -> Result<PlantObject, Mistake> {
         let p = &self.parameters;
@@ -116,10 +116,9 @@ impl HeldObjectConfig {
             .grip
             .iter()
             .enumerate()
-            .map(|(index, grip)| self.frame(index, grip, models))
+            .map(|(index, grip)| self.frame(index, grip, arms))
             .collect::<Result<Vec<PlantFrame>, Mistake>>()?;
-        let origins: Vec<Vector3<f64>> =
-            frames.iter().map(|at| start_of(*at, &arms[at.arm], &models[at.arm])).collect();
+        let origins: Vec<Vector3<f64>> = frames.iter().map(|at| origin(*at, arms[at.arm])).collect();
         let position_m = match p.position_m {
             Some(position) => Vector3::from(position),
             None => self.mean_of_first_hands(&origins)?,
@@ -137,7 +136,7 @@ impl HeldObjectConfig {
             mass_kg: p.mass_kg.get(),
             inertia_kg_m2: Vector3::from(p.inertia_kg_m2.map(Positive::get)),
             position_m,
-            gravity_m_per_s2: arms[frames[0].arm].model.gravity(),
+            gravity_m_per_s2: gravity,
             supported_until_s: p.supported_until_s.map_or(f64::NEG_INFINITY, NonNegative::get),
             grips: frames.iter().zip(&p.grip).map(grip).collect(),
         };
@@ -146,9 +145,14 @@ impl HeldObjectConfig {
     }
 
     /// Returns the frame of a grip.
-    fn frame(&self, index: usize, grip: &GripParameters, models: &[Model]) -> Result<PlantFrame, Mistake> {
+    fn frame(
+        &self,
+        index: usize,
+        grip: &GripParameters,
+        arms: &[(&Model, &[f64])],
+    ) -> Result<PlantFrame, Mistake> {
         let arm = self.arms.iter().position(|name| *name == grip.robot);
-        let Some((arm, model)) = arm.and_then(|arm| Some((arm, models.get(arm)?))) else {
+        let Some((arm, model)) = arm.and_then(|arm| Some((arm, arms.get(arm)?.0))) else {
             let robots = self.arms.join(", ");
             return Err(Mistake::new(
                 format!("grip.{index}.robot"),
@@ -178,9 +182,9 @@ impl HeldObjectConfig {
 }
 
 /// Origin of a frame at the start of its arm, m.
-fn start_of(at: PlantFrame, arm: &ArmConfig, model: &Model) -> Vector3<f64> {
+fn origin(at: PlantFrame, (model, start): (&Model, &[f64])) -> Vector3<f64> {
     let mut data = Data::new(model);
-    kinematics(model, &mut data, &arm.start, &vec![0.0; model.n()]);
+    kinematics(model, &mut data, start, &vec![0.0; model.n()]);
     frame_placement(model, &data, at.frame).translation
 }
 
