@@ -1,7 +1,7 @@
 //! Results of a suite: table, page, JSON, CSV, and the comparison with a baseline.
 
 use crate::cli::SuiteOutputArgs;
-use crate::commands::run::exit_code;
+use crate::commands::run_progress::exit_code;
 use crate::console::{Console, Exit, Failure, Outcome, print_exactly, render, report, results};
 use crate::output::{Format, pretty, write, write_named};
 use crate::result_folder::{LOGS, ROWS};

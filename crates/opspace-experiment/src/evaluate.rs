@@ -1,7 +1,8 @@
 //! Metrics of runs, and tables of these metrics.
 
 pub mod baseline;
-pub mod coupling;
+pub(crate) mod coupling;
+pub mod coupling_metrics;
 pub mod csv;
 pub(crate) mod direction;
 pub mod escape_record;

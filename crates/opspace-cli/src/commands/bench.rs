@@ -1,7 +1,7 @@
 //! `opspace bench`: runs a suite and prints one table.
 
 use crate::cli::BenchArgs;
-use crate::commands::run::style;
+use crate::commands::run_progress::style;
 use crate::console::{Console, Exit, Failure, Outcome};
 use crate::interrupt;
 use crate::outputs::check_outputs;

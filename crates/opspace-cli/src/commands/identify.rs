@@ -1,7 +1,7 @@
 //! `opspace identify`: identification of the servos of a robot's joints by moving them.
 
 use crate::cli::IdentifyArgs;
-use crate::commands::run::style;
+use crate::commands::run_progress::style;
 use crate::console::{Console, Exit, Failure, Outcome, render};
 use crate::interrupt;
 use crate::output::{pretty, write};

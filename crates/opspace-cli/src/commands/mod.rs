@@ -13,6 +13,7 @@ pub mod replay;
 pub mod report;
 pub mod run;
 pub mod run_coupled;
+pub mod run_progress;
 pub mod schema;
 
 use opspace_backend::CommandKind;

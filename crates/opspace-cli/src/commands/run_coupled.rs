@@ -1,7 +1,7 @@
 //! `opspace run` of an experiment with several robots.
 
 use crate::cli::RunArgs;
-use crate::commands::run::{exit_code, with_bar};
+use crate::commands::run_progress::{exit_code, with_bar};
 use crate::console::{Console, Exit, Failure, Outcome, render};
 use crate::interrupt;
 use crate::output::pretty;

@@ -365,14 +365,6 @@ impl Teleoperation {
             None => Vector6::zeros(),
         };
         let energy_in_j = self.passivity.energy_in_j();
-        Packet {
-            closed: self.closed,
-            energy_in_j,
-            position,
-            velocity,
-            force,
-            wave,
-            ..Packet::default()
-        }
+        Packet { closed: self.closed, energy_in_j, position, velocity, force, wave, ..Packet::default() }
     }
 }

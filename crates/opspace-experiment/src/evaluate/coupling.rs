@@ -1,5 +1,6 @@
 //! Metrics of a coupling between two robots, computed from the logs of both.
 
+use crate::evaluate::coupling_metrics::{CouplingMetrics, FeltLine};
 use crate::evaluate::harmonics::{Harmonics, fit};
 use crate::evaluate::metrics::run_log::{Control, RmsMax, Run};
 use crate::run::coupled_experiment::{CoupledExperiment, Coupling};
@@ -13,7 +14,6 @@ use opspace_control::{AxesFrame, ControlledFrame, TaskParameters, orientation};
 use opspace_log::Recording;
 use opspace_model::FrameId;
 use opspace_sim::{EnvironmentObjectParameters, OperatorMotion, ProbeMotion};
-use serde::{Deserialize, Serialize};
 use std::f64::consts::{PI, TAU};
 
 /// Frequencies between which the felt stiffness is summarised, Hz: above, the inertia of arm and hand dominates.
@@ -27,53 +27,6 @@ const WINDOW_S: [f64; 2] = [0.25, 0.5];
 
 /// Force below which nothing touches, N.
 const TOUCH_N: f64 = 0.1;
-
-/// Metrics of a coupling. Positions and forces are those of the leader.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[non_exhaustive]
-pub struct CouplingMetrics {
-    /// Rms distance of the two robots after `settle_s`, while the coupling is closed and the follower touches nothing, m (rad
-    /// for joints).
-    pub tracking_rms_m: Option<f64>,
-    /// Largest such distance, m.
-    pub tracking_max_m: Option<f64>,
-    /// Mean distance in the last half second, m.
-    pub drift_m: Option<f64>,
-    /// Largest energy that the pair has given to operator and environment beyond what it had received, J.
-    pub energy_extracted_j: Option<f64>,
-    /// Rms force of the operator after `settle_s`, N.
-    pub hand_force_rms_n: Option<f64>,
-    /// Largest rms over 0.25 s of the velocity of one of the frames above 20 Hz, m/s: while the operator probes, or after
-    /// `settle_s` without a probe.
-    pub fast_velocity_m_per_s: Option<f64>,
-    /// Time in which the follower did not touch anything while the operator probed, s.
-    pub contact_lost_s: Option<f64>,
-    /// Least stiffness that the operator felt at the lines of the probe between 0.5 and 2 Hz, N/m.
-    pub felt_least_n_per_m: Option<f64>,
-    /// Largest stiffness that the operator felt at these lines, N/m.
-    pub felt_largest_n_per_m: Option<f64>,
-    /// Least felt stiffness over that of the coupling's spring and the wall in series.
-    pub felt_over_series_least: Option<f64>,
-    /// Largest felt stiffness over that of the coupling's spring and the wall in series.
-    pub felt_over_series_largest: Option<f64>,
-    /// Felt stiffness at each line of the probe.
-    pub felt: Vec<FeltLine>,
-    /// Time for which the passivity control of either side changed something, s.
-    pub passivity_time_s: Option<f64>,
-    /// Packets that were lost or overtaken, of both directions.
-    pub packets_lost: Option<f64>,
-}
-
-/// Felt impedance at a frequency.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct FeltLine {
-    /// Frequency, Hz.
-    pub frequency_hz: f64,
-    /// Amplitude of the operator's force over that of the leader's motion, N/m.
-    pub stiffness_n_per_m: f64,
-    /// Phase by which the force leads the motion, rad.
-    pub phase_rad: f64,
-}
 
 /// Motion and forces of one robot, at each row of its true state.
 pub(crate) struct Track<'a> {
@@ -289,7 +242,7 @@ impl<'a> CouplingEvaluator<'a> {
 
     fn add_tracking(&self, metrics: &mut CouplingMetrics) {
         let [leader, follower] = &self.tracks;
-        let scale = self.coupling.file.teleoperation.scale.position.get();
+        let scale = self.coupling.teleoperation().map_or(1.0, |law| law.scale.position.get());
         let end_s = leader.ticks.time_s.last().copied().unwrap_or(0.0);
         let (mut distance, mut drift) = (RmsMax::default(), RmsMax::default());
         for (k, &time_s) in leader.ticks.time_s.iter().enumerate() {
@@ -379,8 +332,7 @@ impl<'a> CouplingEvaluator<'a> {
         let stiffness: Vec<f64> = summarised.map(|line| line.stiffness_n_per_m).collect();
         metrics.felt_least_n_per_m = stiffness.iter().copied().reduce(f64::min);
         metrics.felt_largest_n_per_m = stiffness.iter().copied().reduce(f64::max);
-        let law = &self.coupling.file.teleoperation;
-        if let Some(wall) = self.wall_n_per_m() {
+        if let (Some(law), Some(wall)) = (self.coupling.teleoperation(), self.wall_n_per_m()) {
             let spring = law.stiffness_n_per_m.get();
             let scale = law.scale.force.get() * law.scale.position.get();
             let in_series = scale * spring * wall / (spring + wall);

@@ -4,7 +4,8 @@ use crate::files::expectation::Expectation;
 use crate::run::experiment::ControllerKind;
 use opspace_backend::CommandKind;
 use opspace_backend::quantity::{Fraction, NonNegative, Positive, exactly};
-use opspace_control::TeleoperationParameters;
+use opspace_control::{CarryParameters, TeleoperationParameters};
+use opspace_sim::HeldObjectParameters;
 use opspace_transformer::TransformerKind;
 #[cfg(feature = "schema")]
 use schemars::JsonSchema;
@@ -33,6 +34,9 @@ pub struct ExperimentFile {
     /// Channels, by name.
     #[serde(default)]
     pub channels: BTreeMap<String, ChannelFile>,
+    /// Objects that hands of the robots hold, by name; all robots are then in one plant.
+    #[serde(default)]
+    pub objects: BTreeMap<String, HeldObjectParameters>,
     /// Bounds on metrics of the couplings, `COUPLING.metric`; a run that misses one ends with exit code 1. Bounds on metrics
     /// of a single robot belong in its task file.
     #[serde(default)]
@@ -83,15 +87,19 @@ pub struct ExperimentRobot {
 #[serde(deny_unknown_fields)]
 #[non_exhaustive]
 pub struct CouplingFile {
-    /// Robot that the operator moves, and its task.
+    /// Robot that the operator moves, or that knows the path of a carried object, and its task.
     pub leader: CouplingEnd,
-    /// Robot that follows, and its task.
+    /// The other robot, and its task.
     pub follower: CouplingEnd,
     /// Channel between the two, in both directions; without delay or loss if absent.
     #[serde(default)]
     pub channel: Option<String>,
-    /// Law of the coupling.
-    pub teleoperation: TeleoperationParameters,
+    /// Law of a haptic teleoperation; either this or `carry`.
+    #[serde(default)]
+    pub teleoperation: Option<TeleoperationParameters>,
+    /// Law of two robots that carry an object; either this or `teleoperation`.
+    #[serde(default)]
+    pub carry: Option<CarryParameters>,
 }
 
 /// A task of a robot.

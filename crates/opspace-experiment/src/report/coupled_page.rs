@@ -1,6 +1,6 @@
 //! Page about an experiment with several robots.
 
-use crate::evaluate::coupling::FeltLine;
+use crate::evaluate::coupling_metrics::FeltLine;
 use crate::report::coupled_table::{coupling_notes, coupling_table};
 use crate::report::document::run_blocks;
 use crate::report::figure::{Figure, Panel, Series, Style};

@@ -1,6 +1,6 @@
 //! Table of couplings.
 
-use crate::evaluate::coupling::CouplingMetrics;
+use crate::evaluate::coupling_metrics::CouplingMetrics;
 use crate::evaluate::table::{Cell, Table};
 use crate::run::coupled_summary::CoupledSummary;
 

@@ -3,6 +3,7 @@
 //! All robots run on one clock. A robot sees the others only through links; what it received is in its own log, so that each
 //! log can be replayed alone.
 
+use crate::evaluate::coupling_metrics::check_expectations;
 use crate::extensions::Extensions;
 use crate::files::experiment_file::{
     ChannelFile, CouplingEnd, CouplingFile, ExperimentFile, ExperimentRobot,
@@ -11,15 +12,17 @@ use crate::files::origin::{Files, Kind, beside};
 use crate::files::overrides;
 use crate::files::source::{FileError, Source, parse};
 use crate::files::suggest::choices;
-use crate::run::coupled_summary::check_expectations;
 use crate::run::error::RunError;
 use crate::run::execute::Progress;
 use crate::run::experiment::{ControllerKind, Experiment, RunOptions};
 use opspace_backend::quantity::{NonNegative, Positive};
-use opspace_backend::{Backend, GroundTruth, Layout, Sink, TICK, TruthLayouts};
-use opspace_control::{CouplingSide, PACKET_SIGNALS, Reflected};
+use opspace_backend::{Backend, GroundTruth, Layout, Signal, Sink, TICK, TruthLayouts, signal_names};
+use opspace_control::{CouplingKind, CouplingSide, Reflected, TeleoperationParameters};
 use opspace_loop::{ChannelParameters, ControlLoop, Driven, Link, Run, RunOutcome, Timeline, drive_together};
-use opspace_sim::{PhysicsEngine, SimulatedArm};
+use opspace_model::Placement;
+use opspace_sim::{
+    ArmConfig, HeldObjectConfig, Key, PhysicsEngine, SimulatedArm, SimulationConfig, SimulationError,
+};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -64,6 +67,28 @@ pub struct CoupledExperiment {
     pub couplings: Vec<Coupling>,
     /// Name of the settings in the table of a suite.
     pub label: Option<String>,
+}
+
+impl Coupling {
+    /// Law of the coupling.
+    #[must_use]
+    pub fn kind(&self) -> CouplingKind {
+        if self.file.carry.is_some() { CouplingKind::Carry } else { CouplingKind::Teleoperation }
+    }
+
+    /// Parameters of the teleoperation, if it is one.
+    #[must_use]
+    pub fn teleoperation(&self) -> Option<&TeleoperationParameters> {
+        self.file.teleoperation.as_ref()
+    }
+
+    /// Name of the law in files.
+    fn law_name(&self) -> &'static str {
+        match self.kind() {
+            CouplingKind::Carry => "carry",
+            _ => "teleoperation",
+        }
+    }
 }
 
 impl CoupledExperiment {
@@ -112,7 +137,11 @@ impl CoupledExperiment {
         }
         let new = Self { source, file, members, couplings, label: None };
         new.check_couplings()?;
-        check_expectations(&new)?;
+        if !new.file.objects.is_empty() {
+            new.simulated_arms()?;
+        }
+        let names: Vec<&str> = new.couplings.iter().map(|coupling| coupling.name.as_str()).collect();
+        check_expectations(&new.source, &new.file.expect, &names)?;
         Ok(new)
     }
 
@@ -160,8 +189,7 @@ impl CoupledExperiment {
         progress: &Progress,
         mut open: impl FnMut(usize, &SimulatedArm) -> Result<(ControlLoop, S), RunError>,
     ) -> Result<Vec<(S, RunOutcome)>, RunError> {
-        let arms = self.members.iter().map(|member| member.experiment.simulated_arm());
-        let mut arms = arms.collect::<Result<Vec<_>, _>>()?;
+        let mut arms = self.simulated_arms()?;
         let mut loops = Vec::new();
         let mut sinks = Vec::new();
         for (number, arm) in arms.iter().enumerate() {
@@ -191,6 +219,38 @@ impl CoupledExperiment {
         Ok(sinks.into_iter().zip(outcomes).collect())
     }
 
+    /// Arms of the simulation: each in a plant of its own, or all in one if hands hold an object.
+    fn simulated_arms(&self) -> Result<Vec<SimulatedArm>, FileError> {
+        if self.file.objects.is_empty() {
+            return self.members.iter().map(|member| member.experiment.simulated_arm()).collect();
+        }
+        let names: Vec<String> = self.members.iter().map(|member| member.name.clone()).collect();
+        let arms = self.members.iter().map(|member| {
+            let robot = &self.file.robots[&member.name];
+            let placement = Placement::from_rpy(robot.base_rpy_rad, robot.base_m);
+            Ok(ArmConfig { placement, ..member.experiment.arm_config()? })
+        });
+        let objects = self.file.objects.iter().map(|(name, object)| HeldObjectConfig {
+            name: name.clone(),
+            arms: names.clone(),
+            parameters: object.clone(),
+        });
+        let config = SimulationConfig {
+            arms: arms.collect::<Result<_, FileError>>()?,
+            couplings: Vec::new(),
+            objects: objects.collect(),
+        };
+        let simulation = self.members[0].experiment.simulation_of(config);
+        Ok(simulation.map_err(|error| self.simulation_mistake(&error))?.into_arms())
+    }
+
+    fn simulation_mistake(&self, error: &SimulationError) -> FileError {
+        match error.key() {
+            Key::Simulation(key) => FileError::at_key(&self.source, key, error.to_string(), None),
+            _ => FileError::of_file(self.source.name(), error.to_string(), None),
+        }
+    }
+
     /// Layouts of the rows of a simulated arm's true state.
     pub(crate) fn truth(arm: &SimulatedArm) -> Option<TruthLayouts> {
         arm.ground_truth().map(GroundTruth::layouts)
@@ -209,10 +269,9 @@ impl CoupledExperiment {
             {
                 let parameters = channel_parameters(&coupling.channel, seed);
                 seed = seed.wrapping_add(1);
-                let signals: Vec<(String, &str)> = PACKET_SIGNALS
-                    .iter()
-                    .map(|(signal, input)| (opspace_backend::signal_names::of(&from.1, signal), *input))
-                    .collect();
+                let signals = coupling.kind().packet_signals().into_iter();
+                let signals: Vec<(String, &str)> =
+                    signals.map(|(signal, input)| (signal_names::of(&from.1, signal), input)).collect();
                 let copies: Vec<(&str, &str)> =
                     signals.iter().map(|(signal, input)| (signal.as_str(), *input)).collect();
                 let target = (to.0, &loops[to.0].targets(), to.1.as_str());
@@ -245,8 +304,7 @@ impl CoupledExperiment {
             let rows = [&coupling.leader, &coupling.follower].map(|(robot, task)| {
                 let experiment = &self.members[*robot].experiment;
                 let control = experiment.control_loop().ok()?;
-                let name =
-                    opspace_backend::signal_names::of(task, opspace_backend::signal_names::PORT_POSITION);
+                let name = signal_names::of(task, signal_names::PORT_POSITION);
                 let signals = Run::layouts(&control, None).swap_remove(TICK).signals;
                 signals.into_iter().find(|signal| signal.name == name)
             });
@@ -262,7 +320,8 @@ impl CoupledExperiment {
             }
             let is_constant =
                 coupling.channel.jitter_s == NonNegative::default() && coupling.channel.loss.get() == 0.0;
-            if matches!(coupling.file.teleoperation.reflect, Reflected::Waves { .. }) && !is_constant {
+            let reflects = coupling.teleoperation().map(|law| law.reflect);
+            if matches!(reflects, Some(Reflected::Waves { .. })) && !is_constant {
                 let help =
                     Some("choose another `reflect`, or a channel without jitter_s and loss".to_owned());
                 let message = "wave variables are passive with a constant delay only, but the channel has jitter or loss";
@@ -289,7 +348,7 @@ fn seed_of(file: &ExperimentFile, robot: usize) -> u64 {
     file.seed.wrapping_mul(SEEDS_OF_AN_EXPERIMENT).wrapping_add(robot as u64)
 }
 
-fn described(signal: &opspace_backend::Signal) -> String {
+fn described(signal: &Signal) -> String {
     let rows = signal.elements.iter().zip(&signal.units).map(|(row, unit)| format!("{row} ({unit})"));
     rows.collect::<Vec<_>>().join(", ")
 }
@@ -354,6 +413,11 @@ fn couplings(file: &ExperimentFile, source: &Source) -> Result<Vec<Coupling>, Fi
             })?;
             Ok::<_, FileError>((number, end.task.clone()))
         };
+        if entry.teleoperation.is_some() == entry.carry.is_some() {
+            let help = Some("add `teleoperation = {}`, or `carry = { direction = [...] }`".to_owned());
+            let message = "a coupling needs one law: `teleoperation` or `carry`";
+            return Err(FileError::at_key(source, ["couplings", name], message, help));
+        }
         let (leader, follower) = (end(&entry.leader, "leader")?, end(&entry.follower, "follower")?);
         if leader.0 == follower.0 {
             let key = ["couplings", name, "follower", "robot"];
@@ -404,9 +468,10 @@ fn task_settings(source: &Source, coupling: &Coupling, robot: usize) -> Vec<Stri
     let document: toml::Table = source.text().parse().unwrap_or_default();
     let law = document
         .get("couplings")
-        .and_then(|couplings| couplings.get(&coupling.name)?.get("teleoperation"))
+        .and_then(|couplings| couplings.get(&coupling.name)?.get(coupling.law_name()))
         .map_or_else(|| "{}".to_owned(), toml::Value::to_string);
-    vec![format!("task.{task}.coupled.side=\"{side}\""), format!("task.{task}.coupled.teleoperation={law}")]
+    let name = coupling.law_name();
+    vec![format!("task.{task}.coupled.side=\"{side}\""), format!("task.{task}.coupled.{name}={law}")]
 }
 
 /// Places an error about a setting that a coupling or a robot wrote at the entry in the experiment's file.

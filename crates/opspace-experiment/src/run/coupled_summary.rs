@@ -1,10 +1,7 @@
 //! Summary of an experiment with several robots.
 
-use crate::evaluate::coupling::{CouplingEvaluator, CouplingMetrics};
-use crate::evaluate::table::format_number;
-use crate::files::expectation::Expectation;
-use crate::files::source::FileError;
-use crate::files::suggest::choices;
+use crate::evaluate::coupling::CouplingEvaluator;
+use crate::evaluate::coupling_metrics::{CouplingMetrics, missed};
 use crate::run::coupled_experiment::CoupledExperiment;
 use crate::run::summary::Summary;
 use opspace_backend::signal_names::{TARGET_HOLD, TICK_CHANNEL};
@@ -140,58 +137,11 @@ impl<'a> CoupledEvaluator<'a> {
             experiment: experiment.name(),
             label: experiment.label.clone(),
             seed: experiment.file.seed,
-            missed_expectations: missed(experiment, &couplings),
+            missed_expectations: missed(&experiment.file.expect, &couplings),
             couplings,
             holds: self.holds,
             robots: experiment.members.iter().map(|member| member.name.clone()).zip(robots).collect(),
             not_saved: Vec::new(),
         }
     }
-}
-
-/// Names of the metrics of a coupling.
-fn metric_names() -> Vec<String> {
-    match serde_json::to_value(CouplingMetrics::default()) {
-        Ok(serde_json::Value::Object(map)) => {
-            map.into_iter().filter(|(_, v)| !v.is_array()).map(|(k, _)| k).collect()
-        }
-        _ => Vec::new(),
-    }
-}
-
-/// Checks that each expectation has a bound, and names a coupling and one of its metrics.
-pub(crate) fn check_expectations(experiment: &CoupledExperiment) -> Result<(), FileError> {
-    let couplings: Vec<&str> = experiment.couplings.iter().map(|coupling| coupling.name.as_str()).collect();
-    for (name, Expectation { at_most, at_least }) in &experiment.file.expect {
-        let refuse = |message: String, help: String| {
-            Err(FileError::at_key(&experiment.source, ["expect", name], message, Some(help)))
-        };
-        if at_most.is_none() && at_least.is_none() {
-            return refuse("no bound is given".to_owned(), "add `at_most` or `at_least`".to_owned());
-        }
-        let (coupling, metric) = name.split_once('.').unwrap_or((name, ""));
-        if !couplings.contains(&coupling) {
-            return refuse(format!("there is no coupling '{coupling}'"), choices(coupling, &couplings));
-        }
-        let metrics = metric_names();
-        if !metrics.iter().any(|known| known == metric) {
-            return refuse(format!("unknown metric `{metric}` of a coupling"), choices(metric, &metrics));
-        }
-    }
-    Ok(())
-}
-
-/// Describes each expectation that a run missed.
-fn missed(experiment: &CoupledExperiment, couplings: &BTreeMap<String, CouplingMetrics>) -> Vec<String> {
-    let mut missed = Vec::new();
-    for (name, expectation) in &experiment.file.expect {
-        let value = name.split_once('.').and_then(|(coupling, metric)| {
-            serde_json::to_value(couplings.get(coupling)?).ok()?.get(metric)?.as_f64()
-        });
-        missed.extend(expectation.missed_by(value).map(|bound| match value {
-            Some(value) => format!("{name} is {}, expected {bound}", format_number(value)),
-            None => format!("{name} does not exist in this run, expected {bound}"),
-        }));
-    }
-    missed
 }

@@ -21,7 +21,10 @@ use opspace_loop::{
     CollisionDetector, ControlLoop, EstimatedForce, LoopConfig, LoopError, SensorCompensation,
 };
 use opspace_model::{Limits, Placement};
-use opspace_sim::{ArmConfig, Key, PhysicsEngine, PlantError, Scene, SimulatedArm, SimulationError};
+use opspace_sim::{
+    ArmConfig, Key, PhysicsEngine, PlantError, Scene, SimulatedArm, Simulation, SimulationConfig,
+    SimulationError,
+};
 use opspace_transformer::{
     FrictionCompensation, FrictionObserver, JointParameters, ProfileParameters, ServoGains, TransformerKind,
 };
@@ -369,6 +372,14 @@ impl Experiment {
             Physics::Logged(_) => return Err(self.missing_engine()),
         };
         arm.map_err(|e| self.simulation_error(&e))
+    }
+
+    /// Builds a simulation of several arms in the plant of this experiment.
+    pub(crate) fn simulation_of(&self, config: SimulationConfig) -> Result<Simulation, SimulationError> {
+        match &self.physics {
+            Physics::Engine(engine) => Simulation::with_plant(config, |plant| engine.build(plant)),
+            Physics::Own | Physics::Logged(_) => Simulation::new(config),
+        }
     }
 
     /// Returns the experiment simulated by another physics engine.
