@@ -10,6 +10,8 @@
 //!            f = (F̂ − F)·e/2 of the leader: the internal force, by which the hands press on the object; + of the leader
 //! ```
 //!
+//! Without f_d, the relative task holds the distance along e too, and nothing presses.
+//!
 //! The sensed forces contain weight and inertia of the object: each robot carries what acts on it. The internal force moves
 //! nothing and is controlled; across the line, the hands keep their distance (Khatib, *Augmented object and virtual linkage*,
 //! 1995, for two hands that can only push along a line). Each robot computes both tasks with what it has received.
@@ -31,7 +33,7 @@ pub(crate) struct Carry {
     damping: f64,
     /// Line from the leader's hand to the follower's, in the task axes.
     direction: Vector3<f64>,
-    internal_force_n: f64,
+    internal_force_n: Option<f64>,
     gain: f64,
     integral_per_s: f64,
     integral_limit_n: f64,
@@ -165,17 +167,26 @@ impl Carry {
         let relative = (v - other_v) * (0.5 * self.damping) + (p - other) * (0.5 * self.stiffness);
         let e = self.direction;
         let across = |vector: Vector3<f64>| vector - e * e.dot(&vector);
-        self.acceleration = absolute - across(relative) - e * (e.dot(&(v - other_v)) * 0.5 * self.damping);
+        let held = match self.internal_force_n {
+            Some(_) => across(relative) + e * (e.dot(&(v - other_v)) * 0.5 * self.damping),
+            None => relative,
+        };
+        self.acceleration = absolute - held;
         let sign = if self.side == CouplingSide::Leader { 1.0 } else { -1.0 };
         self.internal_n = sign * 0.5 * e.dot(&(other_sensed - sensed));
+        let pressed_n = self.internal_force_n.map_or(0.0, |force_n| self.pressed(force_n, time_s));
+        self.force = -across(sensed) + e * (sign * pressed_n - 0.5 * e.dot(&(sensed + other_sensed)));
+    }
+
+    /// Force by which the hand presses on the object along the line, N.
+    fn pressed(&mut self, force_n: f64, time_s: f64) -> f64 {
         let closed_s = *self.closed_s.get_or_insert(time_s);
         let ramp = if self.ramp_s > 0.0 { ((time_s - closed_s) / self.ramp_s).min(1.0) } else { 1.0 };
-        let wanted_n = self.internal_force_n * ramp;
+        let wanted_n = force_n * ramp;
         let error_n = wanted_n - self.internal_n;
         self.integral_n = (self.integral_n + self.integral_per_s * self.period_s * error_n)
             .clamp(-self.integral_limit_n, self.integral_limit_n);
-        let pressed_n = wanted_n + self.gain * error_n + self.integral_n;
-        self.force = -across(sensed) + e * (sign * pressed_n - 0.5 * e.dot(&(sensed + other_sensed)));
+        wanted_n + self.gain * error_n + self.integral_n
     }
 
     /// Desired acceleration of the rows, m/s².

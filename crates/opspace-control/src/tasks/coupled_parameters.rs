@@ -238,13 +238,14 @@ pub struct CarryParameters {
     /// Line from the leader's hand to the follower's in the task axes; any length.
     #[serde(deserialize_with = "exactly")]
     pub direction: [f64; 3],
-    /// Force with which each hand presses on the object along this line, N; negative: pulls. 0 if absent.
+    /// Force with which each hand presses on the object along this line, N; negative: pulls. If absent, the hands keep their
+    /// distance along the line too, for an object that only one of them holds at times.
     #[serde(default)]
-    pub internal_force_n: f64,
+    pub internal_force_n: Option<f64>,
     /// Path of the object, from where it is at the start; it stays there if absent.
     #[serde(default)]
     pub path: Option<Sinusoid>,
-    /// Natural frequency ω of the errors of the path and of the distance, rad/s; 14.142 if absent.
+    /// Natural frequency ω of the errors of the path and of the distance, rad/s; 20 if absent.
     #[serde(default = "default_frequency")]
     pub frequency_rad_per_s: Positive,
     /// Damping ratio ζ of these errors; 1 if absent.
@@ -268,7 +269,7 @@ pub struct CarryParameters {
 }
 
 const fn default_frequency() -> Positive {
-    Positive::literal(14.142)
+    Positive::literal(20.0)
 }
 
 const fn one_feedback() -> NonNegative {

@@ -8,12 +8,12 @@ use crate::run::experiment::Experiment;
 use nalgebra::{Matrix3, Vector3};
 use opspace_backend::signal_names::{
     self, DISPLACEMENT, FORCE, PACKETS_LOST, PASSIVITY_TIME, PORT_CLOSED, PORT_ENERGY_IN, PORT_ENERGY_OUT,
-    PORT_FORCE, PORT_POSITION, TRUTH_CHANNEL, WORK,
+    PORT_FORCE, PORT_POSITION, POSITION, REFERENCE, TRUTH_CHANNEL, WORK,
 };
 use opspace_control::{AxesFrame, ControlledFrame, TaskParameters, orientation};
-use opspace_log::Recording;
+use opspace_log::{Column, Recording};
 use opspace_model::FrameId;
-use opspace_sim::{EnvironmentObjectParameters, OperatorMotion, ProbeMotion};
+use opspace_sim::{EnvironmentObjectParameters, HeldObjectParameters, OperatorMotion, ProbeMotion};
 use std::f64::consts::{PI, TAU};
 
 /// Frequencies between which the felt stiffness is summarised, Hz: above, the inertia of arm and hand dominates.
@@ -45,6 +45,11 @@ pub(crate) struct Track<'a> {
     pub(crate) touch_n: Vec<f64>,
     /// Work of the environment on the robot, J.
     pub(crate) work_j: Vec<f64>,
+    /// Displacement of the carried object since the start of control, m, and force of its grip on the frame, N, in the world;
+    /// none without an object.
+    object: Option<String>,
+    pub(crate) carried: Vec<[Vector3<f64>; 2]>,
+    object_home: Option<Vector3<f64>>,
     pub(crate) ticks: Ticks,
 }
 
@@ -56,8 +61,9 @@ pub(crate) struct Ticks {
     pub(crate) time_s: Vec<f64>,
     /// Position that is sent, by rows.
     pub(crate) sent: Vec<Vec<f64>>,
-    /// Displacement, by rows.
+    /// Displacement and reference, by rows.
     displacement: Vec<Vec<f64>>,
+    reference: Vec<Vec<f64>>,
     pub(crate) closed: Vec<bool>,
     /// Force that is sent, by rows.
     pub(crate) force: Vec<Vec<f64>>,
@@ -79,7 +85,7 @@ pub(crate) struct CouplingEvaluator<'a> {
 }
 
 impl<'a> Track<'a> {
-    fn new(experiment: &'a Experiment, task: &'a str) -> Self {
+    fn new(experiment: &'a Experiment, task: &'a str, object: Option<String>) -> Self {
         let parameters = experiment.task().file.task.get(task);
         let frame = match parameters {
             Some(TaskParameters::Coupled(p)) => p.frame.as_ref().and_then(|frame| {
@@ -99,6 +105,9 @@ impl<'a> Track<'a> {
             operator: Vec::new(),
             touch_n: Vec::new(),
             work_j: Vec::new(),
+            object,
+            carried: Vec::new(),
+            object_home: None,
             ticks: Ticks::default(),
         }
     }
@@ -120,6 +129,14 @@ impl<'a> Track<'a> {
             .collect();
         let works: Vec<_> =
             environment.keys().filter_map(|name| truth.signal(&signal_names::of(name, WORK))).collect();
+        let carried = self.object.as_ref().and_then(|object| {
+            let Some(TaskParameters::Coupled(p)) = self.experiment.task().file.task.get(self.task) else {
+                return None;
+            };
+            let frame = p.frame.as_ref()?;
+            let force = truth.signal(&signal_names::of(object, &format!("{frame}.{FORCE}")))?;
+            Some((truth.signal(&signal_names::of(object, POSITION))?, force))
+        });
         let world = AxesFrame::Fixed(Matrix3::identity());
         for (k, pose, _) in run.poses(ControlledFrame::Frame(frame), |_| world) {
             self.time_s.push(truth.time_s[k] - run.start_s);
@@ -128,6 +145,11 @@ impl<'a> Track<'a> {
             let vector = |row: &[f64]| Vector3::new(row[0], row[1], row[2]);
             self.operator.push(operator.map_or_else(Vector3::zeros, |force| vector(force.row(k))));
             self.touch_n.push(surfaces.iter().map(|force| vector(force.row(k)).norm()).fold(0.0, f64::max));
+            if let Some((position, force)) = &carried {
+                let position = vector(position.row(k));
+                let home = *self.object_home.get_or_insert(position);
+                self.carried.push([position - home, vector(force.row(k))]);
+            }
             self.work_j.push(works.iter().map(|work| work.row(k)[0]).sum());
         }
     }
@@ -139,11 +161,10 @@ impl<'a> Track<'a> {
         else {
             return;
         };
-        let (Some(energy_in), Some(energy_out), Some(lost), Some(passivity)) =
-            (signal(PORT_ENERGY_IN), signal(PORT_ENERGY_OUT), signal(PACKETS_LOST), signal(PASSIVITY_TIME))
-        else {
-            return;
-        };
+        let (Some(reference), Some(lost)) = (signal(REFERENCE), signal(PACKETS_LOST)) else { return };
+        let [energy_in, energy_out, passivity] =
+            [PORT_ENERGY_IN, PORT_ENERGY_OUT, PASSIVITY_TIME].map(signal);
+        let value = |column: &Option<Column<'_>>, k: usize| column.map_or(0.0, |column| column.row(k)[0]);
         let ticks = &mut self.ticks;
         ticks.rows = sent.elements().iter().cloned().zip(sent.units().iter().cloned()).collect();
         for k in (0..run.tick.len()).filter(|&k| {
@@ -152,11 +173,12 @@ impl<'a> Track<'a> {
             ticks.time_s.push(run.tick.time_s[k] - run.start_s);
             ticks.sent.push(sent.row(k).to_vec());
             ticks.displacement.push(displacement.row(k).to_vec());
+            ticks.reference.push(reference.row(k).to_vec());
             ticks.closed.push(closed.row(k)[0] == 1.0);
             ticks.force.push(force.row(k).to_vec());
-            ticks.energy_j.push([energy_in.row(k)[0], energy_out.row(k)[0]]);
+            ticks.energy_j.push([value(&energy_in, k), value(&energy_out, k)]);
             ticks.packets_lost.push(lost.row(k)[0]);
-            ticks.passivity_s.push(passivity.row(k)[0]);
+            ticks.passivity_s.push(value(&passivity, k));
         }
     }
 
@@ -195,7 +217,13 @@ impl<'a> Track<'a> {
 
 impl<'a> CouplingEvaluator<'a> {
     pub(crate) fn new(experiment: &'a CoupledExperiment, coupling: &'a Coupling) -> Self {
-        let track = |end: &'a (usize, String)| Track::new(&experiment.members[end.0].experiment, &end.1);
+        let track = |end: &'a (usize, String)| {
+            let member = &experiment.members[end.0];
+            let holds = |object: &HeldObjectParameters| object.grip.iter().any(|g| g.robot == member.name);
+            let object = experiment.file.objects.iter().find(|(_, object)| holds(object));
+            let object = object.filter(|_| coupling.file.carry.is_some()).map(|(name, _)| name.clone());
+            Track::new(&member.experiment, &end.1, object)
+        };
         Self {
             coupling,
             members: [coupling.leader.0, coupling.follower.0],
@@ -237,7 +265,31 @@ impl<'a> CouplingEvaluator<'a> {
         }
         metrics.hand_force_rms_n = force.rms().filter(|_| has_operator);
         self.add_felt(&mut metrics);
+        self.add_carried(&mut metrics);
         metrics
+    }
+
+    /// Path of a carried object, and internal force on it.
+    fn add_carried(&self, metrics: &mut CouplingMetrics) {
+        let (Some(law), [leader, follower]) = (&self.coupling.file.carry, &self.tracks) else { return };
+        let Some((_, axes)) = leader.frame else { return };
+        let wanted = axes * Vector3::from(law.direction).normalize() * law.internal_force_n.unwrap_or(0.0);
+        let (mut path, mut force) = (RmsMax::default(), RmsMax::default());
+        for (row, [moved, on_leader]) in leader.carried.iter().enumerate() {
+            let time_s = leader.time_s[row];
+            let (Some(tick), Some(other)) = (leader.tick_at(time_s), follower.row_at(time_s)) else {
+                continue;
+            };
+            let Some([_, on_follower]) = follower.carried.get(other).filter(|_| time_s >= self.settle_s)
+            else {
+                continue;
+            };
+            let reference = Vector3::from_column_slice(&leader.ticks.reference[tick]);
+            path.add((moved - axes * reference).norm());
+            force.add(((on_follower - on_leader) * 0.5 - wanted).norm());
+        }
+        (metrics.path_rms_m, metrics.path_max_m) = (path.rms(), path.max());
+        (metrics.internal_force_rms_n, metrics.internal_force_max_n) = (force.rms(), force.max());
     }
 
     fn add_tracking(&self, metrics: &mut CouplingMetrics) {

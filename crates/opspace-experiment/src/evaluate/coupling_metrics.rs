@@ -37,6 +37,15 @@ pub struct CouplingMetrics {
     pub felt_over_series_largest: Option<f64>,
     /// Felt stiffness at each line of the probe.
     pub felt: Vec<FeltLine>,
+    /// Rms distance of a carried object from its path after `settle_s`, m.
+    pub path_rms_m: Option<f64>,
+    /// Largest such distance, m.
+    pub path_max_m: Option<f64>,
+    /// Rms error of the internal force on a carried object after `settle_s`, N: of the vector, across the line between the hands
+    /// too.
+    pub internal_force_rms_n: Option<f64>,
+    /// Largest such error, N.
+    pub internal_force_max_n: Option<f64>,
     /// Time for which the passivity control of either side changed something, s.
     pub passivity_time_s: Option<f64>,
     /// Packets that were lost or overtaken, of both directions.

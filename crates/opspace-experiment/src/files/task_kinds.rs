@@ -13,8 +13,8 @@ use thiserror::Error;
 use toml::de::{DeTable, DeValue, ValueDeserializer};
 
 /// Names of the built-in kinds.
-pub const BUILT_IN: [&str; 6] =
-    ["cartesian", "center-of-mass", "swivel", "joint-tracking", "joint-posture", "joint-damping"];
+pub const BUILT_IN: [&str; 7] =
+    ["cartesian", "center-of-mass", "swivel", "coupled", "joint-tracking", "joint-posture", "joint-damping"];
 
 /// Registered kinds by name: `[task.NAME.KIND]` in a file becomes a task defined by the user.
 #[derive(Clone, Default)]

@@ -7,7 +7,7 @@ use crate::run::coupled_summary::CoupledSummary;
 /// Columns of the table of couplings: title, unit, factor to the unit, and value.
 type CouplingColumn = (&'static str, &'static str, f64, fn(&CouplingMetrics) -> Option<f64>);
 
-const COLUMNS: [CouplingColumn; 12] = [
+const COLUMNS: [CouplingColumn; 16] = [
     ("tracking rms", "mm", 1e3, |m| m.tracking_rms_m),
     ("tracking max", "mm", 1e3, |m| m.tracking_max_m),
     ("drift", "mm", 1e3, |m| m.drift_m),
@@ -19,6 +19,10 @@ const COLUMNS: [CouplingColumn; 12] = [
     ("felt, largest", "kN/m", 1e-3, |m| m.felt_largest_n_per_m),
     ("over series, least", "", 1.0, |m| m.felt_over_series_least),
     ("over series, largest", "", 1.0, |m| m.felt_over_series_largest),
+    ("path rms", "mm", 1e3, |m| m.path_rms_m),
+    ("path max", "mm", 1e3, |m| m.path_max_m),
+    ("internal force rms", "N", 1.0, |m| m.internal_force_rms_n),
+    ("internal force max", "N", 1.0, |m| m.internal_force_max_n),
     ("passivity control", "s", 1.0, |m| m.passivity_time_s),
 ];
 
