@@ -122,6 +122,7 @@ pub struct PortPassivity {
     unsent_j: f64,
     reserve_j: f64,
     gap: Vector6<f64>,
+    is_repair_paused: bool,
     largest_debt_j: f64,
     active_s: f64,
 }
@@ -148,6 +149,7 @@ impl PortPassivity {
             unsent_j: 0.0,
             reserve_j: 0.0,
             gap: Vector6::zeros(),
+            is_repair_paused: false,
             largest_debt_j: 0.0,
             active_s: 0.0,
         }
@@ -222,6 +224,17 @@ impl PortPassivity {
         self.gap += displacement - allowed;
         self.count(force.dot(&allowed));
         allowed
+    }
+
+    /// Pauses the repair of the gap, or goes on with it.
+    pub fn pause_repair(&mut self, paused: bool) {
+        self.is_repair_paused = paused;
+    }
+
+    /// Adds to the gap (m, rad): a displacement that the caller has taken off the reference, to be repaired like one that was
+    /// not allowed.
+    pub fn add_gap(&mut self, displacement: &Vector6<f64>) {
+        self.gap += displacement;
     }
 
     /// Forgets the gap, for references that begin anew after a hold. The energies stay: no agreement with the partner is
@@ -319,6 +332,9 @@ impl PortPassivity {
 
     /// Part of the gap to be closed in this cycle.
     fn repair(&self) -> Vector6<f64> {
+        if self.is_repair_paused {
+            return Vector6::zeros();
+        }
         let step = self.gap * self.repair_share;
         let over = |(s, most): (&f64, &f64)| s.abs() / most;
         let over = step.iter().zip(&self.repair_at_most).map(over).fold(1.0, f64::max);

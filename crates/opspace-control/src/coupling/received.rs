@@ -28,6 +28,8 @@ pub struct Packet {
     pub energy_in_j: f64,
     /// True while the sender's coupling is closed: it receives its partner, and its clutch is closed.
     pub closed: bool,
+    /// True while the passivity control of the sender reduces its force.
+    pub limited: bool,
 }
 
 impl Packet {

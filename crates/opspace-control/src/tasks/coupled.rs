@@ -17,8 +17,9 @@ use crate::tasks::teleoperation::Teleoperation;
 use nalgebra::{Matrix6, Matrix6xX, Vector6};
 use opspace_backend::signal_names::{
     DISPLACEMENT, INTERNAL_FORCE, PACKET_AGE, PACKETS_LOST, PASSIVITY_TIME, PORT_CLOSED, PORT_ECHO,
-    PORT_ENERGY_IN, PORT_ENERGY_OUT, PORT_FORCE, PORT_PATH, PORT_PATH_ACCELERATION, PORT_PATH_VELOCITY,
-    PORT_POSITION, PORT_SEQUENCE, PORT_TIME, PORT_VELOCITY, PORT_WAVE, REFERENCE, SENSED_FORCE,
+    PORT_ENERGY_IN, PORT_ENERGY_OUT, PORT_FORCE, PORT_LIMITED, PORT_PATH, PORT_PATH_ACCELERATION,
+    PORT_PATH_VELOCITY, PORT_POSITION, PORT_SEQUENCE, PORT_TIME, PORT_VELOCITY, PORT_WAVE, REFERENCE,
+    SENSED_FORCE,
 };
 use opspace_backend::{Signal, SignalRecorder};
 use opspace_model::{Data, Model};
@@ -26,10 +27,17 @@ use std::any::Any;
 use std::f64::consts::TAU;
 
 /// Inputs with one value: number of the packet, time on the sender's clock, time of the
-/// newest packet that the sender had received, on the receiver's clock, 1 if the sender's coupling is closed, cumulative energy that entered the
+/// newest packet that the sender had received, on the receiver's clock, 1 if the sender's coupling is closed, 1 if its passivity
+/// control reduces its force, cumulative energy that entered the
 /// coupling at the sender (J).
-const SCALARS: [(&str, &str); 5] =
-    [("sequence", "1"), ("time_sent", "s"), ("echo", "s"), ("closed", "1"), ("energy_in", "J")];
+const SCALARS: [(&str, &str); 6] = [
+    ("sequence", "1"),
+    ("time_sent", "s"),
+    ("echo", "s"),
+    ("closed", "1"),
+    ("limited", "1"),
+    ("energy_in", "J"),
+];
 /// Inputs with one value per row: position, velocity and force of the sender in the leader's coordinates.
 const VECTORS: [&str; 3] = ["position", "velocity", "force"];
 /// Input with one value per row: the integral of the sender's wave variable.
@@ -54,7 +62,7 @@ impl CouplingKind {
     /// copied.
     #[must_use]
     pub fn packet_signals(self) -> Vec<(&'static str, &'static str)> {
-        let scalars = [PORT_SEQUENCE, PORT_TIME, PORT_ECHO, PORT_CLOSED, PORT_ENERGY_IN];
+        let scalars = [PORT_SEQUENCE, PORT_TIME, PORT_ECHO, PORT_CLOSED, PORT_LIMITED, PORT_ENERGY_IN];
         let vectors = [PORT_POSITION, PORT_VELOCITY, PORT_FORCE].into_iter().zip(VECTORS);
         let scalars = scalars.into_iter().zip(SCALARS.map(|(name, _)| name));
         scalars.chain(vectors).chain(self.further()).collect()
@@ -223,7 +231,7 @@ impl CoupledTask {
 
 /// Reads the packet of `rows` rows with `further` vectors from the values of the task's inputs; `None` before the first one.
 fn packet(values: &[f64], rows: usize, further: usize) -> Option<Packet> {
-    let (&[sequence, sent_s, echo_s, closed, energy_in_j], _) = values.split_first_chunk()?;
+    let (&[sequence, sent_s, echo_s, closed, limited, energy_in_j], _) = values.split_first_chunk()?;
     if ![sequence, sent_s, closed, energy_in_j].iter().all(|value| value.is_finite()) {
         return None;
     }
@@ -239,6 +247,7 @@ fn packet(values: &[f64], rows: usize, further: usize) -> Option<Packet> {
         sent_s,
         echo_s,
         closed: closed == 1.0,
+        limited: limited == 1.0,
         energy_in_j,
         position: vector(0)?,
         velocity: vector(1)?,
@@ -402,6 +411,7 @@ impl Task for CoupledTask {
         let echo_s = self.partner.newest().map_or(f64::NAN, |packet| packet.sent_s);
         out.scalar((name, PORT_ECHO), "s", echo_s);
         out.scalar((name, PORT_CLOSED), "1", f64::from(u8::from(sent.closed)));
+        out.scalar((name, PORT_LIMITED), "1", f64::from(u8::from(sent.limited)));
         out.scalar((name, PORT_ENERGY_IN), "J", sent.energy_in_j);
         let port = |vector: &Vector6<f64>| -> [f64; 6] { (*vector).into() };
         out.signal(

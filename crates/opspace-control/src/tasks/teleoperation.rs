@@ -29,6 +29,9 @@ const UNLIMITED_J: NonNegative = NonNegative::literal(1e9);
 /// Force above which the delay damping acts in full, N or Nm.
 const CONTACT_N: f64 = 2.0;
 
+/// Force that the leader lacks per velocity with which the follower gives way, Ns/m or Nms/rad: 10 N give 20 mm/s.
+const GIVE_WAY_NS_PER_M: f64 = 500.0;
+
 /// Time over which the leader's force fades in after the coupling closes, s.
 const FADE_S: f64 = 0.1;
 
@@ -60,6 +63,8 @@ pub(crate) struct Teleoperation {
     wave: Option<Wave>,
     /// True if the coupling acted in the last cycle.
     closed: bool,
+    /// True if the passivity control reduced the leader's force in the last cycle.
+    limited: bool,
     /// Share of the leader's force, from 0 to 1.
     share: f64,
     /// Reference of the follower's rows, m or rad, and its velocity.
@@ -132,6 +137,7 @@ impl Teleoperation {
             passivity: PortPassivity::new(&limits, angular, period_s),
             wave,
             closed: false,
+            limited: false,
             share: 0.0,
             reference: zero,
             reference_velocity: zero,
@@ -197,7 +203,7 @@ impl Teleoperation {
 
     /// Opens the coupling: the reference stays where it is, whatever the leader does.
     fn open(&mut self, partner: &ReceivedState) {
-        (self.closed, self.share) = (false, 0.0);
+        (self.closed, self.limited, self.share) = (false, false, 0.0);
         self.reference_velocity.fill(0.0);
         if let Some(packet) = partner.newest() {
             self.offset = self.reference - packet.position * self.position_scale;
@@ -283,6 +289,7 @@ impl Teleoperation {
         }
         self.passivity.observe(&self.force, moved);
         self.force = self.passivity.limit_force(&state.velocity, &wanted);
+        self.limited = self.force != wanted;
         let g = self.handle_feedback;
         self.force * (1.0 + g) + state.sensed * g
     }
@@ -315,7 +322,12 @@ impl Teleoperation {
                 self.target = target;
                 let allowed = match self.reflect {
                     Reflected::Position => step,
-                    _ => self.passivity.limit_displacement(&step, &(effort * -energy_scale)),
+                    _ => {
+                        let given_way = self.give_way(packet, &effort);
+                        self.passivity.add_gap(&-given_way);
+                        self.passivity.pause_repair(packet.limited);
+                        self.passivity.limit_displacement(&(step + given_way), &(effort * -energy_scale))
+                    }
                 };
                 self.reference += allowed;
                 self.reference_velocity = if allowed == step && self.wave.is_none() {
@@ -339,6 +351,19 @@ impl Teleoperation {
         };
         self.force = force;
         force
+    }
+
+    /// Displacement (m, rad) by which the follower gives way while the leader cannot give back the energy of its push: the
+    /// leader's force is then whatever keeps it at rest, so that it would never return, and the follower with it. Giving way
+    /// along the force returns energy to the leader.
+    fn give_way(&self, packet: &Packet, effort: &Vector6<f64>) -> Vector6<f64> {
+        let force = effort.norm();
+        if !packet.limited || force == 0.0 {
+            return Vector6::zeros();
+        }
+        let direction = effort / force;
+        let lacking = force - direction.dot(&packet.force) / self.force_scale;
+        direction * (lacking.max(0.0) / GIVE_WAY_NS_PER_M * self.period_s)
     }
 
     /// Force on the follower that is sent to the leader.
@@ -365,6 +390,7 @@ impl Teleoperation {
             None => Vector6::zeros(),
         };
         let energy_in_j = self.passivity.energy_in_j();
-        Packet { closed: self.closed, energy_in_j, position, velocity, force, wave, ..Packet::default() }
+        let (closed, limited) = (self.closed, self.limited);
+        Packet { closed, limited, energy_in_j, position, velocity, force, wave, ..Packet::default() }
     }
 }
