@@ -81,7 +81,7 @@ impl CouplingKind {
 
 /// Law of a coupling, with its state.
 #[derive(Clone, Debug)]
-enum Law {
+enum CouplingLaw {
     Teleoperation(Box<Teleoperation>),
     Carry(Box<Carry>),
 }
@@ -97,7 +97,7 @@ pub struct CoupledTask {
     force_units: Vec<&'static str>,
     /// Damping of each row, Ns/m or Nms/rad.
     damping: Vector6<f64>,
-    law: Option<Law>,
+    law: Option<CouplingLaw>,
     state: RowState,
     partner: ReceivedState,
     /// Cycles since the start: the number of the packet.
@@ -140,19 +140,19 @@ impl CoupledTask {
                     [context.period_s, lag_s],
                     &format!("{key}.teleoperation"),
                 )?;
-                Some(Law::Teleoperation(Box::new(law)))
+                Some(CouplingLaw::Teleoperation(Box::new(law)))
             }
             (Some(side), None, Some(p)) => {
                 if !rows.is_of_position() || !rows.is_sensed() {
                     return Err(ControlError::new(key, Reason::CarryRows));
                 }
                 let law = Carry::new(side, p, context.period_s, &format!("{key}.carry"))?;
-                Some(Law::Carry(Box::new(law)))
+                Some(CouplingLaw::Carry(Box::new(law)))
             }
             _ => return Err(ControlError::new(key, Reason::CouplingSide)),
         };
         let timeout_s = match &law {
-            Some(Law::Carry(_)) => parameters.carry.as_ref().map_or(0.0, |p| p.timeout_s.get()),
+            Some(CouplingLaw::Carry(_)) => parameters.carry.as_ref().map_or(0.0, |p| p.timeout_s.get()),
             _ => parameters.teleoperation.as_ref().map_or(0.0, |p| p.timeout_s.get()),
         };
         let position_units: Vec<_> = rows.names().iter().map(|(_, unit)| *unit).collect();
@@ -178,15 +178,15 @@ impl CoupledTask {
     #[must_use]
     pub fn side(&self) -> Option<CouplingSide> {
         self.law.as_ref().map(|law| match law {
-            Law::Teleoperation(law) => law.side(),
-            Law::Carry(law) => law.side(),
+            CouplingLaw::Teleoperation(law) => law.side(),
+            CouplingLaw::Carry(law) => law.side(),
         })
     }
 
     fn kind_of_law(&self) -> Option<CouplingKind> {
         self.law.as_ref().map(|law| match law {
-            Law::Teleoperation(_) => CouplingKind::Teleoperation,
-            Law::Carry(_) => CouplingKind::Carry,
+            CouplingLaw::Teleoperation(_) => CouplingKind::Teleoperation,
+            CouplingLaw::Carry(_) => CouplingKind::Carry,
         })
     }
 
@@ -194,8 +194,8 @@ impl CoupledTask {
     fn sent(&self) -> Packet {
         match &self.law {
             None => Packet::default(),
-            Some(Law::Teleoperation(law)) => law.sent(&self.state),
-            Some(Law::Carry(law)) => law.sent(&self.state),
+            Some(CouplingLaw::Teleoperation(law)) => law.sent(&self.state),
+            Some(CouplingLaw::Carry(law)) => law.sent(&self.state),
         }
     }
 
@@ -277,11 +277,11 @@ impl Task for CoupledTask {
         let (time_s, clock_s) = (input.control.measurement.time_s, self.clock_s);
         (self.force, self.acceleration) = match &mut self.law {
             None => (-damping, Vector6::zeros()),
-            Some(Law::Teleoperation(law)) => {
+            Some(CouplingLaw::Teleoperation(law)) => {
                 let force = law.update(&self.state, &self.partner, clutch, time_s, clock_s);
                 (force - damping, Vector6::zeros())
             }
-            Some(Law::Carry(law)) => {
+            Some(CouplingLaw::Carry(law)) => {
                 law.update(&self.state, &self.partner, time_s, clock_s);
                 (law.force() - damping, law.acceleration())
             }
@@ -293,8 +293,8 @@ impl Task for CoupledTask {
         (self.force, self.acceleration) = (Vector6::zeros(), Vector6::zeros());
         match &mut self.law {
             None => {}
-            Some(Law::Teleoperation(law)) => law.rest(&self.state, &self.partner),
-            Some(Law::Carry(law)) => law.rest(&self.state),
+            Some(CouplingLaw::Teleoperation(law)) => law.rest(&self.state, &self.partner),
+            Some(CouplingLaw::Carry(law)) => law.rest(&self.state),
         }
     }
 
@@ -326,14 +326,14 @@ impl Task for CoupledTask {
         self.sequence = 0;
         match &mut self.law {
             None => {}
-            Some(Law::Teleoperation(law)) => law.start(),
-            Some(Law::Carry(law)) => law.start(input.measurement.time_s),
+            Some(CouplingLaw::Teleoperation(law)) => law.start(),
+            Some(CouplingLaw::Carry(law)) => law.start(input.measurement.time_s),
         }
     }
 
     /// The coupling closes again from where the robot is.
     fn resume(&mut self, input: &ControlInput<'_>) {
-        if let Some(Law::Carry(law)) = &mut self.law {
+        if let Some(CouplingLaw::Carry(law)) = &mut self.law {
             law.resume(&self.state, input.measurement.time_s);
         }
     }
@@ -346,10 +346,12 @@ impl Task for CoupledTask {
                 self.sequence = before.sequence;
                 self.state = before.state;
                 match (&mut self.law, &before.law) {
-                    (Some(Law::Teleoperation(law)), Some(Law::Teleoperation(before))) => {
+                    (Some(CouplingLaw::Teleoperation(law)), Some(CouplingLaw::Teleoperation(before))) => {
                         law.inherit_state(before)
                     }
-                    (Some(Law::Carry(law)), Some(Law::Carry(before))) => law.inherit_state(before),
+                    (Some(CouplingLaw::Carry(law)), Some(CouplingLaw::Carry(before))) => {
+                        law.inherit_state(before)
+                    }
                     _ => {}
                 }
             }
@@ -401,8 +403,8 @@ impl Task for CoupledTask {
         }
         let sent = self.sent();
         let reference = match &self.law {
-            Some(Law::Carry(law)) => law.reference(),
-            Some(Law::Teleoperation(law)) => *law.reference(),
+            Some(CouplingLaw::Carry(law)) => law.reference(),
+            Some(CouplingLaw::Teleoperation(law)) => *law.reference(),
             None => Vector6::zeros(),
         };
         out.signal((name, REFERENCE), &self.position_units, &self.row_names, &reference.as_slice()[..rows]);
@@ -430,12 +432,12 @@ impl Task for CoupledTask {
         out.scalar((name, PACKETS_LOST), "1", self.partner.missing() as f64);
         out.scalar((name, PACKET_AGE), "s", self.partner.age_s(self.clock_s).unwrap_or(f64::NAN));
         match &self.law {
-            Some(Law::Teleoperation(law)) => {
+            Some(CouplingLaw::Teleoperation(law)) => {
                 out.scalar((name, PORT_ENERGY_OUT), "J", law.passivity().energy_out_j());
                 out.scalar((name, PASSIVITY_TIME), "s", law.passivity().active_s());
                 out.signal((name, PORT_WAVE), "J^0.5 s^0.5", &self.row_names, &port(&sent.wave)[..rows]);
             }
-            Some(Law::Carry(law)) => {
+            Some(CouplingLaw::Carry(law)) => {
                 out.scalar((name, INTERNAL_FORCE), "N", law.internal_n());
                 let [path, speed, acceleration] = &sent.reference;
                 out.signal((name, PORT_PATH), "m", &self.row_names, &port(path)[..rows]);

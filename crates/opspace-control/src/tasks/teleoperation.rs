@@ -29,8 +29,8 @@ const UNLIMITED_J: NonNegative = NonNegative::literal(1e9);
 /// Force above which the delay damping acts in full, N or Nm.
 const CONTACT_N: f64 = 2.0;
 
-/// Force that the leader lacks per velocity with which the follower gives way, Ns/m or Nms/rad: 10 N give 20 mm/s.
-const GIVE_WAY_NS_PER_M: f64 = 500.0;
+/// Force that the leader lacks per velocity with which the follower retreats, Ns/m or Nms/rad: 10 N give 20 mm/s.
+const RETREAT_NS_PER_M: f64 = 500.0;
 
 /// Time over which the leader's force fades in after the coupling closes, s.
 const FADE_S: f64 = 0.1;
@@ -323,10 +323,10 @@ impl Teleoperation {
                 let allowed = match self.reflect {
                     Reflected::Position => step,
                     _ => {
-                        let given_way = self.give_way(packet, &effort);
-                        self.passivity.add_gap(&-given_way);
+                        let retreat = self.retreat(packet, &effort);
+                        self.passivity.add_gap(&-retreat);
                         self.passivity.pause_repair(packet.limited);
-                        self.passivity.limit_displacement(&(step + given_way), &(effort * -energy_scale))
+                        self.passivity.limit_displacement(&(step + retreat), &(effort * -energy_scale))
                     }
                 };
                 self.reference += allowed;
@@ -353,17 +353,17 @@ impl Teleoperation {
         force
     }
 
-    /// Displacement (m, rad) by which the follower gives way while the leader cannot give back the energy of its push: the
-    /// leader's force is then whatever keeps it at rest, so that it would never return, and the follower with it. Giving way
+    /// Displacement (m, rad) by which the follower retreats while the leader cannot give back the energy of its push: the
+    /// leader's force is then whatever keeps it at rest, so that it would never return, and the follower with it. A retreat
     /// along the force returns energy to the leader.
-    fn give_way(&self, packet: &Packet, effort: &Vector6<f64>) -> Vector6<f64> {
+    fn retreat(&self, packet: &Packet, effort: &Vector6<f64>) -> Vector6<f64> {
         let force = effort.norm();
         if !packet.limited || force == 0.0 {
             return Vector6::zeros();
         }
         let direction = effort / force;
         let lacking = force - direction.dot(&packet.force) / self.force_scale;
-        direction * (lacking.max(0.0) / GIVE_WAY_NS_PER_M * self.period_s)
+        direction * (lacking.max(0.0) / RETREAT_NS_PER_M * self.period_s)
     }
 
     /// Force on the follower that is sent to the leader.

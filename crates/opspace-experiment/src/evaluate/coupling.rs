@@ -48,7 +48,7 @@ pub(crate) struct Track<'a> {
     /// Displacement of the carried object since the start of control, m, and force of its grip on the frame, N, in the world;
     /// none without an object.
     object: Option<String>,
-    pub(crate) carried: Vec<[Vector3<f64>; 2]>,
+    pub(crate) object_rows: Vec<[Vector3<f64>; 2]>,
     object_home: Option<Vector3<f64>>,
     pub(crate) ticks: Ticks,
 }
@@ -106,7 +106,7 @@ impl<'a> Track<'a> {
             touch_n: Vec::new(),
             work_j: Vec::new(),
             object,
-            carried: Vec::new(),
+            object_rows: Vec::new(),
             object_home: None,
             ticks: Ticks::default(),
         }
@@ -129,7 +129,7 @@ impl<'a> Track<'a> {
             .collect();
         let works: Vec<_> =
             environment.keys().filter_map(|name| truth.signal(&signal_names::of(name, WORK))).collect();
-        let carried = self.object.as_ref().and_then(|object| {
+        let object_rows = self.object.as_ref().and_then(|object| {
             let Some(TaskParameters::Coupled(p)) = self.experiment.task().file.task.get(self.task) else {
                 return None;
             };
@@ -145,10 +145,10 @@ impl<'a> Track<'a> {
             let vector = |row: &[f64]| Vector3::new(row[0], row[1], row[2]);
             self.operator.push(operator.map_or_else(Vector3::zeros, |force| vector(force.row(k))));
             self.touch_n.push(surfaces.iter().map(|force| vector(force.row(k)).norm()).fold(0.0, f64::max));
-            if let Some((position, force)) = &carried {
+            if let Some((position, force)) = &object_rows {
                 let position = vector(position.row(k));
                 let home = *self.object_home.get_or_insert(position);
-                self.carried.push([position - home, vector(force.row(k))]);
+                self.object_rows.push([position - home, vector(force.row(k))]);
             }
             self.work_j.push(works.iter().map(|work| work.row(k)[0]).sum());
         }
@@ -275,12 +275,12 @@ impl<'a> CouplingEvaluator<'a> {
         let Some((_, axes)) = leader.frame else { return };
         let wanted = axes * Vector3::from(law.direction).normalize() * law.internal_force_n.unwrap_or(0.0);
         let (mut path, mut force) = (RmsMax::default(), RmsMax::default());
-        for (row, [moved, on_leader]) in leader.carried.iter().enumerate() {
+        for (row, [moved, on_leader]) in leader.object_rows.iter().enumerate() {
             let time_s = leader.time_s[row];
             let (Some(tick), Some(other)) = (leader.tick_at(time_s), follower.row_at(time_s)) else {
                 continue;
             };
-            let Some([_, on_follower]) = follower.carried.get(other).filter(|_| time_s >= self.settle_s)
+            let Some([_, on_follower]) = follower.object_rows.get(other).filter(|_| time_s >= self.settle_s)
             else {
                 continue;
             };

@@ -263,7 +263,7 @@ impl CoupledExperiment {
         let mut links = Vec::new();
         let mistake = |key: &str, error: opspace_loop::LinkError| self.mistake(key, &error.to_string());
         let mut seed = self.file.seed.wrapping_mul(SEEDS_OF_AN_EXPERIMENT).wrapping_add(FIRST_CHANNEL);
-        for (number, coupling) in self.couplings.iter().enumerate() {
+        for coupling in &self.couplings {
             let key = format!("couplings.{}", coupling.name);
             for (from, to) in [(&coupling.leader, &coupling.follower), (&coupling.follower, &coupling.leader)]
             {
@@ -278,14 +278,13 @@ impl CoupledExperiment {
                 let link = Link::new(timeline, (from.0, &rows[from.0]), target, &copies, parameters);
                 links.push(link.map_err(|error| mistake(&key, error))?);
             }
-            let _ = number;
         }
-        for from in 0..loops.len() {
+        for (from, row) in rows.iter().enumerate() {
             for to in 0..loops.len() {
                 let linked = links.iter().any(|link: &Link| link.from() == from && link.to() == to);
                 if from != to && !linked {
                     let parameters = channel_parameters(&ChannelFile::default(), seed);
-                    let link = Link::status(timeline, (from, &rows[from]), to, parameters);
+                    let link = Link::status(timeline, (from, row), to, parameters);
                     links.push(link.map_err(|error| mistake("robots", error))?);
                 }
             }
