@@ -3,6 +3,7 @@
 mod capabilities;
 pub mod collision;
 pub mod coupled_experiment;
+pub mod coupled_logs;
 pub mod coupled_run;
 pub mod coupled_summary;
 pub mod error;
@@ -10,6 +11,7 @@ pub mod execute;
 pub mod experiment;
 pub mod folder;
 pub mod log_header;
+pub mod membership;
 mod on_driver;
 pub mod physics;
 mod real_robot;

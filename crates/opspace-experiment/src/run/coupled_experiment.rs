@@ -15,6 +15,7 @@ use crate::files::suggest::choices;
 use crate::run::error::RunError;
 use crate::run::execute::Progress;
 use crate::run::experiment::{ControllerKind, Experiment, RunOptions};
+use crate::run::membership::Membership;
 use opspace_backend::quantity::{NonNegative, Positive};
 use opspace_backend::{Backend, GroundTruth, Layout, Signal, Sink, TICK, TruthLayouts, signal_names};
 use opspace_control::{CouplingKind, CouplingSide, Reflected, TeleoperationParameters};
@@ -67,6 +68,18 @@ pub struct CoupledExperiment {
     pub couplings: Vec<Coupling>,
     /// Name of the settings in the table of a suite.
     pub label: Option<String>,
+}
+
+impl Member {
+    /// Returns a robot of the experiment in `source`.
+    ///
+    /// # Errors
+    /// A robot whose rate is not a whole number of hertz.
+    pub(super) fn new(name: &str, experiment: Experiment, source: &Source) -> Result<Self, FileError> {
+        let rate_hz = rate_hz(&experiment)
+            .ok_or_else(|| FileError::at_key(source, ["robots", name], NOT_WHOLE, None))?;
+        Ok(Self { name: name.to_owned(), experiment, rate_hz })
+    }
 }
 
 impl Coupling {
@@ -129,11 +142,10 @@ impl CoupledExperiment {
                 set.extend(task_settings(&source, coupling, number));
             }
             set.extend(of_robots.remove(name).unwrap_or_default());
-            let experiment = member(extensions, files, path, robot, &set, seed_of(&file, number), &file)
+            let mut experiment = member(extensions, files, path, robot, &set, seed_of(&file, number), &file)
                 .map_err(|error| placed(error, &source, &couplings, name))?;
-            let rate_hz = rate_hz(&experiment)
-                .ok_or_else(|| FileError::at_key(&source, ["robots", name], NOT_WHOLE, None))?;
-            members.push(Member { name: name.clone(), experiment, rate_hz });
+            experiment.membership = Some(Membership { robot: name.clone(), experiment: source.clone() });
+            members.push(Member::new(name, experiment, &source)?);
         }
         let new = Self { source, file, members, couplings, label: None };
         new.check_couplings()?;
@@ -400,7 +412,7 @@ fn rate_hz(experiment: &Experiment) -> Option<u32> {
 }
 
 /// Resolves the couplings of a file.
-fn couplings(file: &ExperimentFile, source: &Source) -> Result<Vec<Coupling>, FileError> {
+pub(super) fn couplings(file: &ExperimentFile, source: &Source) -> Result<Vec<Coupling>, FileError> {
     let names: Vec<&str> = file.robots.keys().map(String::as_str).collect();
     let mut found: Vec<Coupling> = Vec::new();
     for (name, entry) in &file.couplings {

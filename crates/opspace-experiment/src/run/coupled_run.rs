@@ -35,7 +35,13 @@ impl CoupledExperiment {
         let mut files: Vec<Option<BufWriter<File>>> = Vec::new();
         for member in &self.members {
             let own = ResultFolder::open(&folder.path().join(&member.name))?;
-            let (log, file) = NewLog::create(&own)?;
+            let (log, file) = match NewLog::create(&own) {
+                Ok(created) => created,
+                Err(error) => {
+                    logs.into_iter().for_each(NewLog::discard);
+                    return Err(error);
+                }
+            };
             folders.push(own);
             logs.push(log);
             files.push(Some(file));
@@ -94,23 +100,22 @@ impl CoupledExperiment {
         Ok(coupled.into_inner().finish(summaries))
     }
 
-    /// Computes the summary of a run from the logs of the robots in `folder`, each in a folder of its name, and the page about
-    /// it.
+    /// Computes the summary of a run and the page about it from the logs and the summaries of the robots, in the order of
+    /// `members`.
     ///
     /// # Errors
     /// A log that cannot be read.
     pub fn summary_and_page(
         &self,
-        folder: &Path,
+        logs: &[LogFile],
         robots: Vec<Summary>,
     ) -> Result<(CoupledSummary, String), RunError> {
         let mut evaluator = CoupledEvaluator::new(self);
         let mut sections = Vec::new();
-        for (number, (member, robot)) in self.members.iter().zip(&robots).enumerate() {
-            let log = LogFile::open(folder.join(&member.name).join(LOG))?;
+        for (number, ((member, log), robot)) in self.members.iter().zip(logs).zip(&robots).enumerate() {
             log.for_each_segment(&mut |segment, is_last| evaluator.add(number, segment, is_last))?;
             sections
-                .push((member.name.clone(), RunSection::of_file(&member.experiment, &log, robot.clone())?));
+                .push((member.name.clone(), RunSection::of_file(&member.experiment, log, robot.clone())?));
         }
         let figures: Vec<Figure> = evaluator.couplings.iter().flat_map(coupling_figures).collect();
         let summary = evaluator.finish(robots);
@@ -120,7 +125,8 @@ impl CoupledExperiment {
 
     /// Writes summary and page of all robots.
     fn write_pages(&self, folder: &Path, robots: Vec<Summary>) -> Result<CoupledSummary, RunError> {
-        let (mut summary, html) = self.summary_and_page(folder, robots)?;
+        let logs = self.members.iter().map(|member| LogFile::open(folder.join(&member.name).join(LOG)));
+        let (mut summary, html) = self.summary_and_page(&logs.collect::<Result<Vec<_>, _>>()?, robots)?;
         if let Err(error) = write_file(&folder.join(REPORT), &html) {
             summary.not_saved.push(format!("{REPORT}: {error}"));
         }

@@ -9,6 +9,7 @@ use crate::files::source::FileError;
 use crate::files::suggest::choices;
 use crate::files::task::TaskDefinition;
 use crate::run::collision::{KeptDistances, kept_distances};
+use crate::run::membership::Membership;
 use crate::run::physics::Physics;
 use opspace_backend::quantity::Positive;
 use opspace_backend::{Capabilities, CommandKind, GravityCompensation, MissedCycle};
@@ -125,6 +126,7 @@ pub struct Experiment {
     pub(super) profile: ProfileParameters,
     distances: Option<KeptDistances>,
     pub(super) physics: Physics,
+    pub(super) membership: Option<Membership>,
 }
 
 impl Experiment {
@@ -199,7 +201,17 @@ impl Experiment {
         let (profile_name, profile) = (name.to_owned(), profile.clone());
         let distances = kept_distances(&robot, &task)?;
         let physics = Physics::Own;
-        let experiment = Self { robot, task, options, settings, profile_name, profile, distances, physics };
+        let experiment = Self {
+            robot,
+            task,
+            options,
+            settings,
+            profile_name,
+            profile,
+            distances,
+            physics,
+            membership: None,
+        };
         experiment.check_choice()?;
         expectations::check(&experiment.task, &experiment.robot)?;
         experiment.start()?;
@@ -227,6 +239,12 @@ impl Experiment {
     #[must_use]
     pub fn kept_distances(&self) -> Option<&KeptDistances> {
         self.distances.as_ref()
+    }
+
+    /// Experiment with several robots to which this one belongs, if it does.
+    #[must_use]
+    pub fn membership(&self) -> Option<&Membership> {
+        self.membership.as_ref()
     }
 
     /// Paths of the files from which the experiment was read: robot, URDF, task, recorded paths and scene.

@@ -7,6 +7,7 @@ use crate::files::source::Source;
 use crate::files::task::TaskDefinition;
 use crate::run::error::RunError;
 use crate::run::experiment::{ControllerKind, Experiment, RunOptions};
+use crate::run::membership::Membership;
 use crate::run::physics::Physics;
 use opspace_backend::quantity::Positive;
 use opspace_backend::{CommandKind, World};
@@ -27,6 +28,12 @@ const ROBOT_FILE: &str = "robot.toml";
 const TASK_FILE: &str = "task.toml";
 const URDF_FILE: &str = "robot.urdf";
 const SCENE_FILE: &str = "scene.xml";
+/// File of the experiment with several robots to which the robot belongs, with settings applied.
+const EXPERIMENT_FILE: &str = "experiment.toml";
+/// Key of the path of that file.
+const EXPERIMENT: &str = "experiment";
+/// Key of the robot's name in that file.
+const EXPERIMENT_ROBOT: &str = "experiment_robot";
 /// Generated capsules, because a log does not contain the meshes.
 const CAPSULES_FILE: &str = "capsules.json";
 
@@ -76,6 +83,11 @@ impl Experiment {
         let scene =
             self.scene().map(|scene| Source::new(scene.path.display().to_string(), scene.text.clone()));
         files.extend(scene.iter().map(|scene| (SCENE_FILE.to_owned(), "application/xml", scene)));
+        if let Some(Membership { robot, experiment }) = self.membership() {
+            entries.insert(EXPERIMENT.to_owned(), experiment.name().to_owned());
+            entries.insert(EXPERIMENT_ROBOT.to_owned(), robot.clone());
+            files.push((EXPERIMENT_FILE.to_owned(), "application/toml", experiment));
+        }
         for (name, _, source) in &files {
             entries.insert(format!("{name}.sha256"), hex(&hmac_sha256::Hash::hash(source.text().as_bytes())));
         }
@@ -177,16 +189,32 @@ impl Experiment {
         let settings: Vec<String> =
             entry("overrides")?.lines().map(str::to_owned).chain(changes.iter().cloned()).collect();
         let mut chosen = Self::new(robot.clone(), task.clone(), options.clone(), settings.clone())?;
-        let physics = Physics::of_entries(entries);
+        let (physics, membership) = (Physics::of_entries(entries), Membership::of_log(recording)?);
         chosen.physics = physics.clone();
+        chosen.membership = membership.clone();
         if !changes.is_empty() || chosen.chosen_transformer().0 == transformer {
             return Ok(chosen);
         }
         // This version would choose another transformer: use the one that was in use when the log was written.
         let options = RunOptions { transformer: Some(transformer), ..options };
         let mut chosen = Self::new(robot, task, options, settings)?;
-        chosen.physics = physics;
+        (chosen.physics, chosen.membership) = (physics, membership);
         Ok(chosen)
+    }
+}
+
+impl Membership {
+    /// Reads from a log to which experiment with several robots it belongs; `None` if it is the log of a task.
+    ///
+    /// # Errors
+    /// A log that lacks the file of its experiment.
+    pub fn of_log(recording: &Recording) -> Result<Option<Self>, RunError> {
+        let entry = |key: &str| recording.metadata(RUN).and_then(|entries| entries.get(key));
+        let Some((experiment, robot)) = entry(EXPERIMENT).zip(entry(EXPERIMENT_ROBOT)) else {
+            return Ok(None);
+        };
+        let experiment = attached(recording, EXPERIMENT_FILE, experiment)?;
+        Ok(Some(Self { robot: robot.clone(), experiment }))
     }
 }
 
