@@ -61,9 +61,13 @@ Examples:
   opspace run tasks/compliant-x.toml --set task.hand.cartesian.gains.damping_ratio=0.7
   opspace run tasks/compliant-x.toml --set robot.simulated.true_over_nominal.kp=1.02
   opspace run tasks/panda-reach.toml --plant mujoco
+  opspace run experiments/teleop-wall.toml --set leader.task.hand.coupled.damping_ns_per_m=8
 
 Writes run.mcap (all signals; opens in Foxglove and PlotJuggler), report.html and summary.json into \
-runs/TASK-ROBOT-BACKEND. An existing run is renamed to NAME.previous, the next one to NAME.previous-2, and so on.")]
+runs/TASK-ROBOT-BACKEND. An existing run is renamed to NAME.previous, the next one to NAME.previous-2, and so on.
+
+An experiment with several robots writes report.html and summary.json, and a folder for each robot, into \
+runs/EXPERIMENT.")]
     Run(RunArgs),
 
     /// Run every task of a suite on each robot and controller that it names, and print one table.
@@ -103,10 +107,14 @@ Example:
 If any bit differs, prints the first tick and joint with both values (exit code 1). A damaged log is compared up \
 to the damage (exit code 3 if that part is equal). With --task or --set, computes the commands of other files \
 from the same measurements, and says where and why this ends; it is open loop, since the motion of the robot is the \
-logged one. --report plots the torques.")]
+logged one. --report plots the torques.
+
+In the folder of an experiment with several robots, the log of each robot is compared alone.")]
     Replay(ReplayArgs),
 
     /// Make one HTML page with the figures and the table of one or more logs.
+    #[command(after_help = "\
+In the folder of an experiment with several robots, makes the page about all of them.")]
     Report(ReportArgs),
 
     /// Show what is in a log, recover a damaged one, export one as CSV, or compare two.
@@ -118,7 +126,9 @@ logged one. --report plots the torques.")]
 A mistake in a file is an error (exit code 2). Predicted problems of a run are diagnostics, not errors; each has \
 its place, numbers and a remedy: goals out of reach, speeds beyond the joint limits, gains too high for the rate and the \
 servo, contradictory limits, a singular start, degrees of freedom without a task, a run that is too short. --json lists \
-them as `findings`.")]
+them as `findings`.
+
+The file of an experiment with several robots is checked with all files that it names.")]
     Check(CheckArgs),
 
     /// Identify a robot's servos by moving its joints: gains, filter, delay, inertia, friction.
@@ -269,7 +279,7 @@ pub struct OutputArgs {
 
 #[derive(Debug, Args)]
 pub struct RunArgs {
-    /// The task file.
+    /// The task file, or the file of an experiment with several robots.
     pub task: PathBuf,
 
     /// Robot to use instead of the task's: its folder or its robot.toml.
@@ -398,7 +408,7 @@ pub struct MergeArgs {
 
 #[derive(Debug, Args)]
 pub struct ReplayArgs {
-    /// A log (run.mcap) or the folder of a run.
+    /// A log (run.mcap) or the folder of a run, or that of an experiment with several robots.
     pub log: PathBuf,
 
     /// Another task, computed from the same measurements.
@@ -419,7 +429,7 @@ pub struct ReplayArgs {
 
 #[derive(Debug, Args)]
 pub struct ReportArgs {
-    /// Logs (run.mcap) or folders of runs.
+    /// Logs (run.mcap) or folders of runs, or the folder of an experiment with several robots.
     #[arg(required = true)]
     pub logs: Vec<PathBuf>,
 
@@ -433,7 +443,7 @@ pub struct ReportArgs {
 
 #[derive(Debug, Args)]
 pub struct CheckArgs {
-    /// Robot folders, and robot, task, suite and URDF files.
+    /// Robot folders, and robot, task, suite, experiment and URDF files.
     #[arg(required = true)]
     pub files: Vec<PathBuf>,
 
@@ -532,6 +542,8 @@ pub enum SchemaKind {
     Task,
     /// A suite file.
     Suite,
+    /// The file of an experiment with several robots.
+    Experiment,
 }
 
 /// Parser of transformer names.

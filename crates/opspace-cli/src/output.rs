@@ -3,6 +3,7 @@
 use crate::cli::JsonArgs;
 use crate::console::{Exit, Failure, print, print_exactly};
 use opspace_experiment::Source;
+use opspace_experiment::run::coupled_logs::robot_logs;
 use opspace_experiment::run::folder::LOG;
 use opspace_experiment::run::result_files::write_file;
 use opspace_log::{LogError, LogFile, Recording};
@@ -91,6 +92,11 @@ pub fn pretty(value: &impl Serialize) -> String {
 /// Path of the log that a path denotes: a folder stands for the `run.mcap` in it.
 pub fn log_path(path: &Path) -> PathBuf {
     if path.is_dir() { path.join(LOG) } else { path.to_owned() }
+}
+
+/// Logs of the robots if a path denotes the folder of an experiment with several robots, otherwise none.
+pub fn logs_of_experiment(path: &Path) -> Vec<PathBuf> {
+    if log_path(path).exists() { Vec::new() } else { robot_logs(path) }
 }
 
 /// Reads the log that a path denotes, as [`log_path`] does.

@@ -3,6 +3,7 @@
 use crate::cli::OutputArgs;
 use crate::console::{Console, Exit, Failure};
 use crate::outputs::check_outputs;
+use opspace_experiment::run::coupled_logs::robot_logs;
 use opspace_experiment::run::folder::{LOG, REPORT, SUMMARY};
 use opspace_experiment::run::result_files::ResultFolder;
 use opspace_experiment::run::suite_rows::{SUITE_ROWS, SuiteRows};
@@ -81,7 +82,7 @@ fn refuse_foreign(folder: &Path, files: &[String]) -> Result<(), Failure> {
 fn holds_results(folder: &Path) -> bool {
     let named =
         [LOG, SUMMARY, ROWS, SUITE_ROWS, IDENTIFICATION].iter().any(|name| folder.join(name).exists());
-    named || folder.join(MOVE_TO_START).join(LOG).exists()
+    named || folder.join(MOVE_TO_START).join(LOG).exists() || !robot_logs(folder).is_empty()
 }
 
 /// Moves a folder to NAME.previous, or NAME.previous-2 and so on if that is taken.
@@ -105,6 +106,9 @@ fn clear(folder: &Path) -> Result<(), Failure> {
     if holds_results(&motion) {
         clear(&motion)?;
     }
+    for log in robot_logs(folder) {
+        clear_robot(&log)?;
+    }
     let mut ours = vec![LOG, REPORT, SUMMARY, ROWS, SUITE_ROWS, IDENTIFICATION];
     // A robot file is ours only beside an identification.
     if folder.join(IDENTIFICATION).exists() {
@@ -114,11 +118,22 @@ fn clear(folder: &Path) -> Result<(), Failure> {
     // A suite that was cut off has no other list of its logs.
     let rows = SuiteRows::read(folder).into_iter().flat_map(|rows| rows.rows.into_values());
     logs.extend(rows.filter_map(|row| row.log));
-    for name in ours.into_iter().chain(logs.iter().map(String::as_str)) {
-        let path = folder.join(name);
-        if path.exists() {
-            fs::remove_file(&path).map_err(|e| Failure::io("cannot be replaced", &path, &e))?;
-        }
+    ours.into_iter().chain(logs.iter().map(String::as_str)).try_for_each(|name| remove(&folder.join(name)))
+}
+
+/// Removes the log of a robot of an experiment, and the other results beside it; their folder too if it is then empty.
+fn clear_robot(log: &Path) -> Result<(), Failure> {
+    let folder = log.parent().unwrap_or(Path::new(""));
+    let _lock = ResultFolder::open(folder)?;
+    [LOG, REPORT, SUMMARY].into_iter().try_for_each(|name| remove(&folder.join(name)))?;
+    // A folder with other files in it remains.
+    let _ = fs::remove_dir(folder);
+    Ok(())
+}
+
+fn remove(path: &Path) -> Result<(), Failure> {
+    if path.exists() {
+        fs::remove_file(path).map_err(|e| Failure::io("cannot be replaced", path, &e))?;
     }
     Ok(())
 }

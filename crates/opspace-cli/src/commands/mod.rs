@@ -11,6 +11,7 @@ pub mod model;
 pub mod new;
 pub mod replay;
 pub mod report;
+pub mod report_coupled;
 pub mod run;
 pub mod run_coupled;
 pub mod run_progress;

@@ -2,7 +2,7 @@
 
 use crate::cli::ReplayArgs;
 use crate::console::{Console, Exit, Failure, Outcome};
-use crate::output::{Format, log_path, pretty, read_log, write_named};
+use crate::output::{Format, log_path, logs_of_experiment, pretty, read_log, write_named};
 use crate::outputs::check_outputs;
 use opspace_backend::signal_names::TICK_CHANNEL;
 use opspace_experiment::files::overrides::split;
@@ -12,9 +12,13 @@ use opspace_experiment::run::replay::{ReplayReport, replay as recompute};
 use opspace_experiment::{Experiment, Extensions, Files, RunError, TaskDefinition};
 use opspace_log::Recording;
 use serde_json::{Map, Value, json};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 pub fn replay(args: &ReplayArgs, extensions: &Extensions, console: Console) -> Outcome {
+    let robots = logs_of_experiment(&args.log);
+    if !robots.is_empty() {
+        return replay_robots(args, &robots, extensions, console);
+    }
     let inputs: Vec<_> = args.task.iter().cloned().chain([log_path(&args.log)]).collect();
     let outputs = [args.json.path(), args.report.as_deref()].into_iter().flatten().map(Path::to_owned);
     check_outputs(&inputs, &outputs.collect::<Vec<_>>())?;
@@ -42,16 +46,56 @@ pub fn replay(args: &ReplayArgs, extensions: &Extensions, console: Console) -> O
             false => verdict(&log, &replayed),
         },
     )?;
+    Ok(match exit_code(&recording, &replayed) {
+        Exit::Failed if open_loop => lost(&recording),
+        exit => exit,
+    })
+}
+
+/// Replays the log of each robot of an experiment alone.
+fn replay_robots(args: &ReplayArgs, logs: &[PathBuf], extensions: &Extensions, console: Console) -> Outcome {
+    if args.task.is_some() || !args.set.is_empty() || args.report.is_some() {
+        let text = format!(
+            "{}: --task, --set and --report are for the log of one robot: give the folder of a robot in it",
+            args.log.display()
+        );
+        return Err(Failure::Other(text, Exit::Bad));
+    }
+    check_outputs(logs, &Vec::from_iter(args.json.path().map(Path::to_owned)))?;
+    let (mut text, mut robots, mut exit) = (String::new(), Map::new(), Exit::Done);
+    for log in logs {
+        let (log, recording) = read_log(log)?;
+        let bad = |error: RunError| Failure::Other(format!("{}: {error}", log.display()), Exit::Bad);
+        if let Some(damage) = &recording.damage {
+            console.note(&format!("{}: damaged: {damage}", log.display()));
+        }
+        let experiment = Experiment::of_log_with(extensions, &recording).map_err(bad)?;
+        let replayed = recompute(&experiment, &recording).map_err(bad)?;
+        text += &verdict(&log, &replayed);
+        let name = experiment.membership().map_or_else(String::new, |membership| membership.robot.clone());
+        robots.insert(name, as_json(&log, &experiment, &recording, &replayed, false));
+        exit = match (exit, exit_code(&recording, &replayed)) {
+            (Exit::Failed, _) | (_, Exit::Failed) => Exit::Failed,
+            (Exit::Done, of_robot) => of_robot,
+            (before, _) => before,
+        };
+    }
+    let json = || pretty(&json!({ "schema": "opspace.replay-robots/1", "folder": args.log, "robots": robots }));
+    args.json.print(json, || text)?;
+    Ok(exit)
+}
+
+/// Exit code of a replay that must equal its log.
+fn exit_code(recording: &Recording, replayed: &ReplayReport) -> Exit {
     let differs = replayed.first_difference.is_some()
         || replayed.compared < replayed.logged
         || !replayed.unmatched.is_empty();
-    Ok(if differs && !open_loop {
-        Exit::Failed
-    } else if recording.damage.is_some() || recording.dropped() > 0 {
-        Exit::DataLost
-    } else {
-        Exit::Done
-    })
+    if differs { Exit::Failed } else { lost(recording) }
+}
+
+/// Exit code that says whether the log lacks data.
+fn lost(recording: &Recording) -> Exit {
+    if recording.damage.is_some() || recording.dropped() > 0 { Exit::DataLost } else { Exit::Done }
 }
 
 /// Experiment of a replay with another task or with changed files; `None` for that of the log itself.

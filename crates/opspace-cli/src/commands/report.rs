@@ -1,8 +1,9 @@
 //! `opspace report`: creates one page about logs.
 
 use crate::cli::ReportArgs;
+use crate::commands::report_coupled::report_coupled;
 use crate::console::{Console, Exit, Failure, Outcome};
-use crate::output::{Format, log_path, open_log, pretty, write_named};
+use crate::output::{Format, log_path, logs_of_experiment, open_log, pretty, write_named};
 use crate::outputs::check_outputs;
 use opspace_experiment::evaluate::results::MEASURES;
 use opspace_experiment::report::document::{RunSection, page};
@@ -12,6 +13,9 @@ use opspace_log::OutcomeRecord;
 use std::path::{Path, PathBuf};
 
 pub fn report(args: &ReportArgs, extensions: &Extensions, console: Console) -> Outcome {
+    if let Some(folder) = args.logs.iter().find(|path| !logs_of_experiment(path).is_empty()) {
+        return report_coupled(args, folder, extensions, console);
+    }
     let logs: Vec<PathBuf> = args.logs.iter().map(|path| log_path(path)).collect();
     let beside = logs.first().map(|log| log.with_file_name(REPORT));
     let out = args.out.clone().or(beside).unwrap_or_else(|| REPORT.into());

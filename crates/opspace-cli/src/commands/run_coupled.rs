@@ -9,7 +9,7 @@ use crate::plant::PlantChoice;
 use crate::result_folder::prepare;
 use opspace_experiment::report::coupled_table::coupling_table;
 use opspace_experiment::run::coupled_summary::CoupledSummary;
-use opspace_experiment::run::folder::{REPORT, SUMMARY};
+use opspace_experiment::run::folder::{LOG, REPORT, SUMMARY};
 use opspace_experiment::{ControllerKind, CoupledExperiment, Extensions, Files};
 use std::path::PathBuf;
 
@@ -25,7 +25,11 @@ pub fn run_coupled(args: &RunArgs, extensions: &Extensions, console: Console) ->
     let name = experiment.name();
     let plant = if args.plant == PlantChoice::Own { "" } else { "-mujoco" };
     let default = PathBuf::from(format!("runs/{name}{plant}"));
-    let files = [REPORT, SUMMARY].map(str::to_owned);
+    let of_robots = experiment
+        .members
+        .iter()
+        .flat_map(|member| [LOG, REPORT, SUMMARY].map(|file| format!("{}/{file}", member.name)));
+    let files: Vec<String> = [REPORT, SUMMARY].map(str::to_owned).into_iter().chain(of_robots).collect();
     let results = prepare(&args.output, &default, &files, &experiment.input_paths(), console)?;
     let progress = interrupt::watch();
     let robots: Vec<String> = experiment

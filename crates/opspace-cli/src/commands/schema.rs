@@ -3,6 +3,7 @@
 use crate::cli::SchemaKind;
 use crate::console::{Exit, Outcome, print_exactly};
 use crate::output::pretty;
+use opspace_experiment::files::experiment_file::ExperimentFile;
 use opspace_experiment::files::robot::RobotFile;
 use opspace_experiment::files::suite::SuiteFile;
 use opspace_experiment::files::task::TaskFile;
@@ -19,5 +20,6 @@ pub fn text(kind: SchemaKind) -> String {
         SchemaKind::Robot => schema_for!(RobotFile),
         SchemaKind::Task => schema_for!(TaskFile),
         SchemaKind::Suite => schema_for!(SuiteFile),
+        SchemaKind::Experiment => schema_for!(ExperimentFile),
     })
 }
