@@ -240,14 +240,24 @@ impl Channel {
         let lost = self.random.random_range(0.0..1.0) < self.loss;
         let late = self.random.random_range(0..=self.jitter);
         self.sent += 1;
-        let slot = self.packets.iter_mut().find(|packet| packet.arrives.is_none());
-        let Some(packet) = slot.filter(|_| !lost) else { return };
+        let slot = match self.packets.iter().position(|packet| packet.arrives.is_none()) {
+            Some(free) => Some(free),
+            None => self.oldest_arrived(tick),
+        };
+        let Some(packet) = slot.filter(|_| !lost).map(|slot| &mut self.packets[slot]) else { return };
         let arrives = tick + self.delay + late;
         let arrives = if self.reordering { arrives } else { arrives.max(self.last_arrival) };
         self.last_arrival = arrives;
         packet.arrives = Some(arrives);
         packet.number = self.sent;
         packet.values.copy_from_slice(values);
+    }
+
+    /// Slot of the oldest packet that arrived by `tick`. A receiver that is slower than the sender, or whose bus loses
+    /// cycles, lets packets lie; only the newest one counts.
+    fn oldest_arrived(&self, tick: u64) -> Option<usize> {
+        let arrived = self.packets.iter().enumerate().filter(|(_, p)| p.arrives.is_some_and(|at| at <= tick));
+        arrived.min_by_key(|(_, packet)| packet.number).map(|(slot, _)| slot)
     }
 
     /// Returns the newest packet that arrived by `tick`, unless a newer one was received before.
@@ -309,6 +319,22 @@ mod tests {
             assert!(arrived.iter().map(late).any(|late| late > 10.0));
             // A packet is received at some 100 of 1000 ticks at least: after 10 ms, all are newer.
             assert!((100..1000).contains(&arrived.len()), "{}", arrived.len());
+        }
+    }
+
+    /// Compared: what a receiver that looks at every tenth tick gets, and the newest packet that has arrived by then.
+    #[test]
+    fn slow_receiver_gets_the_newest_packet() {
+        for delay_s in [0.0, 0.003, 0.02] {
+            let mut channel = channel(ChannelParameters { delay_s, ..Default::default() });
+            let delay = (delay_s * 1e3) as u64;
+            for tick in 0..1000 {
+                channel.send(tick, &[tick as f64]);
+                if tick % 10 == 9 && tick >= delay {
+                    let newest = channel.receive_newest(tick).map(|values| values[0]);
+                    assert_eq!(newest, Some((tick - delay) as f64), "after {delay_s} s");
+                }
+            }
         }
     }
 

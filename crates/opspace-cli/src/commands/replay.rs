@@ -80,7 +80,8 @@ fn replay_robots(args: &ReplayArgs, logs: &[PathBuf], extensions: &Extensions, c
             (before, _) => before,
         };
     }
-    let json = || pretty(&json!({ "schema": "opspace.replay-robots/1", "folder": args.log, "robots": robots }));
+    let json =
+        || pretty(&json!({ "schema": "opspace.replay-robots/1", "folder": args.log, "robots": robots }));
     args.json.print(json, || text)?;
     Ok(exit)
 }
