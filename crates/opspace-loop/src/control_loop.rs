@@ -353,6 +353,10 @@ impl ControlLoop {
     fn hold(&mut self, targets: &Targets) -> Result<(), Fault> {
         self.controller.observe_while_held(&self.state.input(targets));
         self.friction.reset();
+        if !self.held {
+            // The transformer is not told what the drives do in a hold.
+            self.transformer.reset();
+        }
         if let Some(external) = &mut self.external_torque {
             external.reset(self.state.estimator.measurement_mut());
         }

@@ -60,6 +60,8 @@ pub struct Link {
     channel: Channel,
     /// Values of a packet: 1 if the sender is held or stopped by itself, then the copies.
     values: Vec<f64>,
+    /// True while the sender is in a hold that another robot caused, until it has resumed.
+    is_hold_of_other: bool,
     /// True while the sender is held or stopped by itself, as far as the receiver knows.
     is_held: bool,
     /// Tick at which the last packet arrived, and the ticks after which the sender is silent.
@@ -115,6 +117,7 @@ impl Link {
             hold: columns(row, TARGET_HOLD).ok().map(|range| range.start),
             channel: Channel::new(timeline, parameters, 1)?,
             values: vec![0.0],
+            is_hold_of_other: false,
             is_held: false,
             heard: 0,
             silent_after: parameters.hold_after_s.map(|s| timeline.ticks(s)),
@@ -145,11 +148,13 @@ impl Link {
     }
 
     /// True if the sender is stopped, or held for a reason that is not another robot: two robots that hold because of each
-    /// other would never go on.
-    fn is_held_by_itself(&self, row: &[f64]) -> bool {
+    /// other would never go on. A hold that another robot caused lasts beyond its cause, until the sender stands still.
+    fn is_held_by_itself(&mut self, row: &[f64]) -> bool {
+        let is_held = row[self.phase] == Phase::Held.code();
         let cause = self.hold.and_then(|column| HoldCause::from_code(row[column]));
-        let by_itself = matches!(cause, None | Some(HoldCause::Requested));
-        row[self.phase] == Phase::Stopped.code() || (row[self.phase] == Phase::Held.code() && by_itself)
+        let is_of_other = matches!(cause, Some(HoldCause::RobotHeld(_) | HoldCause::RobotSilent(_)));
+        self.is_hold_of_other = is_held && (self.is_hold_of_other || is_of_other);
+        row[self.phase] == Phase::Stopped.code() || (is_held && !self.is_hold_of_other)
     }
 
     /// Writes the newest packet that arrived by `tick` to the receiver's targets, stamped with its clock `clock_s` (s).
@@ -375,6 +380,15 @@ mod tests {
             link.send(3, &[phase, hold]);
             assert_eq!(link.deliver(3, 0.003, &mut targets), expected, "{phase} {hold}");
         }
+        // The cause has ended, the sender does not stand still yet; then it resumes, and is held again by itself.
+        let mut link = Link::status(&timeline, (4, &layout), 1, parameters).expect("a phase");
+        let phases = [held, held, Phase::Resuming.code(), held];
+        let holds = [HoldCause::RobotHeld(1).code(), none, none, none];
+        let sent = (0..).zip(phases.into_iter().zip(holds)).map(|(tick, (phase, hold))| {
+            link.send(tick, &[phase, hold]);
+            link.deliver(tick, 0.0, &mut targets)
+        });
+        assert_eq!(sent.collect::<Vec<_>>(), [None, None, None, because]);
         let mut link = Link::status(&timeline, (4, &layout), 1, parameters).expect("a phase");
         link.send(0, &[Phase::Control.code(), none]);
         let silent = (0..20).find(|&tick| link.deliver(tick, 0.0, &mut targets).is_some());
