@@ -12,13 +12,15 @@ use opspace_backend::{Backend, Capabilities, Command, CommandKind, DeviceFault, 
 use opspace_control::{CartesianTarget, Controller, Coordinate, CoordinateGains, CoordinateTask};
 use opspace_experiment::files::task::NamedRecording;
 use opspace_experiment::{
-    ControllerKind, Experiment, FileError, Files, RunOptions, Source, Suite, TaskDefinition, TaskKinds,
+    ControllerKind, CoupledExperiment, Experiment, Extensions, FileError, Files, Progress, RunOptions,
+    Source, Suite, TaskDefinition, TaskKinds,
 };
 use opspace_loop::{Fault, Phase, Run, RunOutcome, TargetSender, drive, target_stream};
 use opspace_model::{Data, Model};
 use opspace_sim::SimulatedArm;
 use opspace_testing::allocation::{allocations, allocations_so_far};
 use opspace_transformer::{Method, TransformerKind};
+use std::cell::RefCell;
 use std::collections::BTreeSet;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -391,5 +393,84 @@ fn no_cycle_of_any_transformer_allocates() {
         let (counts, ending) = count(&experiment, controller, None);
         assert_eq!(ending, RunOutcome::Completed, "{transformer:?}");
         check(&counts, transformer.name());
+    }
+}
+
+/// Sink of one of several robots: it writes to the counts of all, in the order of their cycles.
+struct OneOfSeveral<'a> {
+    robot: usize,
+    counts: &'a RefCell<Vec<(usize, f64, usize)>>,
+}
+
+impl Sink for OneOfSeveral<'_> {
+    fn row(&mut self, channel: usize, _time_s: f64, row: &[f64]) {
+        if channel == TICK {
+            let mut counts = self.counts.borrow_mut();
+            assert!(counts.len() < counts.capacity(), "the sink itself must not allocate");
+            counts.push((self.robot, row[PHASE], allocations_so_far()));
+        }
+    }
+}
+
+/// Two robots with links that have delay, jitter, loss and reordering, with a clutch that opens and closes, and with holds and
+/// resumes after dropouts of either; with every quantity that can be reflected. Only the start of each controller allocates.
+#[test]
+fn no_cycle_of_coupled_robots_allocates() {
+    let harsh = "channels.net={ delay_s = 0.01, jitter_s = 0.01, loss = 0.1, reordering = true }";
+    let constant = "channels.net={ delay_s = 0.01 }";
+    let dropout = |robot: &str, at_s: f64| {
+        format!("{robot}.robot.simulated.bus.dropouts=[{{ at_s = {at_s}, duration_s = 0.1 }}]")
+    };
+    for (reflect, channel) in [
+        ("\"measured-force\"", harsh),
+        ("\"position\"", harsh),
+        ("\"controller-force\"", harsh),
+        ("{ waves = { impedance_ns_per_m = 100.0 } }", constant),
+    ] {
+        let settings = [
+            "expect={}".to_owned(),
+            "settle_s=0.1".to_owned(),
+            "duration_s=1.8".to_owned(),
+            "follower.environment.table.point_m=[0.36, 0.0, -0.16]".to_owned(),
+            channel.to_owned(),
+            "couplings.hands.channel=\"net\"".to_owned(),
+            format!("couplings.hands.teleoperation.reflect={reflect}"),
+            "couplings.hands.teleoperation.clutch_open_s=[[0.4, 0.5]]".to_owned(),
+            dropout("follower", 0.6),
+            dropout("leader", 1.1),
+        ];
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../experiments/teleop-wall.toml");
+        let experiment = CoupledExperiment::load(&Extensions::default(), Files::Disk, &path, &settings);
+        let experiment = experiment.unwrap_or_else(|e| panic!("{e}"));
+        let counts = RefCell::new(Vec::with_capacity(1 << 16));
+        let driven = experiment.drive(&Progress::default(), |robot, _| {
+            let control = experiment.members[robot].experiment.control_loop()?;
+            Ok((control, OneOfSeveral { robot, counts: &counts }))
+        });
+        let driven = driven.unwrap_or_else(|e| panic!("{e}"));
+        assert!(driven.iter().all(|(_, outcome)| *outcome == RunOutcome::Completed), "{reflect}");
+        drop(driven);
+        let counts = counts.into_inner();
+        let mut before = [f64::NAN; 2];
+        let mut starts = 0;
+        for (k, pair) in counts.windows(2).enumerate() {
+            let ((robot, phase, count), (next, next_phase, next_count)) = (pair[0], pair[1]);
+            before[robot] = phase;
+            // The start of a controller; afterwards no phase before control comes again.
+            let is_start = next_phase == Phase::Control.code() && before[next] == Phase::Rest.code();
+            starts += usize::from(is_start);
+            let more = next_count - count;
+            assert!(is_start || more == 0, "{reflect}: {more} allocations in cycle {}", k + 1);
+        }
+        assert_eq!(starts, 2, "{reflect}");
+        for robot in 0..2 {
+            let of_phase = |wanted: Phase| {
+                counts.iter().filter(|(of, phase, _)| *of == robot && *phase == wanted.code()).count()
+            };
+            assert!(
+                of_phase(Phase::Held) > 90 && of_phase(Phase::Resuming) > 200,
+                "{reflect}, robot {robot}"
+            );
+        }
     }
 }

@@ -549,10 +549,11 @@ fn urdf_can_float_and_enforce_mimic_joints() {
     }
 }
 
-const SCHEMAS: [(&str, &str); 3] = [
+const SCHEMAS: [(&str, &str); 4] = [
     ("robot", "robots/robot.schema.json"),
     ("task", "tasks/task.schema.json"),
     ("suite", "tasks/suite.schema.json"),
+    ("experiment", "experiments/experiment.schema.json"),
 ];
 
 /// Compared: the committed schemas, which editors use, and the current output of the program.
@@ -642,6 +643,7 @@ fn schemas_accept_project_files_and_refuse_invalid_ones() {
         ("tasks/task.schema.json", "tasks/joint-tracking.toml", "robot"),
         ("tasks/task.schema.json", "tasks/gravity-compensation.toml", "robot"),
         ("tasks/suite.schema.json", "tasks/suites/paper.toml", "run"),
+        ("experiments/experiment.schema.json", "experiments/teleop-wall.toml", "couplings"),
     ];
     for (schema, path, required) in files {
         let schema = read_json(project(schema));

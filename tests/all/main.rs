@@ -9,6 +9,7 @@ mod collision_detection;
 mod collision_motion;
 mod collision_retraction;
 mod common;
+mod coupled;
 mod dropout;
 mod estimated_force;
 mod exactness;

@@ -196,7 +196,10 @@ impl CoupledExperiment {
 
     /// Runs the experiment in simulation. `open` returns the control loop and the sink of each robot; the sinks and outcomes
     /// are returned in the order of the robots.
-    pub(crate) fn drive<S: Sink>(
+    ///
+    /// # Errors
+    /// A robot that cannot be simulated, and the errors of `open`.
+    pub fn drive<S: Sink>(
         &self,
         progress: &Progress,
         mut open: impl FnMut(usize, &SimulatedArm) -> Result<(ControlLoop, S), RunError>,

@@ -2,6 +2,12 @@
 
 mod collision_views;
 mod collisions;
+mod coupled_clutch;
+mod coupled_common;
+mod coupled_holds;
+mod coupled_kinds;
+mod coupled_logs;
+mod coupled_robots;
 mod diagnostics;
 mod drives;
 mod log_header;
