@@ -55,7 +55,7 @@ fn folder_of_an_experiment_is_reported_and_replayed() {
     opspace(folder.path(), &["replay", "out", "--json", "out/leader/run.mcap"]).exits(2);
     // Without the log of a robot, the experiment can't be rebuilt, but the other log replays.
     fs::remove_file(at("out/leader/run.mcap")).unwrap();
-    opspace(folder.path(), &["report", "out"]).exits(2).says(&["robots.leader", "0 logs"]);
+    opspace(folder.path(), &["report", "out"]).exits(2).says(&["0 logs of robot 'leader'"]);
     opspace(folder.path(), &["replay", "out"]).exits(0);
 }
 
@@ -112,7 +112,7 @@ fn missed_expectation_of_experiment_or_robot_exits_with_1() {
         ("expect={ \"hands.tracking_max_m\" = { at_most = 1e-9 } }", 1, "hands.tracking_max_m"),
         ("expect={ \"hands.tracking_max_m\" = { at_most = 1.0 } }", 0, ""),
         ("leader.expect={ \"hand_motion_rms_m\" = { at_least = 10.0 } }", 1, "leader: "),
-        ("follower.expect={ \"largest_torque_saturation\" = { at_most = 0.0 } }", 0, ""),
+        ("follower.expect={ \"torque_saturated_share\" = { at_most = 1.0 } }", 0, ""),
     ] {
         let ran = run(folder.path(), &["--out", "out", "--force", "--set", setting]);
         if ran.code == 2 {

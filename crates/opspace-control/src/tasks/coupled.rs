@@ -65,15 +65,15 @@ impl CouplingKind {
         let scalars = [PORT_SEQUENCE, PORT_TIME, PORT_ECHO, PORT_CLOSED, PORT_LIMITED, PORT_ENERGY_IN];
         let vectors = [PORT_POSITION, PORT_VELOCITY, PORT_FORCE].into_iter().zip(VECTORS);
         let scalars = scalars.into_iter().zip(SCALARS.map(|(name, _)| name));
-        scalars.chain(vectors).chain(self.further()).collect()
+        scalars.chain(vectors).chain(self.further().iter().copied()).collect()
     }
 
     /// The further vectors of a packet: their signals and inputs.
-    fn further(self) -> Vec<(&'static str, &'static str)> {
+    const fn further(self) -> &'static [(&'static str, &'static str)] {
         match self {
-            Self::Teleoperation => vec![(PORT_WAVE, WAVE)],
+            Self::Teleoperation => &[(PORT_WAVE, WAVE)],
             Self::Carry => {
-                [PORT_PATH, PORT_PATH_VELOCITY, PORT_PATH_ACCELERATION].into_iter().zip(PATH).collect()
+                &[(PORT_PATH, PATH[0]), (PORT_PATH_VELOCITY, PATH[1]), (PORT_PATH_ACCELERATION, PATH[2])]
             }
         }
     }
@@ -368,8 +368,8 @@ impl Task for CoupledTask {
             Signal::new(velocity, &self.velocity_units, &self.row_names),
             Signal::new(force, &self.force_units, &self.row_names),
         ];
-        let further = kind.further().into_iter().zip(self.further_units(kind));
-        let further = further.map(|((_, input), units)| Signal::new(input, &units, &self.row_names));
+        let further = kind.further().iter().zip(self.further_units(kind));
+        let further = further.map(|(&(_, input), units)| Signal::new(input, &units, &self.row_names));
         scalars.into_iter().chain(vectors).chain(further).chain([Signal::scalar(CLUTCH, "1")]).collect()
     }
 

@@ -54,8 +54,8 @@ impl CoupledExperiment {
         for name in file.robots.keys() {
             let of_robot: Vec<_> = found.iter().filter(|(membership, _)| membership.robot == *name).collect();
             let [(_, log)] = of_robot.as_slice() else {
-                let message = format!("{} logs of this robot are given, instead of one", of_robot.len());
-                return Err(FileError::at_key(&source, ["robots", name], message, None).into());
+                let message = format!("{} logs of robot '{name}' are given, instead of one", of_robot.len());
+                return Err(FileError::of_file(source.name(), message, None).into());
             };
             members.push(Member::new(name, Experiment::of_log_with(extensions, log)?, &source)?);
         }

@@ -102,8 +102,8 @@ fn logs_that_do_not_belong_together_are_refused() {
         CoupledExperiment::of_logs(&Extensions::default(), logs).expect_err("refused").to_string()
     };
     let (leader, follower) = (&one.logs["leader"], &one.logs["follower"]);
-    assert!(refused(&[leader]).contains("0 logs of this robot"));
-    assert!(refused(&[leader, leader, follower]).contains("2 logs of this robot"));
+    assert!(refused(&[leader]).contains("0 logs of robot 'follower'"));
+    assert!(refused(&[leader, leader, follower]).contains("2 logs of robot 'leader'"));
     assert!(refused(&[leader, &other.logs["follower"]]).contains("another experiment"));
     assert!(refused(&[]).contains("lacks"));
     let mut alone = leader.clone();
