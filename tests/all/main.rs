@@ -10,6 +10,7 @@ mod collision_motion;
 mod collision_retraction;
 mod common;
 mod coupled;
+mod coupled_suites;
 mod dropout;
 mod estimated_force;
 mod exactness;

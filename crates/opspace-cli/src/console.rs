@@ -157,15 +157,18 @@ pub fn results(console: Console, summaries: &[Summary], measures: &[Measure]) ->
             .filter(|table| !table.rows.is_empty())
             .for_each(|table| text += &format!("\n{}", render(table)));
     }
+    let mut notes = notes(summaries, measures);
+    if let [one] = summaries {
+        notes.extend(task_notes(one).into_iter().chain(joint_notes(one)));
+    }
+    with_notes(console, text, &notes)
+}
+
+/// Appends notes to a text, unless only results are wanted.
+pub fn with_notes(console: Console, mut text: String, notes: &[String]) -> String {
     if !console.quiet {
         let width = usize::from(width().unwrap_or(100));
-        let mut notes = notes(summaries, measures);
-        if let [one] = summaries {
-            notes.extend(task_notes(one).into_iter().chain(joint_notes(one)));
-        }
-        for note in notes {
-            text += &format!("\n{}\n", wrap(&note, width));
-        }
+        notes.iter().for_each(|note| text += &format!("\n{}\n", wrap(note, width)));
     }
     text
 }

@@ -15,6 +15,7 @@
 mod cli;
 mod commands;
 mod console;
+mod coupled_results;
 mod interrupt;
 mod output;
 mod outputs;
@@ -22,6 +23,7 @@ mod plant;
 mod result_folder;
 mod shard;
 mod suite_results;
+mod sweep;
 
 use clap::Parser;
 use cli::{Cli, Command};

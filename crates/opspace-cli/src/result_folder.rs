@@ -3,10 +3,12 @@
 use crate::cli::OutputArgs;
 use crate::console::{Console, Exit, Failure};
 use crate::outputs::check_outputs;
+use opspace_experiment::Summary;
 use opspace_experiment::run::coupled_logs::robot_logs;
+use opspace_experiment::run::coupled_summary::CoupledSummary;
 use opspace_experiment::run::folder::{LOG, REPORT, SUMMARY};
 use opspace_experiment::run::result_files::ResultFolder;
-use opspace_experiment::run::suite_rows::{SUITE_ROWS, SuiteRows};
+use opspace_experiment::run::suite_rows::{RunSummary, SUITE_ROWS, SuiteRows};
 use serde_json::Value;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -116,8 +118,12 @@ fn clear(folder: &Path) -> Result<(), Failure> {
     }
     let mut logs = logs_of_suite(&folder.join(ROWS));
     // A suite that was cut off has no other list of its logs.
-    let rows = SuiteRows::read(folder).into_iter().flat_map(|rows| rows.rows.into_values());
-    logs.extend(rows.filter_map(|row| row.log));
+    logs.extend(logs_of_rows::<Summary>(folder));
+    let runs = logs_of_rows::<CoupledSummary>(folder);
+    for run in runs.iter().chain(&logs).map(|name| folder.join(name)).filter(|path| path.is_dir()) {
+        clear_run_of_robots(&run)?;
+    }
+    logs.retain(|name| !folder.join(name).is_dir());
     ours.into_iter().chain(logs.iter().map(String::as_str)).try_for_each(|name| remove(&folder.join(name)))
 }
 
@@ -136,6 +142,21 @@ fn remove(path: &Path) -> Result<(), Failure> {
         fs::remove_file(path).map_err(|e| Failure::io("cannot be replaced", path, &e))?;
     }
     Ok(())
+}
+
+/// Removes the files of a run of several robots, and the folders that are then empty.
+pub fn clear_run_of_robots(folder: &Path) -> Result<(), Failure> {
+    if folder.is_dir() {
+        clear(folder)?;
+        // A folder with anything else in it remains.
+        let _ = fs::remove_dir(folder);
+    }
+    Ok(())
+}
+
+fn logs_of_rows<S: RunSummary>(folder: &Path) -> Vec<String> {
+    let rows = SuiteRows::<S>::read(folder).into_iter().flat_map(|rows| rows.rows.into_values());
+    rows.filter_map(|row| row.log).collect()
 }
 
 /// Names of the logs beside the rows of a suite; none if the rows cannot be read.

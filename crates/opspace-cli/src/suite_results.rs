@@ -64,8 +64,14 @@ impl SuiteOutputArgs {
     }
 }
 
-fn is_stdout(path: &Path) -> bool {
+pub fn is_stdout(path: &Path) -> bool {
     path == Path::new("-")
+}
+
+/// The worst of the exit codes of runs.
+pub fn worst(codes: &[Exit]) -> Exit {
+    let worst = [Exit::Failed, Exit::Interrupted, Exit::DataLost].into_iter().find(|e| codes.contains(e));
+    worst.unwrap_or(Exit::Done)
 }
 
 /// Results of a suite in a folder.
@@ -125,8 +131,7 @@ impl SuiteResults<'_> {
             let text = format!("no run has a value for the column `{column}`, which the suite lists");
             codes.push(report(&Failure::Other(text, Exit::Failed)));
         }
-        let worst = [Exit::Failed, Exit::Interrupted, Exit::DataLost].into_iter().find(|e| codes.contains(e));
-        Ok(worst.unwrap_or(Exit::Done))
+        Ok(worst(&codes))
     }
 
     /// Numbers of the runs without a row.

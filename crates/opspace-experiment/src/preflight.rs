@@ -19,6 +19,7 @@
 //! | `torque_floor` | velocity feed-forward with held setpoints |
 //! | `contact` | force axes whose contact would oscillate, or whose impact exceeds torque limits |
 //! | `collisions` | a start or references in collision with an obstacle or the arm itself |
+//! | `couplings` | couplings of several robots without passivity control |
 //! | `times` | events and references that end after the run |
 //!
 //! All checks use the nominal robot, which starts in the start posture of the task and follows the references without
@@ -29,6 +30,7 @@ mod boundary;
 mod case;
 mod collisions;
 mod contact;
+mod couplings;
 mod detectable_force;
 mod diagnostic;
 mod freedom;
@@ -53,6 +55,7 @@ mod variation;
 
 use crate::run::experiment::{ControllerKind, Experiment};
 use case::PreflightCase;
+pub use couplings::coupling_diagnostics;
 pub use detectable_force::DetectableForce;
 pub use diagnostic::Diagnostic;
 pub use freedom::SingularPostures;

@@ -4,6 +4,7 @@ mod collision_moments;
 mod collision_views;
 mod comparisons;
 pub(crate) mod coupled_page;
+pub mod coupled_suite_page;
 pub mod coupled_table;
 pub(crate) mod coupling_figures;
 pub mod document;

@@ -11,7 +11,7 @@ use opspace_experiment::files::origin::Kind;
 use opspace_experiment::files::robot::load_urdf;
 use opspace_experiment::preflight::{
     DetectableForce, GainMargin, GearResonance, ServoLoop, SingularPostures, collision_thresholds,
-    detectable_forces, gain_margin, gear_resonances, not_checked, singular_postures,
+    coupling_diagnostics, detectable_forces, gain_margin, gear_resonances, not_checked, singular_postures,
 };
 use opspace_experiment::run::collision::KeptDistances;
 use opspace_experiment::{
@@ -135,6 +135,21 @@ fn find<'a>(
     found
 }
 
+/// Collects the diagnostics of couplings without duplicates.
+fn find_in_couplings<'a>(experiments: impl IntoIterator<Item = &'a CoupledExperiment>) -> Vec<Found> {
+    let mut found: Vec<Found> = Vec::new();
+    for experiment in experiments {
+        for finding in coupling_diagnostics(experiment) {
+            let place = finding.placed_in(&experiment.source);
+            let same = |old: &Found| old.finding == finding && old.place.path() == place.path();
+            if !found.iter().any(same) {
+                found.push(Found { finding, place });
+            }
+        }
+    }
+    found
+}
+
 fn note(console: Console, found: &Found) {
     console.note(&format!("{}\n  help: {}", found.place, found.finding.help));
 }
@@ -163,16 +178,18 @@ fn check_one(path: &Path, extensions: &Extensions, console: Console) -> Result<C
     match Kind::of(source.text()) {
         Some(Kind::Suite) => {
             let suite = Suite::load_with(extensions, Files::Disk, path)?;
-            let what = format!("a suite of {} runs", suite.experiments.len());
-            let (found, skipped) =
-                (find(&suite.experiments, diagnostics), find(&suite.experiments, not_checked));
+            let what = format!("a suite of {} runs", suite.runs());
+            let (mut found, skipped) =
+                (find(suite.of_robots(), diagnostics), find(suite.of_robots(), not_checked));
+            found.extend(find_in_couplings(&suite.coupled));
             Ok(Checked { found, skipped, ..Checked::clean(what) })
         }
         Some(Kind::Experiment) => {
             let coupled = CoupledExperiment::load(extensions, Files::Disk, path, &[])?;
             let what = format!("an experiment with {} robots", coupled.members.len());
             let members = || coupled.members.iter().map(|member| &member.experiment);
-            let (found, skipped) = (find(members(), diagnostics), find(members(), not_checked));
+            let (mut found, skipped) = (find(members(), diagnostics), find(members(), not_checked));
+            found.extend(find_in_couplings([&coupled]));
             Ok(Checked { found, skipped, ..Checked::clean(what) })
         }
         Some(Kind::Task) => {

@@ -1,11 +1,16 @@
 //! Table of runs as CSV, for notebooks and spreadsheets.
 
+use crate::run::coupled_summary::CoupledSummary;
 use crate::run::summary::Summary;
+use serde::Serialize;
 use serde_json::{Map, Value};
 use std::collections::HashMap;
 
-/// First columns, which every table has.
+/// First columns, which every table of tasks has.
 const FIRST: [&str; 5] = ["task", "robot", "backend", "controller", "transformer"];
+
+/// First columns, which every table of experiments with several robots has.
+const FIRST_OF_COUPLED: [&str; 3] = ["experiment", "label", "seed"];
 
 /// Formats runs as CSV (RFC 4180, with LF): one row per run, one column per key and metric.
 ///
@@ -15,10 +20,20 @@ const FIRST: [&str; 5] = ["task", "robot", "backend", "controller", "transformer
 /// value; texts of a list are separated by `; `.
 #[must_use]
 pub fn csv(summaries: &[Summary]) -> String {
-    let mut columns: Vec<String> = FIRST.map(str::to_owned).to_vec();
+    table(summaries, &FIRST, &[keys, settings, metrics, tasks, joints])
+}
+
+/// Formats runs of experiments with several robots as CSV, like [`csv()`]: the keys of the run, its settings, then the metrics
+/// of each coupling (`coupling.hands.drift_m`), and profile, kind and fault of each robot (`robot.leader.profile`).
+#[must_use]
+pub fn coupled_csv(summaries: &[CoupledSummary]) -> String {
+    table(summaries, &FIRST_OF_COUPLED, &[coupled_keys, settings, couplings, robots])
+}
+
+fn table(summaries: &[impl Serialize], first: &[&str], parts: &[fn(&Value, Add<'_>)]) -> String {
+    let mut columns: Vec<String> = first.iter().map(|name| (*name).to_owned()).collect();
     let mut places: HashMap<String, usize> = columns.iter().cloned().zip(0..).collect();
     // Columns of one part stand together, whichever run has them first.
-    let parts = [keys, settings, metrics, tasks, joints];
     let mut rows: Vec<HashMap<usize, String>> = vec![HashMap::new(); summaries.len()];
     let values: Vec<Value> =
         summaries.iter().map(|summary| serde_json::to_value(summary).unwrap_or_default()).collect();
@@ -54,6 +69,32 @@ fn keys(row: &Value, add: Add<'_>) {
         entries(row).filter(|(_, value)| !value.is_object()).filter(|(n, _)| *n != "overrides")
     {
         add(name.clone(), cell(value));
+    }
+}
+
+/// Values of a run of several robots itself: names and lists of texts.
+fn coupled_keys(row: &Value, add: Add<'_>) {
+    keys(row, &mut |name, cell| {
+        // A hold is an object, which has no text.
+        if name != "holds" {
+            add(name, cell);
+        }
+    });
+}
+
+fn couplings(row: &Value, add: Add<'_>) {
+    for (coupling, metrics) in entries(&row["couplings"]) {
+        for (name, value) in entries(metrics).filter(|(_, value)| !value.is_array()) {
+            add(format!("coupling.{coupling}.{name}"), cell(value));
+        }
+    }
+}
+
+fn robots(row: &Value, add: Add<'_>) {
+    for (robot, summary) in entries(&row["robots"]) {
+        for name in ["robot", "backend", "profile", "faulted", "fault_time_s"] {
+            add(format!("robot.{robot}.{name}"), cell(&summary[name]));
+        }
     }
 }
 

@@ -1,4 +1,4 @@
-//! Suites: lists of tasks with the robots and controllers that execute them.
+//! Suites: lists of tasks with the robots and controllers that execute them, or of experiments with several robots.
 
 use crate::evaluate::results::{MEASURES, Measure};
 use crate::extensions::Extensions;
@@ -6,6 +6,8 @@ use crate::files::grid::{Grid, GridMode, GridPoint};
 use crate::files::origin::{Files, Kind, beside};
 use crate::files::seeds;
 use crate::files::source::{FileError, Source, parse};
+use crate::files::toml_path::dotted;
+use crate::run::coupled_experiment::CoupledExperiment;
 use crate::run::experiment::{ControllerKind, Experiment, RunOptions};
 use crate::run::physics::OWN_PLANT;
 use opspace_backend::CommandKind;
@@ -51,8 +53,13 @@ pub struct SuiteFile {
 #[serde(deny_unknown_fields)]
 #[non_exhaustive]
 pub struct SuiteRun {
-    /// Task files; the paths are relative to the suite file.
+    /// Task files; the paths are relative to the suite file. All runs of a suite have tasks, or all have `experiments`.
+    #[serde(default)]
     pub tasks: Vec<PathBuf>,
+    /// Files of experiments with several robots; the paths are relative to the suite file. Robot, backend, controller and
+    /// transformer of each robot are settings: `robots.leader.backend=torque`. `profiles` are those of all robots.
+    #[serde(default)]
+    pub experiments: Vec<PathBuf>,
     /// Robot that replaces those of the tasks; the path is relative to the suite file.
     #[serde(default)]
     pub robot: Option<PathBuf>,
@@ -80,7 +87,8 @@ pub struct SuiteRun {
     #[serde(default)]
     pub grid_mode: Option<GridMode>,
     /// Settings as on the command line: those that begin with `robot.` change the robot file, all others the task
-    /// file. `{profile}` is replaced by the name of the profile.
+    /// file. For experiments, those that begin with the name of a robot are settings of this robot, and all others change
+    /// the file of the experiment. `{profile}` is replaced by the name of the profile.
     #[serde(default, rename = "override")]
     pub overrides: Vec<String>,
     /// Name of these settings in the table.
@@ -116,8 +124,11 @@ pub struct Suite {
     pub columns: Vec<Measure>,
     /// True if the file lists the columns; false for the default ones.
     pub columns_required: bool,
-    /// Experiments, in the order of the file: tasks, then variants, points of the grid, profiles, seeds.
+    /// Experiments, in the order of the file: tasks, then variants, points of the grid, profiles, seeds. Empty if the suite
+    /// has experiments with several robots.
     pub experiments: Vec<Experiment>,
+    /// Experiments with several robots, in the same order. Empty if the suite has tasks.
+    pub coupled: Vec<CoupledExperiment>,
 }
 
 impl Suite {
@@ -137,25 +148,32 @@ impl Suite {
         let source = files.read(path)?;
         Kind::Suite.require(&source)?;
         let file: SuiteFile = parse(&source)?;
+        check_kinds(&file, &source)?;
         let mut runs = Vec::new();
         for (number, run) in file.run.iter().enumerate() {
             runs.extend(run.settings(&file, &source, number, MAX_RUNS - runs.len())?);
         }
         if runs.is_empty() {
-            let help = Some("add a [[run]] with tasks".to_owned());
+            let help = Some("add a [[run]] with tasks or experiments".to_owned());
             return Err(FileError::of_file(source.name(), "this suite has no runs", help));
         }
-        let mut experiments = Vec::with_capacity(runs.len());
+        let (mut experiments, mut coupled) = (Vec::new(), Vec::new());
         let mut read = HashSet::new();
         for run in runs {
-            let SuiteRun { tasks, robot, .. } = &file.run[run.number];
-            if read.insert((run.number, run.task)) {
-                let key = ["run", &run.number.to_string(), "tasks", &run.task.to_string()];
-                files.read_named(&beside(path, &tasks[run.task]), &source, key)?;
+            let entry = &file.run[run.number];
+            let (kind, files_of_run) = entry.files();
+            let named = beside(path, &files_of_run[run.file]);
+            if read.insert((run.number, run.file)) {
+                let key = ["run", &run.number.to_string(), kind, &run.file.to_string()];
+                files.read_named(&named, &source, key)?;
             }
-            let robot = robot.as_ref().map(|robot| beside(path, robot));
-            let experiment = run.load(extensions, files, &beside(path, &tasks[run.task]), robot.as_deref());
-            experiments.push(experiment.map_err(|error| run.placed(error, &source))?);
+            let robot = entry.robot.as_ref().map(|robot| beside(path, robot));
+            let placed = |error| run.placed(error, &source);
+            if kind == EXPERIMENTS {
+                coupled.push(run.load_coupled(extensions, files, &named).map_err(placed)?);
+            } else {
+                experiments.push(run.load(extensions, files, &named, robot.as_deref()).map_err(placed)?);
+            }
         }
         let columns_required = file.columns.is_some();
         let suite = Self {
@@ -164,6 +182,7 @@ impl Suite {
             columns: file.columns.unwrap_or_else(|| MEASURES.to_vec()),
             columns_required,
             experiments,
+            coupled,
         };
         suite.check_columns()?;
         Ok(suite)
@@ -175,16 +194,26 @@ impl Suite {
     /// # Errors
     /// A robot or a scene that an engine cannot simulate.
     pub fn on_plants(self, plants: &[Option<Arc<dyn PhysicsEngine>>]) -> Result<Self, FileError> {
-        let mut experiments = Vec::with_capacity(self.experiments.len() * plants.len());
-        for experiment in &self.experiments {
-            for plant in plants {
-                experiments.push(match plant {
-                    None => experiment.clone(),
-                    Some(engine) => experiment.clone().on_engine(Arc::clone(engine))?,
-                });
-            }
-        }
-        Ok(Self { experiments, ..self })
+        let each = |experiment: Experiment, engine: &Arc<dyn PhysicsEngine>| {
+            experiment.on_engine(Arc::clone(engine))
+        };
+        Ok(Self {
+            experiments: on_each(&self.experiments, plants, each)?,
+            coupled: on_each(&self.coupled, plants, CoupledExperiment::on_engine)?,
+            ..self
+        })
+    }
+
+    /// Number of runs.
+    #[must_use]
+    pub fn runs(&self) -> usize {
+        self.experiments.len() + self.coupled.len()
+    }
+
+    /// Experiments of all robots of all runs, in the order of the file.
+    pub fn of_robots(&self) -> impl Iterator<Item = &Experiment> {
+        let members = self.coupled.iter().flat_map(|coupled| &coupled.members);
+        self.experiments.iter().chain(members.map(|member| &member.experiment))
     }
 
     /// SHA-256 of the texts of the suite and of all files that it names, as hexadecimal digits: two suites with equal
@@ -200,7 +229,8 @@ impl Suite {
             }
         };
         add(self.source.text());
-        for experiment in &self.experiments {
+        self.coupled.iter().for_each(|coupled| add(coupled.source.text()));
+        for experiment in self.of_robots() {
             let (robot, task) = (experiment.robot(), experiment.task());
             for source in
                 [&task.source, &robot.source, &robot.urdf].into_iter().chain(task.recordings.values())
@@ -211,7 +241,7 @@ impl Suite {
                 add(&scene.text);
             }
         }
-        let plants: Vec<String> = self.experiments.iter().map(Experiment::plant).collect();
+        let plants: Vec<String> = self.of_robots().map(Experiment::plant).collect();
         if plants.iter().any(|plant| plant != OWN_PLANT) {
             add(&plants.join("\n"));
         }
@@ -238,8 +268,8 @@ impl Suite {
 struct SingleRun {
     /// Number of its entry in the file, from 0.
     number: usize,
-    /// Number of its task in this entry, from 0.
-    task: usize,
+    /// Number of its task or experiment in this entry, from 0.
+    file: usize,
     /// Command interface; that of robot.toml if absent.
     backend: Option<CommandKind>,
     options: RunOptions,
@@ -267,7 +297,8 @@ impl SuiteRun {
         let points = or_default(&points.unwrap_or_default());
         let (variants, seeds) = (or_default(&self.variant), or_default(&self.seeds));
         let profiles = or_default(self.profiles.as_ref().unwrap_or(&file.profiles));
-        let counts = [self.tasks.len(), variants.len(), points.len(), profiles.len(), seeds.len()];
+        let (_, files) = self.files();
+        let counts = [files.len(), variants.len(), points.len(), profiles.len(), seeds.len()];
         if counts.into_iter().fold(1, usize::saturating_mul) > most {
             let message = format!("a suite has at most {MAX_RUNS} runs; with these it has more");
             return Err(FileError::at_key(source, own(&[]), message, None));
@@ -278,7 +309,7 @@ impl SuiteRun {
             set.iter().enumerate().map(|(k, set)| (set.clone(), place(k))).collect::<Vec<_>>()
         };
         let mut runs = Vec::new();
-        for task in 0..self.tasks.len() {
+        for number_of_file in 0..files.len() {
             for (number_of_variant, variant) in variants.iter().enumerate() {
                 let further = variant.as_ref().map_or_else(Vec::new, |variant| {
                     placed(&variant.overrides, &["variant", &number_of_variant.to_string()])
@@ -307,12 +338,18 @@ impl SuiteRun {
                             ..RunOptions::default()
                         };
                         let settings = settings.iter().map(filled).collect();
-                        runs.push(SingleRun { number, task, backend: self.backend, options, settings });
+                        let (file, backend) = (number_of_file, self.backend);
+                        runs.push(SingleRun { number, file, backend, options, settings });
                     }
                 }
             }
         }
         Ok(runs)
+    }
+
+    /// Key and paths of the files of this entry.
+    fn files(&self) -> (&'static str, &[PathBuf]) {
+        if self.experiments.is_empty() { ("tasks", &self.tasks) } else { (EXPERIMENTS, &self.experiments) }
     }
 
     /// Name of the settings in the table: of the variant or the run, and of the point of the grid.
@@ -340,9 +377,36 @@ impl SingleRun {
         Experiment::load_with(extensions, files, task, robot, options, &set)
     }
 
+    /// Loads an experiment with several robots: the profile is that of all robots, unless a setting states another one.
+    fn load_coupled(
+        &self,
+        extensions: &Extensions,
+        files: Files,
+        path: &Path,
+    ) -> Result<CoupledExperiment, FileError> {
+        let RunOptions { profile, seed, label, .. } = &self.options;
+        let mut set = Vec::new();
+        if let Some(profile) = profile {
+            let robots = CoupledExperiment::robot_names(files, path)?;
+            set.extend(robots.into_iter().map(|robot| {
+                format!("{}=\"{profile}\"", dotted(&["robots".to_owned(), robot, "profile".to_owned()]))
+            }));
+        }
+        set.extend(self.settings.iter().map(|(set, _)| set.clone()));
+        set.extend(seed.map(|seed| format!("seed={seed}")));
+        let experiment = CoupledExperiment::load(extensions, files, path, &set)?;
+        Ok(CoupledExperiment { label: label.clone(), ..experiment })
+    }
+
     /// Places an error about a setting at its line in the suite file.
     fn placed(&self, error: FileError, suite: &Source) -> FileError {
-        let of_setting = |text: &str| self.settings.iter().rfind(|(set, _)| set == text);
+        // A setting of a robot of several is read without the name of the robot.
+        let of_robot = |text: &str| {
+            let end = format!(".{text}");
+            self.settings.iter().rfind(|(set, _)| set.ends_with(&end))
+        };
+        let of_setting =
+            |text: &str| self.settings.iter().rfind(|(set, _)| set == text).or_else(|| of_robot(text));
         match error.excerpt().filter(|_| error.line().is_none()).and_then(|(text, _)| of_setting(text)) {
             Some((set, place)) => {
                 let message = format!("`{set}`: {}", error.message());
@@ -351,6 +415,62 @@ impl SingleRun {
             None => error,
         }
     }
+}
+
+/// Key of the experiments with several robots of a run.
+const EXPERIMENTS: &str = "experiments";
+
+/// Checks that all runs have tasks or all have experiments with several robots, and that the latter have no keys of the former.
+fn check_kinds(file: &SuiteFile, source: &Source) -> Result<(), FileError> {
+    let is_coupled = file.run.first().is_some_and(|run| !run.experiments.is_empty());
+    if is_coupled && file.columns.is_some() {
+        let help = Some("remove it: the table of experiments has columns of its own".to_owned());
+        let message = "these columns are for suites of tasks, but this one has experiments";
+        return Err(FileError::at_key(source, "columns", message, help));
+    }
+    for (number, run) in file.run.iter().enumerate() {
+        let refuse = |key: Option<&str>, message: &str, help: String| {
+            let key = ["run".to_owned(), number.to_string()].into_iter().chain(key.map(str::to_owned));
+            Err(FileError::at_key(source, key.collect::<Vec<_>>(), message, Some(help)))
+        };
+        let (tasks, experiments) = (!run.tasks.is_empty(), !run.experiments.is_empty());
+        if !tasks && !experiments {
+            let help = "add `tasks = [\"TASK.toml\"]` or `experiments = [\"EXPERIMENT.toml\"]`";
+            return refuse(None, "this run has neither tasks nor experiments", help.to_owned());
+        }
+        if tasks && experiments || experiments != is_coupled {
+            let help = "write two suite files, one with `tasks` and one with `experiments`";
+            let key = if experiments { EXPERIMENTS } else { "tasks" };
+            return refuse(Some(key), "a suite has either tasks or experiments, not both", help.to_owned());
+        }
+        let of_one_robot = [
+            ("robot", run.robot.is_some()),
+            ("backend", run.backend.is_some()),
+            ("controller", run.controller.is_some()),
+            ("transformer", run.transformer.is_some()),
+        ];
+        if let Some((key, _)) = of_one_robot.into_iter().find(|(_, is_given)| *is_given && experiments) {
+            let message = format!("`{key}` is for tasks of one robot, but this run has experiments");
+            let help = format!("state it for each robot: `override = [\"robots.NAME.{key}=...\"]`");
+            return refuse(Some(key), &message, help);
+        }
+    }
+    Ok(())
+}
+
+/// Returns each experiment on each of the plants.
+fn on_each<T: Clone>(
+    experiments: &[T],
+    plants: &[Option<Arc<dyn PhysicsEngine>>],
+    on: impl Fn(T, &Arc<dyn PhysicsEngine>) -> Result<T, FileError>,
+) -> Result<Vec<T>, FileError> {
+    let pairs = experiments.iter().flat_map(|experiment| plants.iter().map(move |plant| (experiment, plant)));
+    pairs
+        .map(|(experiment, plant)| match plant {
+            None => Ok(experiment.clone()),
+            Some(engine) => on(experiment.clone(), engine),
+        })
+        .collect()
 }
 
 /// Returns the items of the list, or a single `None` if it is empty.

@@ -1,7 +1,7 @@
 //! Diagnostics: predicted failures of a run, with their place and a remedy.
 
 pub(super) use crate::evaluate::table::format_short as short;
-use crate::files::source::FileError;
+use crate::files::source::{FileError, Source};
 use crate::files::toml_path::dotted;
 use crate::run::experiment::Experiment;
 
@@ -42,6 +42,12 @@ impl Diagnostic {
             File::Task => &experiment.task().source,
             File::Robot => &experiment.robot().source,
         };
+        self.placed_in(source)
+    }
+
+    /// Returns the diagnostic with its place in a file that has its key.
+    #[must_use]
+    pub fn placed_in(&self, source: &Source) -> FileError {
         FileError::at_key(source, self.key.as_str(), &self.message, Some(self.help.clone()))
     }
 }

@@ -16,7 +16,7 @@ pub(crate) fn coupled_page(
     figures: &[Figure],
     robots: &[(String, RunSection)],
 ) -> String {
-    let notes = coupling_notes();
+    let notes = coupling_notes(std::slice::from_ref(summary));
     let notes: Vec<&str> = notes.iter().map(String::as_str).collect();
     let settle_s = experiment.file.settle_s.get();
     let mut page = Page::new(format!("{}, seed {}", summary.experiment, summary.seed))

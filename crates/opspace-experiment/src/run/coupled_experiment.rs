@@ -4,6 +4,7 @@
 //! log can be replayed alone.
 
 use crate::evaluate::coupling_metrics::check_expectations;
+use crate::evaluate::table::format_short;
 use crate::extensions::Extensions;
 use crate::files::experiment_file::{
     ChannelFile, CouplingEnd, CouplingFile, ExperimentFile, ExperimentRobot,
@@ -66,6 +67,8 @@ pub struct CoupledExperiment {
     pub members: Vec<Member>,
     /// Couplings, in the order of their names.
     pub couplings: Vec<Coupling>,
+    /// Settings with which it was loaded, without that of the seed.
+    pub settings: Vec<String>,
     /// Name of the settings in the table of a suite.
     pub label: Option<String>,
 }
@@ -117,8 +120,7 @@ impl CoupledExperiment {
         settings: &[String],
     ) -> Result<Self, FileError> {
         let source = files.read(path)?;
-        Kind::Experiment.require(&source)?;
-        let names: Vec<String> = parse::<ExperimentFile>(&source)?.robots.into_keys().collect();
+        let names = robot_names(&source)?;
         let mut of_robots: BTreeMap<String, Vec<String>> = BTreeMap::new();
         let mut own = settings.to_vec();
         for name in &names {
@@ -143,11 +145,13 @@ impl CoupledExperiment {
             }
             set.extend(of_robots.remove(name).unwrap_or_default());
             let mut experiment = member(extensions, files, path, robot, &set, seed_of(&file, number), &file)
-                .map_err(|error| placed(error, &source, &couplings, name))?;
+                .map_err(|error| placed(error, &source, &couplings, (number, name), &robot.set))?;
             experiment.membership = Some(Membership { robot: name.clone(), experiment: source.clone() });
             members.push(Member::new(name, experiment, &source)?);
         }
-        let new = Self { source, file, members, couplings, label: None };
+        let is_seed = |set: &&String| set.split('=').next().is_some_and(|key| key.trim() == "seed");
+        let settings = settings.iter().filter(|set| !is_seed(set)).cloned().collect();
+        let new = Self { source, file, members, couplings, settings, label: None };
         new.check_couplings()?;
         if !new.file.objects.is_empty() {
             new.simulated_arms()?;
@@ -155,6 +159,20 @@ impl CoupledExperiment {
         let names: Vec<&str> = new.couplings.iter().map(|coupling| coupling.name.as_str()).collect();
         check_expectations(&new.source, &new.file.expect, &names)?;
         Ok(new)
+    }
+
+    /// Names of the robots in a file.
+    ///
+    /// # Errors
+    /// A file that is not one of an experiment with several robots.
+    pub fn robot_names(files: Files, path: &Path) -> Result<Vec<String>, FileError> {
+        robot_names(&files.read(path)?)
+    }
+
+    /// Plant of the simulation.
+    #[must_use]
+    pub fn plant(&self) -> String {
+        self.members.first().map_or_else(String::new, |member| member.experiment.plant())
     }
 
     /// Name of the experiment: its file name without extension.
@@ -332,23 +350,81 @@ impl CoupledExperiment {
                 let help = Some("couple the same number of axes or joints, in the same units".to_owned());
                 return Err(FileError::at_key(&self.source, key, message, help));
             }
-            let is_constant =
-                coupling.channel.jitter_s == NonNegative::default() && coupling.channel.loss.get() == 0.0;
-            let reflects = coupling.teleoperation().map(|law| law.reflect);
-            if matches!(reflects, Some(Reflected::Waves { .. })) && !is_constant {
-                let help =
-                    Some("choose another `reflect`, or a channel without jitter_s and loss".to_owned());
-                let message = "wave variables are passive with a constant delay only, but the channel has jitter or loss";
-                return Err(FileError::at_key(
-                    &self.source,
-                    format!("{key}.teleoperation.reflect"),
-                    message,
-                    help,
-                ));
-            }
+            self.check_timeouts(coupling)?;
+            self.check_waves(coupling)?;
         }
         Ok(())
     }
+
+    /// Refuses a channel whose packets arrive later than the receiver waits for them.
+    fn check_timeouts(&self, coupling: &Coupling) -> Result<(), FileError> {
+        let Some(name) = &coupling.file.channel else { return Ok(()) };
+        let ChannelFile { delay_s, jitter_s, hold_after_s, .. } = coupling.channel;
+        let refuse = |key: &str, message: String, help: String| {
+            Err(FileError::at_key(&self.source, ["channels", name, key], message, Some(help)))
+        };
+        let (latest_s, hold_s) = (delay_s.get() + jitter_s.get(), hold_after_s.get());
+        if latest_s >= hold_s {
+            let message = format!(
+                "delay_s + jitter_s is {} s, but a robot that hears nothing for {} s (hold_after_s) is held",
+                format_short(latest_s),
+                format_short(hold_s)
+            );
+            let help =
+                format!("choose less than {} s in sum, or a larger hold_after_s", format_short(hold_s));
+            return refuse("delay_s", message, help);
+        }
+        // The age of a packet counts from its arrival, so that a constant delay does not matter.
+        let law = &coupling.file;
+        let timeout_s = law.teleoperation.as_ref().map(|law| law.timeout_s);
+        let timeout_s = timeout_s.or(law.carry.as_ref().map(|law| law.timeout_s)).map(Positive::get);
+        if let Some(timeout_s) = timeout_s.filter(|timeout_s| jitter_s.get() >= *timeout_s) {
+            let message = format!(
+                "coupling '{}' opens {} s (timeout_s) after the last packet, but packets may arrive {} s apart",
+                coupling.name,
+                format_short(timeout_s),
+                format_short(jitter_s.get())
+            );
+            let help = format!("choose less than {} s, or a larger timeout_s", format_short(timeout_s));
+            return refuse("jitter_s", message, help);
+        }
+        Ok(())
+    }
+
+    /// Refuses wave variables where they are not passive.
+    fn check_waves(&self, coupling: &Coupling) -> Result<(), FileError> {
+        let reflects = coupling.teleoperation().map(|law| law.reflect);
+        if !matches!(reflects, Some(Reflected::Waves { .. })) {
+            return Ok(());
+        }
+        let refuse = |message: String, help: &str| {
+            let key = ["couplings", &coupling.name, "teleoperation", "reflect"];
+            Err(FileError::at_key(&self.source, key, message, Some(help.to_owned())))
+        };
+        if coupling.channel.jitter_s != NonNegative::default() || coupling.channel.loss.get() != 0.0 {
+            let message =
+                "wave variables are passive with a constant delay only, but the channel has jitter or loss";
+            return refuse(
+                message.to_owned(),
+                "choose another `reflect`, or a channel without jitter_s and loss",
+            );
+        }
+        let rates = [coupling.leader.0, coupling.follower.0].map(|robot| self.members[robot].rate_hz);
+        let (slower, faster) = (rates[0].min(rates[1]), rates[0].max(rates[1]));
+        if faster % slower != 0 {
+            let message = format!(
+                "wave variables need equal rates, or one that is a multiple of the other; the leader has {} Hz, the follower {} Hz",
+                rates[0], rates[1]
+            );
+            return refuse(message, "choose another `reflect`, or other profiles of the robots");
+        }
+        Ok(())
+    }
+}
+
+fn robot_names(source: &Source) -> Result<Vec<String>, FileError> {
+    Kind::Experiment.require(source)?;
+    Ok(parse::<ExperimentFile>(source)?.robots.into_keys().collect())
 }
 
 /// Message for a robot that no clock can order.
@@ -488,25 +564,27 @@ fn task_settings(source: &Source, coupling: &Coupling, robot: usize) -> Vec<Stri
     vec![format!("task.{task}.coupled.side=\"{side}\""), format!("task.{task}.coupled.{name}={law}")]
 }
 
-/// Places an error about a setting that a coupling or a robot wrote at the entry in the experiment's file.
-fn placed(error: FileError, source: &Source, couplings: &[Coupling], robot: &str) -> FileError {
-    if error.line().is_some() {
-        return error;
-    }
-    let Some((text, _)) = error.excerpt() else { return error };
-    let of_law = |coupling: &&Coupling| {
-        [&coupling.leader, &coupling.follower]
-            .iter()
-            .any(|(_, task)| text.starts_with(&format!("task.{task}.coupled.")))
+/// Places an error about a setting that a coupling or a robot (its number and name) wrote at the entry in the experiment's file.
+fn placed(
+    error: FileError,
+    source: &Source,
+    couplings: &[Coupling],
+    (number, robot): (usize, &str),
+    of_robot: &[String],
+) -> FileError {
+    let text = match error.excerpt() {
+        Some((text, _)) if error.line().is_none() => text,
+        _ => return error,
     };
-    let (message, help) = (error.message().to_owned(), error.help().map(str::to_owned));
-    match couplings.iter().find(of_law) {
-        Some(coupling) => FileError::at_key(
-            source,
-            ["couplings", &coupling.name],
-            format!("robot '{robot}': {message}"),
-            help,
-        ),
-        None => error,
-    }
+    let is_written =
+        |coupling: &&Coupling| task_settings(source, coupling, number).iter().any(|set| set == text);
+    let key = match couplings.iter().find(is_written) {
+        Some(coupling) => vec!["couplings".to_owned(), coupling.name.clone()],
+        None => match of_robot.iter().rposition(|set| set == text) {
+            Some(place) => vec!["robots".to_owned(), robot.to_owned(), "set".to_owned(), place.to_string()],
+            None => return error,
+        },
+    };
+    let message = format!("robot '{robot}': {}", error.message());
+    FileError::at_key(source, key, message, error.help().map(str::to_owned))
 }

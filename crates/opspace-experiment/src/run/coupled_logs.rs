@@ -60,6 +60,6 @@ impl CoupledExperiment {
             members.push(Member::new(name, Experiment::of_log_with(extensions, log)?, &source)?);
         }
         let couplings = couplings(&file, &source)?;
-        Ok(Self { source, file, members, couplings, label: None })
+        Ok(Self { source, file, members, couplings, settings: Vec::new(), label: None })
     }
 }

@@ -18,6 +18,9 @@ pub struct CoupledSummary {
     pub experiment: String,
     /// Name of its settings in the table of a suite.
     pub label: Option<String>,
+    /// Settings that were applied to the files, without that of the seed.
+    #[serde(default)]
+    pub overrides: Vec<String>,
     /// Seed of the experiment.
     pub seed: u64,
     /// Metrics of the couplings, by name.
@@ -47,6 +50,39 @@ pub struct RobotHold {
 }
 
 impl CoupledSummary {
+    /// Name of the run in a list: experiment, settings, profiles and seed.
+    #[must_use]
+    pub fn title(&self) -> String {
+        let mut parts = vec![self.experiment.clone()];
+        parts.extend(self.label.clone());
+        let mut profiles: Vec<String> = self.robots.values().map(|robot| robot.profile.clone()).collect();
+        profiles.dedup();
+        parts.extend(profiles);
+        parts.push(format!("seed {}", self.seed));
+        parts.join(", ")
+    }
+
+    /// True if a requested stop ended the run.
+    #[must_use]
+    pub fn is_interrupted(&self) -> bool {
+        self.robots.values().any(|robot| robot.interrupted)
+    }
+
+    /// Plant of the simulation.
+    #[must_use]
+    pub fn plant(&self) -> &str {
+        self.robots.values().find_map(|robot| robot.plant.as_deref()).unwrap_or_default()
+    }
+
+    /// True if both differ only in the seed and in the results.
+    #[must_use]
+    pub fn is_of_same_settings(&self, other: &Self) -> bool {
+        self.experiment == other.experiment
+            && self.label == other.label
+            && self.overrides == other.overrides
+            && self.plant() == other.plant()
+    }
+
     /// True if a robot was stopped by a fault, or an expectation of the experiment or of a robot was missed.
     #[must_use]
     pub fn has_failed(&self) -> bool {
@@ -136,6 +172,7 @@ impl<'a> CoupledEvaluator<'a> {
         CoupledSummary {
             experiment: experiment.name(),
             label: experiment.label.clone(),
+            overrides: experiment.settings.clone(),
             seed: experiment.file.seed,
             missed_expectations: missed(&experiment.file.expect, &couplings),
             couplings,

@@ -5,9 +5,11 @@
 
 use crate::evaluate::results::Measure;
 use crate::files::suite::{MAX_RUNS, Suite};
+use crate::run::coupled_summary::CoupledSummary;
 use crate::run::result_files::write_file;
 use crate::run::shard::Shard;
 use crate::run::summary::Summary;
+use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::fs::{self, File};
@@ -18,8 +20,30 @@ use std::sync::Mutex;
 /// File name of the rows in a folder of results.
 pub const SUITE_ROWS: &str = "rows.jsonl";
 
-/// Format of the file.
-const SCHEMA: &str = "opspace.rows/1";
+/// Summary of a run of a suite.
+pub trait RunSummary: Serialize + DeserializeOwned {
+    /// Format of a file of rows with such summaries.
+    const SCHEMA: &str;
+
+    /// True if a requested stop ended the run.
+    fn is_interrupted(&self) -> bool;
+}
+
+impl RunSummary for Summary {
+    const SCHEMA: &str = "opspace.rows/1";
+
+    fn is_interrupted(&self) -> bool {
+        self.interrupted
+    }
+}
+
+impl RunSummary for CoupledSummary {
+    const SCHEMA: &str = "opspace.coupled-rows/1";
+
+    fn is_interrupted(&self) -> bool {
+        self.is_interrupted()
+    }
+}
 
 /// First line of the file: what has been run, and with what.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -49,15 +73,16 @@ impl SuiteHeader {
     /// Describes the results of a suite, or of a part of it, by this version of opspace.
     #[must_use]
     pub fn new(suite: &Suite, name: &str, shard: Option<Shard>) -> Self {
+        let schema = if suite.coupled.is_empty() { Summary::SCHEMA } else { CoupledSummary::SCHEMA };
         Self {
-            schema: SCHEMA.to_owned(),
+            schema: schema.to_owned(),
             opspace_version: env!("CARGO_PKG_VERSION").to_owned(),
             suite_sha256: suite.fingerprint(),
             name: name.to_owned(),
             title: suite.title.clone(),
             columns: suite.columns.clone(),
             columns_required: suite.columns_required,
-            runs: suite.experiments.len(),
+            runs: suite.runs(),
             shard,
         }
     }
@@ -81,22 +106,22 @@ impl SuiteHeader {
     }
 }
 
-/// Results of one run of a suite.
+/// Results of one run of a suite: of a task, or of an experiment with several robots.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
-pub struct SuiteRow {
+pub struct SuiteRow<S = Summary> {
     /// Number of the run in the suite, from 1.
     pub run: usize,
-    /// File name of its log; `None` if the log is not kept.
+    /// File name of its log, or name of the folder with those of several robots; `None` if they are not kept.
     pub log: Option<String>,
     /// Summary of the run.
-    pub row: Summary,
+    pub row: S,
 }
 
-impl SuiteRow {
+impl<S> SuiteRow<S> {
     /// Creates the row of a run.
     #[must_use]
-    pub fn new(run: usize, log: Option<String>, row: Summary) -> Self {
+    pub fn new(run: usize, log: Option<String>, row: S) -> Self {
         Self { run, log, row }
     }
 }
@@ -104,14 +129,14 @@ impl SuiteRow {
 /// Rows of a suite's runs, with their header.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
-pub struct SuiteRows {
+pub struct SuiteRows<S = Summary> {
     /// Description of the suite and its part.
     pub header: SuiteHeader,
     /// Rows by the number of their run.
-    pub rows: BTreeMap<usize, SuiteRow>,
+    pub rows: BTreeMap<usize, SuiteRow<S>>,
 }
 
-impl SuiteRows {
+impl<S: RunSummary> SuiteRows<S> {
     /// Creates rows without any run.
     #[must_use]
     pub fn new(header: SuiteHeader) -> Self {
@@ -131,14 +156,14 @@ impl SuiteRows {
         let mut lines = bytes.split(|&byte| byte == b'\n');
         let header: SuiteHeader = serde_json::from_slice(lines.next()?).ok()?;
         // The numbers of all runs of a suite are listed when some are missing.
-        if header.schema != SCHEMA || header.runs > MAX_RUNS {
+        if header.schema != S::SCHEMA || header.runs > MAX_RUNS {
             return None;
         }
         let mut rows = BTreeMap::new();
         let included = |run: usize| {
             (1..=header.runs).contains(&run) && header.shard.is_none_or(|shard| shard.contains(run))
         };
-        for row in lines.filter_map(|line| serde_json::from_slice::<SuiteRow>(line).ok()) {
+        for row in lines.filter_map(|line| serde_json::from_slice::<SuiteRow<S>>(line).ok()) {
             // A log is a file beside the rows: a path to elsewhere is not one that a suite wrote.
             let beside = row.log.as_ref().is_none_or(|log| Path::new(log).file_name() == Some(log.as_ref()));
             if included(row.run) && beside {
@@ -175,7 +200,7 @@ impl SuiteRowsFile {
     ///
     /// # Errors
     /// A file that can't be written.
-    pub fn push(&self, row: &SuiteRow) -> io::Result<()> {
+    pub fn push(&self, row: &SuiteRow<impl RunSummary>) -> io::Result<()> {
         let mut file = self.0.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
         file.write_all(line(row).as_bytes())?;
         // Not every file can be synchronised, and the row is written in any case.
@@ -190,13 +215,14 @@ fn line(value: &impl Serialize) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::{SCHEMA, SuiteHeader, SuiteRow, SuiteRows};
+    use super::{RunSummary, SuiteHeader, SuiteRow, SuiteRows};
+    use crate::run::coupled_summary::CoupledSummary;
     use crate::run::summary::Summary;
     use serde_json::{Value, json};
 
     fn header() -> SuiteHeader {
         SuiteHeader {
-            schema: SCHEMA.to_owned(),
+            schema: Summary::SCHEMA.to_owned(),
             opspace_version: "1".to_owned(),
             suite_sha256: "ab".to_owned(),
             name: "bench-a".to_owned(),
@@ -226,7 +252,7 @@ mod tests {
         let mut rows = SuiteRows::new(header());
         rows.rows.insert(3, SuiteRow::new(3, Some("a.mcap".to_owned()), summary()));
         let text = rows.text();
-        let read = SuiteRows::parse(text.as_bytes()).expect("rows");
+        let read = SuiteRows::<Summary>::parse(text.as_bytes()).expect("rows");
         assert_eq!(read.text(), text);
         assert!(read.rows[&3].row.timing.tick_ns_median.is_nan());
         assert_eq!(read.rows[&3].row.metrics, summary().metrics);
@@ -235,10 +261,11 @@ mod tests {
     /// Checks a header of more runs than a suite may have, whose numbers fill the memory.
     #[test]
     fn header_of_too_many_runs_is_refused() {
-        let rows = |runs: usize| SuiteRows::new(SuiteHeader { runs, ..header() }).text();
-        assert!(SuiteRows::parse(rows(100_000).as_bytes()).is_some());
+        let rows = |runs: usize| SuiteRows::<Summary>::new(SuiteHeader { runs, ..header() }).text();
+        assert!(SuiteRows::<Summary>::parse(rows(100_000).as_bytes()).is_some());
+        assert_eq!(SuiteRows::<CoupledSummary>::parse(rows(4).as_bytes()), None, "rows of another kind");
         for runs in [100_001, usize::MAX] {
-            assert_eq!(SuiteRows::parse(rows(runs).as_bytes()), None);
+            assert_eq!(SuiteRows::<Summary>::parse(rows(runs).as_bytes()), None);
         }
     }
 
@@ -258,11 +285,11 @@ mod tests {
         }
         text.extend(line(3, Some("../a.mcap"), "e").as_bytes());
         text.extend(&first.as_bytes()[..first.len() / 2]);
-        let rows = SuiteRows::parse(&text).expect("rows").rows;
+        let rows = SuiteRows::<Summary>::parse(&text).expect("rows").rows;
         assert_eq!(rows.keys().copied().collect::<Vec<_>>(), [1]);
         assert_eq!(rows[&1].row.task, "a");
         for wrong in ["", "{}", "x", &first] {
-            assert_eq!(SuiteRows::parse(wrong.as_bytes()), None, "{wrong}");
+            assert_eq!(SuiteRows::<Summary>::parse(wrong.as_bytes()), None, "{wrong}");
         }
     }
 }

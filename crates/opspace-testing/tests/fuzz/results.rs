@@ -35,10 +35,10 @@ fn rows() {
     for_each_input(edited(seeds.len()), 400, |(seed, edits)| {
         let bytes = apply(&seeds, *seed, edits);
         target.check(&bytes, edits.is_empty(), || {
-            let Some(rows) = SuiteRows::parse(&bytes) else { return false };
+            let Some(rows) = SuiteRows::<Summary>::parse(&bytes) else { return false };
             assert!(rows.header.runs <= MAX_RUNS, "{} runs", rows.header.runs);
             assert!(rows.rows.keys().all(|run| rows.header.numbers().any(|number| number == *run)));
-            let again = SuiteRows::parse(rows.text().as_bytes()).expect("the same rows");
+            let again = SuiteRows::<Summary>::parse(rows.text().as_bytes()).expect("the same rows");
             assert_eq!(again.text(), rows.text());
             let summaries: Vec<Summary> = rows.rows.values().map(|row| row.row.clone()).collect();
             check_summaries(&summaries, &rows.header);

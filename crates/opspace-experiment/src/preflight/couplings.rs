@@ -1,0 +1,26 @@
+//! Diagnostics of the couplings of an experiment with several robots.
+
+use crate::preflight::diagnostic::Diagnostic;
+use crate::run::coupled_experiment::{CoupledExperiment, Coupling};
+use opspace_control::{Passivity, Reflected};
+
+/// Predicts problems of the couplings. Those of the robots are [`crate::diagnostics`] of each of them.
+#[must_use]
+pub fn coupling_diagnostics(experiment: &CoupledExperiment) -> Vec<Diagnostic> {
+    // Wave variables are passive by themselves.
+    let is_off = |coupling: &&Coupling| {
+        coupling.teleoperation().is_some_and(|law| {
+            law.passivity == Passivity::Off && !matches!(law.reflect, Reflected::Waves { .. })
+        })
+    };
+    let without_limit = experiment.couplings.iter().filter(is_off).map(|coupling| {
+        Diagnostic::new(
+            &["couplings", &coupling.name, "teleoperation", "passivity"],
+            "passivity control is off: with a delay, or at a stiff surface, the robots can give more energy to the operator and \
+             the environment than they received, without a bound"
+                .to_owned(),
+            "remove `passivity = \"off\"`, unless the energies are to be observed only".to_owned(),
+        )
+    });
+    without_limit.collect()
+}

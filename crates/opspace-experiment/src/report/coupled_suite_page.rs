@@ -1,0 +1,28 @@
+//! Page about a suite of experiments with several robots.
+
+use crate::report::coupled_table::{coupling_notes, coupling_table};
+use crate::report::html::Page;
+use crate::run::coupled_summary::CoupledSummary;
+
+/// Builds the page about a suite. `pages` are names of runs, and the pages about them, as paths beside this page.
+#[must_use]
+pub fn coupled_suite_page(title: &str, summaries: &[CoupledSummary], pages: &[(String, String)]) -> String {
+    let notes = coupling_notes(summaries);
+    let notes: Vec<&str> = notes.iter().map(String::as_str).collect();
+    let mut page = Page::new(title)
+        .lead(&format!(
+            "{} runs of several robots, coupled through channels, in simulation.",
+            summaries.len()
+        ))
+        .section("Couplings")
+        .table("Couplings, after settle_s", &coupling_table(summaries), &notes);
+    for summary in summaries {
+        for failure in summary.failures() {
+            page = page.warning(&format!("{}: {failure}.", summary.title()));
+        }
+    }
+    if !pages.is_empty() {
+        page = page.section("Pages about single runs").facts(pages.iter().map(|(run, page)| (run, page)));
+    }
+    page.render()
+}
