@@ -32,6 +32,10 @@ const CONTACT_N: f64 = 2.0;
 /// Force that the leader lacks per velocity with which the follower retreats, Ns/m or Nms/rad: 10 N give 20 mm/s.
 const RETREAT_NS_PER_M: f64 = 500.0;
 
+/// Largest damping of the follower's spring over the wave impedance: the reflected wave contains the damper's force of the last
+/// cycle.
+const LARGEST_WAVE_DAMPING: f64 = 0.2;
+
 /// Time over which the leader's force fades in after the coupling closes, s.
 const FADE_S: f64 = 0.1;
 
@@ -96,6 +100,20 @@ impl Teleoperation {
         }
         if side == CouplingSide::Follower && p.reflect == Reflected::MeasuredForce && !sensed {
             return Err(unsensed("`reflect = \"measured-force\"`"));
+        }
+        if let Reflected::Waves { impedance_ns_per_m } = p.reflect {
+            let most = LARGEST_WAVE_DAMPING * impedance_ns_per_m.get();
+            for (name, given) in [
+                ("damping_ns_per_m", p.damping_ns_per_m.get()),
+                ("damping_nms_per_rad", p.damping_nms_per_rad.get()),
+            ] {
+                if given > most {
+                    let message = format!(
+                        "{given} is above {most}, a fifth of the wave impedance: the follower would oscillate"
+                    );
+                    return Err(ControlError::value(&format!("{key}.{name}"), message));
+                }
+            }
         }
         let mut last_s = 0.0;
         for &[from_s, until_s] in &p.clutch_open_s {

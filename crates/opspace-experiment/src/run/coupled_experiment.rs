@@ -131,6 +131,11 @@ impl CoupledExperiment {
         }
         let source = overrides::apply(&source, &own)?;
         let file: ExperimentFile = parse(&source)?;
+        let is_plain = |name: &str| name.chars().all(|c| c.is_ascii_alphanumeric() || c == '_' || c == '-');
+        if let Some(name) = file.robots.keys().find(|name| name.is_empty() || !is_plain(name)) {
+            let message = format!("robot name '{name}': only letters, digits, '_' and '-' are allowed");
+            return Err(FileError::at_key(&source, ["robots", name], message, None));
+        }
         if file.robots.len() < 2 {
             let help = Some("add another robot; a task of one robot needs no file of this kind".to_owned());
             return Err(FileError::at_key(&source, "robots", "at least two robots are needed", help));

@@ -83,17 +83,27 @@ impl CoupledSummary {
             && self.plant() == other.plant()
     }
 
-    /// True if a robot was stopped by a fault, or an expectation of the experiment or of a robot was missed.
+    /// Holds that lasted to the end of the run.
+    fn held_to_the_end(&self) -> impl Iterator<Item = &RobotHold> {
+        self.holds.iter().filter(|hold| hold.until_s.is_none())
+    }
+
+    /// True if a robot was stopped by a fault or held to the end, or an expectation of the experiment or of a robot was missed.
     #[must_use]
     pub fn has_failed(&self) -> bool {
         let failed = |robot: &Summary| robot.faulted.is_some() || !robot.missed_expectations.is_empty();
-        !self.missed_expectations.is_empty() || self.robots.values().any(failed)
+        !self.missed_expectations.is_empty()
+            || self.robots.values().any(failed)
+            || self.held_to_the_end().next().is_some()
     }
 
-    /// Faults and missed expectations, each with the name of its robot.
+    /// Faults, holds to the end and missed expectations, each with the name of its robot.
     #[must_use]
     pub fn failures(&self) -> Vec<String> {
         let mut failures = self.missed_expectations.clone();
+        failures.extend(self.held_to_the_end().map(|hold| {
+            format!("{} was held from {:.3} s to the end: {}", hold.robot, hold.from_s, hold.reason)
+        }));
         for (name, robot) in &self.robots {
             if let Some(fault) = &robot.faulted {
                 let time_s = robot.fault_time_s.unwrap_or(f64::NAN);
