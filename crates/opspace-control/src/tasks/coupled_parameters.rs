@@ -148,7 +148,7 @@ impl Default for TeleoperationParameters {
         Self {
             reflect: Reflected::default(),
             stiffness_n_per_m: NonNegative::literal(3000.0),
-            damping_ns_per_m: NonNegative::literal(60.0),
+            damping_ns_per_m: NonNegative::literal(40.0),
             stiffness_nm_per_rad: NonNegative::literal(30.0),
             damping_nms_per_rad: NonNegative::literal(0.6),
             scale: CouplingScale::default(),
