@@ -237,7 +237,9 @@ fn suite_of_experiments_is_continued_and_replaced() {
     let kept: Vec<&str> = all.lines().take(2).collect();
     fs::write(out.join("rows.jsonl"), kept.join("\n") + "\n").unwrap();
     fs::remove_file(out.join("bench.json")).unwrap();
-    bench(folder.path(), &["--out", "out"]).exits(1).says(&["continued: 1 runs are complete"]);
+    let again = bench(folder.path(), &["--out", "out", "--csv", "rows.csv"]).exits(1);
+    again.says(&["continued: 1 runs are complete"]);
+    assert_eq!(read(folder.path().join("rows.csv")).lines().count(), 3, "the earlier table is replaced");
     assert_eq!(read(out.join("rows.jsonl")).lines().count(), 3);
 
     bench(folder.path(), &["--out", "out"]).exits(2).says(&["--force"]);

@@ -61,7 +61,10 @@ impl Format {
                 Self::Json => is_json(&text),
                 Self::JsonLines => text.lines().all(|line| line.trim().is_empty() || is_json(line)),
                 Self::Html => text.trim_start().to_ascii_lowercase().starts_with("<!doctype html"),
-                Self::Csv => text.starts_with("task,robot,"),
+                Self::Csv => {
+                    let of_suite = ["task,robot,", "experiment,label,seed,"];
+                    of_suite.iter().any(|first| text.starts_with(first))
+                }
                 Self::LogCsv => text.starts_with("time_s"),
             }
     }

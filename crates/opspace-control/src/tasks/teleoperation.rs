@@ -101,20 +101,12 @@ impl Teleoperation {
         if side == CouplingSide::Follower && p.reflect == Reflected::MeasuredForce && !sensed {
             return Err(unsensed("`reflect = \"measured-force\"`"));
         }
-        if let Reflected::Waves { impedance_ns_per_m } = p.reflect {
-            let most = LARGEST_WAVE_DAMPING * impedance_ns_per_m.get();
-            for (name, given) in [
-                ("damping_ns_per_m", p.damping_ns_per_m.get()),
-                ("damping_nms_per_rad", p.damping_nms_per_rad.get()),
-            ] {
-                if given > most {
-                    let message = format!(
-                        "{given} is above {most}, a fifth of the wave impedance: the follower would oscillate"
-                    );
-                    return Err(ControlError::value(&format!("{key}.{name}"), message));
-                }
+        let damper = match p.reflect {
+            Reflected::Waves { impedance_ns_per_m } => {
+                damper.map(|damping| damping.min(LARGEST_WAVE_DAMPING * impedance_ns_per_m.get()))
             }
-        }
+            _ => damper,
+        };
         let mut last_s = 0.0;
         for &[from_s, until_s] in &p.clutch_open_s {
             let in_order = from_s >= last_s && until_s > from_s && until_s.is_finite();
