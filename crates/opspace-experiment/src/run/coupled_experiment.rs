@@ -141,6 +141,8 @@ impl CoupledExperiment {
             return Err(FileError::at_key(&source, "robots", "at least two robots are needed", help));
         }
         let couplings = couplings(&file, &source)?;
+        let is_seed = |set: &&String| set.split('=').next().is_some_and(|key| key.trim() == "seed");
+        let kept: Vec<String> = settings.iter().filter(|set| !is_seed(set)).cloned().collect();
         let mut members = Vec::new();
         for (number, (name, robot)) in file.robots.iter().enumerate() {
             let mut set = robot.set.clone();
@@ -151,12 +153,11 @@ impl CoupledExperiment {
             set.extend(of_robots.remove(name).unwrap_or_default());
             let mut experiment = member(extensions, files, path, robot, &set, seed_of(&file, number), &file)
                 .map_err(|error| placed(error, &source, &couplings, (number, name), &robot.set))?;
-            experiment.membership = Some(Membership { robot: name.clone(), experiment: source.clone() });
+            experiment.membership =
+                Some(Membership { robot: name.clone(), experiment: source.clone(), settings: kept.clone() });
             members.push(Member::new(name, experiment, &source)?);
         }
-        let is_seed = |set: &&String| set.split('=').next().is_some_and(|key| key.trim() == "seed");
-        let settings = settings.iter().filter(|set| !is_seed(set)).cloned().collect();
-        let new = Self { source, file, members, couplings, settings, label: None };
+        let new = Self { source, file, members, couplings, settings: kept, label: None };
         new.check_couplings()?;
         if !new.file.objects.is_empty() {
             new.simulated_arms()?;

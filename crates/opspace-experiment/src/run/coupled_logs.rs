@@ -42,7 +42,7 @@ impl CoupledExperiment {
             let membership = membership.ok_or_else(|| RunError::Incomplete { what: what.to_owned() })?;
             found.push((membership, log));
         }
-        let Some((Membership { experiment: source, .. }, _)) = found.first().cloned() else {
+        let Some((Membership { experiment: source, settings, .. }, _)) = found.first().cloned() else {
             return Err(RunError::Incomplete { what: "the logs of its robots".to_owned() });
         };
         if let Some((other, _)) = found.iter().find(|(m, _)| m.experiment.text() != source.text()) {
@@ -60,6 +60,6 @@ impl CoupledExperiment {
             members.push(Member::new(name, Experiment::of_log_with(extensions, log)?, &source)?);
         }
         let couplings = couplings(&file, &source)?;
-        Ok(Self { source, file, members, couplings, settings: Vec::new(), label: None })
+        Ok(Self { source, file, members, couplings, settings, label: None })
     }
 }

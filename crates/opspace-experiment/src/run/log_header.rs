@@ -23,6 +23,8 @@ pub const RUN: &str = "opspace.run";
 const WORLD: &str = "world";
 /// Entry that states whether the transformer was an option of the run.
 pub(crate) const ASKED_FOR: &str = "transformer_asked_for";
+/// Entry with the settings of the experiment with several robots.
+const EXPERIMENT_OVERRIDES: &str = "experiment_overrides";
 const REAL: &str = "real";
 const ROBOT_FILE: &str = "robot.toml";
 const TASK_FILE: &str = "task.toml";
@@ -83,7 +85,8 @@ impl Experiment {
         let scene =
             self.scene().map(|scene| Source::new(scene.path.display().to_string(), scene.text.clone()));
         files.extend(scene.iter().map(|scene| (SCENE_FILE.to_owned(), "application/xml", scene)));
-        if let Some(Membership { robot, experiment }) = self.membership() {
+        if let Some(Membership { robot, experiment, settings }) = self.membership() {
+            entries.insert(EXPERIMENT_OVERRIDES.to_owned(), settings.join("\n"));
             entries.insert(EXPERIMENT.to_owned(), experiment.name().to_owned());
             entries.insert(EXPERIMENT_ROBOT.to_owned(), robot.clone());
             files.push((EXPERIMENT_FILE.to_owned(), "application/toml", experiment));
@@ -214,7 +217,9 @@ impl Membership {
             return Ok(None);
         };
         let experiment = attached(recording, EXPERIMENT_FILE, experiment)?;
-        Ok(Some(Self { robot: robot.clone(), experiment }))
+        let settings =
+            entry(EXPERIMENT_OVERRIDES).map_or("", String::as_str).lines().map(str::to_owned).collect();
+        Ok(Some(Self { robot: robot.clone(), experiment, settings }))
     }
 }
 

@@ -9,4 +9,6 @@ pub struct Membership {
     pub robot: String,
     /// File of the experiment, with settings applied.
     pub experiment: Source,
+    /// Settings that were applied to the experiment.
+    pub settings: Vec<String>,
 }
