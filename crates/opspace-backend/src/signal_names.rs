@@ -166,7 +166,7 @@ pub const PORT_SEQUENCE: &str = "port_sequence";
 pub const PORT_CLOSED: &str = "port_closed";
 /// 1 while the passivity control of a coupled task reduces its force.
 pub const PORT_LIMITED: &str = "port_limited";
-/// Energy that has entered the coupling at a coupled task, J.
+/// Energy that has entered the coupling at a coupled task and that its partner may spend, J.
 pub const PORT_ENERGY_IN: &str = "port_energy_in";
 /// Energy that has left the coupling at a coupled task, J.
 pub const PORT_ENERGY_OUT: &str = "port_energy_out";

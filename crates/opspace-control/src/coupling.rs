@@ -24,4 +24,4 @@ pub mod wave;
 pub use energy_play::EnergyPlay;
 pub use port_passivity::{PortPassivity, PortPassivityParameters};
 pub use received::{Packet, ReceivedState};
-pub use wave::{FollowerWave, LeaderWave};
+pub use wave::WaveSide;

@@ -17,34 +17,26 @@
 //! At zero delay the pair is rigid: the sum of the follower's velocities in two consecutive cycles is twice the leader's
 //! (up to the change of F/b), a lag of half a cycle. An environment with F = b ẋ reflects nothing (w = 0): the leader feels b ẋ.
 //! All else is reflected. The waves themselves have no damping: echoes between a prescribed velocity and a prescribed force
-//! do not decay, at zero delay those at half the rate of the cycles. A sampled follower in contact with the stiffness K
-//! (N/m) is stable for K T < 2 b, and at a damper B (Ns/m) for B < b.
+//! do not decay, at zero delay those at half the rate of the cycles. A follower whose force is sensed on the stiffness K (N/m)
+//! is stable for K T < 2 b, and at a damper B (Ns/m) for B < b. The force of a spring and a damper at its reference depends on
+//! the reference's velocity in the same cycle: solved together, any K and B are stable.
 //!
 //! The identity F ẋ = (u² − w²)/2 holds for the sampled force and velocity. The work of a force that is held until the next
 //! cycle differs from it by at most |F| a T² per cycle at an acceleration of at most a.
 
 use nalgebra::Vector6;
 
-/// Leader's side of a pair of wave variables: velocity and received wave to force.
+/// One side of a pair of wave variables.
 #[derive(Clone, Debug)]
-pub struct LeaderWave {
+pub struct WaveSide {
     impedance_ns_per_m: f64,
     period_s: f64,
     received: HeldWave,
     sent: Vector6<f64>,
 }
 
-/// Follower's side of a pair of wave variables: force and received wave to the displacement of the reference.
-#[derive(Clone, Debug)]
-pub struct FollowerWave {
-    impedance_ns_per_m: f64,
-    period_s: f64,
-    received: HeldWave,
-    sent: Vector6<f64>,
-}
-
-impl LeaderWave {
-    /// Returns a leader's side at rest, with the impedance b (Ns/m, or Nms/rad; above zero) and the period (s, above zero).
+impl WaveSide {
+    /// Returns a side at rest, with the impedance b (Ns/m, or Nms/rad; above zero) and the period (s, above zero).
     #[must_use]
     pub fn new(impedance_ns_per_m: f64, period_s: f64) -> Self {
         Self { impedance_ns_per_m, period_s, received: HeldWave::new(), sent: Vector6::zeros() }
@@ -55,10 +47,10 @@ impl LeaderWave {
         self.received.receive(sent_s, integral);
     }
 
-    /// Returns the force on the handle (N, Nm) in this cycle for the handle's velocity (m/s, rad/s). Zero, without a wave, if
-    /// the velocity is not finite.
+    /// Leader: returns the force on the handle (N, Nm) in this cycle for the handle's velocity (m/s, rad/s). Zero, without a
+    /// wave, if the velocity is not finite.
     #[must_use]
-    pub fn update(&mut self, velocity: &Vector6<f64>) -> Vector6<f64> {
+    pub fn lead(&mut self, velocity: &Vector6<f64>) -> Vector6<f64> {
         let wave = self.received.advance(self.period_s);
         let root = (2.0 * self.impedance_ns_per_m).sqrt();
         if !velocity.iter().all(|v| v.is_finite()) {
@@ -68,44 +60,25 @@ impl LeaderWave {
         wave * root - velocity * self.impedance_ns_per_m
     }
 
-    /// Integral of the wave to be sent after `update`, √J·√s.
+    /// Follower: returns the displacement ẋT of its reference (m, rad) in this cycle. The force that it exerts on its environment
+    /// is F = `at_rest` + `per_velocity`·ẋ: `at_rest` (N, Nm) is the force if the reference does not move, `per_velocity`
+    /// (Ns/m, Nms/rad; not negative) is K T + D of a spring and a damper at the reference, zero for a sensed force. Zero,
+    /// without a wave, if the force is not finite.
     #[must_use]
-    pub fn sent(&self) -> &Vector6<f64> {
-        &self.sent
-    }
-
-    /// Forgets the wave that is received. The sent integral stays; the next packet is a new beginning.
-    pub fn restart(&mut self) {
-        self.received = HeldWave::new();
-    }
-}
-
-impl FollowerWave {
-    /// Returns a follower's side at rest, with the impedance b (Ns/m, or Nms/rad; above zero) and the period (s, above zero).
-    #[must_use]
-    pub fn new(impedance_ns_per_m: f64, period_s: f64) -> Self {
-        Self { impedance_ns_per_m, period_s, received: HeldWave::new(), sent: Vector6::zeros() }
-    }
-
-    /// Notes the integral of the wave in a packet (√J·√s), and the time when it was sent (s).
-    pub fn receive(&mut self, sent_s: f64, integral: &Vector6<f64>) {
-        self.received.receive(sent_s, integral);
-    }
-
-    /// Returns the displacement of the reference (m, rad) in this cycle, for the force that the follower exerts on its
-    /// environment (N, Nm; the negative of the sensed force on the robot). Zero, without a wave, if the force is not finite.
-    #[must_use]
-    pub fn update(&mut self, force: &Vector6<f64>) -> Vector6<f64> {
+    pub fn follow(&mut self, at_rest: &Vector6<f64>, per_velocity: &Vector6<f64>) -> Vector6<f64> {
         let wave = self.received.advance(self.period_s);
-        let root = (2.0 / self.impedance_ns_per_m).sqrt();
-        if !force.iter().all(|f| f.is_finite()) {
+        let (b, root) = (self.impedance_ns_per_m, (2.0 / self.impedance_ns_per_m).sqrt());
+        if !at_rest.iter().all(|f| f.is_finite()) {
             return Vector6::zeros();
         }
+        // b ẋ = √(2b) u − F
+        let velocity = (wave * (root * b) - at_rest).component_div(&per_velocity.add_scalar(b));
+        let force = at_rest + per_velocity.component_mul(&velocity);
         self.sent += (wave - force * root) * self.period_s;
-        (wave * root - force / self.impedance_ns_per_m) * self.period_s
+        velocity * self.period_s
     }
 
-    /// Integral of the wave to be sent after `update`, √J·√s.
+    /// Integral of the wave to be sent after [`lead`](Self::lead) or [`follow`](Self::follow), √J·√s.
     #[must_use]
     pub fn sent(&self) -> &Vector6<f64> {
         &self.sent

@@ -118,7 +118,7 @@ pub struct TeleoperationParameters {
     pub reflect: Reflected,
     /// Stiffness along the axes between reference and follower, N/m.
     pub stiffness_n_per_m: NonNegative,
-    /// Damping along the axes, Ns/m; with waves, at most a fifth of the wave impedance is used.
+    /// Damping along the axes, Ns/m.
     pub damping_ns_per_m: NonNegative,
     /// Stiffness about the axes, Nm/rad.
     pub stiffness_nm_per_rad: NonNegative,

@@ -16,7 +16,7 @@
 
 use crate::coupling::port_passivity::{PortPassivity, PortPassivityParameters};
 use crate::coupling::received::{Packet, ReceivedState};
-use crate::coupling::wave::{FollowerWave, LeaderWave};
+use crate::coupling::wave::WaveSide;
 use crate::error::{ControlError, Reason};
 use crate::tasks::coupled_parameters::{CouplingSide, Passivity, Reflected, TeleoperationParameters};
 use crate::tasks::coupled_rows::RowState;
@@ -32,19 +32,8 @@ const CONTACT_N: f64 = 2.0;
 /// Force that the leader lacks per velocity with which the follower retreats, Ns/m or Nms/rad: 10 N give 20 mm/s.
 const RETREAT_NS_PER_M: f64 = 500.0;
 
-/// Largest damping of the follower's spring over the wave impedance: the reflected wave contains the damper's force of the last
-/// cycle.
-const LARGEST_WAVE_DAMPING: f64 = 0.2;
-
 /// Time over which the leader's force fades in after the coupling closes, s.
 const FADE_S: f64 = 0.1;
-
-/// Wave variables of one side.
-#[derive(Clone, Debug)]
-enum Wave {
-    Leader(LeaderWave),
-    Follower(FollowerWave),
-}
 
 /// One side of a coupling, with its state.
 #[derive(Clone, Debug)]
@@ -64,7 +53,7 @@ pub(crate) struct Teleoperation {
     clutch_open_s: Vec<[f64; 2]>,
     period_s: f64,
     passivity: PortPassivity,
-    wave: Option<Wave>,
+    wave: Option<WaveSide>,
     /// True if the coupling acted in the last cycle.
     closed: bool,
     /// True if the passivity control reduced the leader's force in the last cycle.
@@ -101,12 +90,6 @@ impl Teleoperation {
         if side == CouplingSide::Follower && p.reflect == Reflected::MeasuredForce && !sensed {
             return Err(unsensed("`reflect = \"measured-force\"`"));
         }
-        let damper = match p.reflect {
-            Reflected::Waves { impedance_ns_per_m } => {
-                damper.map(|damping| damping.min(LARGEST_WAVE_DAMPING * impedance_ns_per_m.get()))
-            }
-            _ => damper,
-        };
         let mut last_s = 0.0;
         for &[from_s, until_s] in &p.clutch_open_s {
             let in_order = from_s >= last_s && until_s > from_s && until_s.is_finite();
@@ -122,12 +105,9 @@ impl Teleoperation {
             // The energies are recorded, but the store is never empty.
             Passivity::Off => PortPassivityParameters { store_j: UNLIMITED_J, ..Default::default() },
         };
-        let wave = match (p.reflect, side) {
-            (Reflected::Waves { impedance_ns_per_m }, CouplingSide::Leader) => {
-                Some(Wave::Leader(LeaderWave::new(impedance_ns_per_m.get(), period_s)))
-            }
-            (Reflected::Waves { impedance_ns_per_m }, CouplingSide::Follower) => {
-                Some(Wave::Follower(FollowerWave::new(impedance_ns_per_m.get(), period_s)))
+        let wave = match p.reflect {
+            Reflected::Waves { impedance_ns_per_m } => {
+                Some(WaveSide::new(impedance_ns_per_m.get(), period_s))
             }
             _ => None,
         };
@@ -219,6 +199,14 @@ impl Teleoperation {
             self.offset = self.reference - packet.position * self.position_scale;
         }
         self.target = self.reference;
+        self.restart_wave();
+    }
+
+    /// Forgets the waves that arrived before: a coupling that closes again must not make up for the motion while it was open.
+    fn restart_wave(&mut self) {
+        if let Some(wave) = &mut self.wave {
+            wave.restart();
+        }
     }
 
     /// Returns the force on the rows of a cycle, N or Nm.
@@ -270,6 +258,7 @@ impl Teleoperation {
         let wanted = match packet {
             None => {
                 self.share = 0.0;
+                self.restart_wave();
                 Vector6::zeros()
             }
             Some(packet) => {
@@ -281,17 +270,20 @@ impl Teleoperation {
                         let pull = self.spring.component_mul(&stretch);
                         let scale = self.force_scale * self.position_scale;
                         self.passivity.set_reserve(0.5 * scale * pull.dot(&stretch));
-                        (pull + self.damper.component_mul(&speed)) * self.position_scale
+                        (pull + self.damper.component_mul(&speed)) * scale
                     }
                     _ => match &mut self.wave {
-                        Some(Wave::Leader(wave)) => {
+                        Some(wave) => {
                             wave.receive(packet.sent_s, &packet.wave);
-                            wave.update(&state.velocity)
+                            wave.lead(&state.velocity)
                         }
-                        _ => packet.force - self.delay_damping(packet, &state.velocity, clock_s),
+                        None => {
+                            let braked = packet.force - self.delay_damping(packet, &state.velocity, clock_s);
+                            braked * self.force_scale
+                        }
                     },
                 };
-                force * (self.force_scale * self.share)
+                force * self.share
             }
         };
         if let Some(packet) = packet {
@@ -323,11 +315,16 @@ impl Teleoperation {
                 self.passivity.receive(packet.energy_in_j);
                 let target = self.offset + packet.position * self.position_scale;
                 let step = match &mut self.wave {
-                    Some(Wave::Follower(wave)) => {
+                    Some(wave) => {
                         wave.receive(packet.sent_s, &packet.wave);
-                        wave.update(&-effort)
+                        let stretch = self.reference - state.position;
+                        let at_rest =
+                            self.spring.component_mul(&stretch) - self.damper.component_mul(&state.velocity);
+                        let per_velocity = self.spring * self.period_s + self.damper;
+                        let [sp, sf] = [self.position_scale, self.force_scale];
+                        wave.follow(&(at_rest * sf), &(per_velocity * (sf * sp))) * sp
                     }
-                    _ => target - self.target,
+                    None => target - self.target,
                 };
                 self.target = target;
                 let allowed = match self.reflect {
@@ -394,11 +391,7 @@ impl Teleoperation {
                 self.effort(state),
             ),
         };
-        let wave = match &self.wave {
-            Some(Wave::Leader(wave)) => *wave.sent(),
-            Some(Wave::Follower(wave)) => *wave.sent(),
-            None => Vector6::zeros(),
-        };
+        let wave = self.wave.as_ref().map_or_else(Vector6::zeros, |wave| *wave.sent());
         let energy_in_j = self.passivity.energy_in_j();
         let (closed, limited) = (self.closed, self.limited);
         Packet { closed, limited, energy_in_j, position, velocity, force, wave, ..Packet::default() }

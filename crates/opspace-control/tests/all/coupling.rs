@@ -4,7 +4,7 @@
 use nalgebra::Vector6;
 use opspace_backend::quantity::NonNegative;
 use opspace_control::coupling::{
-    EnergyPlay, FollowerWave, LeaderWave, Packet, PortPassivity, PortPassivityParameters, ReceivedState,
+    EnergyPlay, Packet, PortPassivity, PortPassivityParameters, ReceivedState, WaveSide,
 };
 use proptest::prelude::*;
 use rand::{RngExt, SeedableRng};
@@ -64,7 +64,10 @@ fn flow_to_and_fro_within_the_play_is_not_counted() {
         for k in 0..1000 {
             play.add(if k % 2 == 0 { 0.001 } else { -0.001 });
         }
-        assert!((play.in_j() - counted).abs() < 1e-12 && (play.out_j() - counted).abs() < 1e-12, "{play:?}");
+        assert!(
+            (play.in_j() - counted).abs() < ROUNDING && (play.out_j() - counted).abs() < ROUNDING,
+            "{play:?}"
+        );
     }
 }
 
@@ -446,6 +449,13 @@ const PERIOD_S: f64 = 1e-3;
 
 const LINEAR: [bool; 6] = [false; 6];
 
+/// A sensed force: it does not depend on the velocity of the reference in the same cycle.
+const NO_SLOPE: Vector6<f64> = Vector6::new(0.0, 0.0, 0.0, 0.0, 0.0, 0.0);
+
+/// Rounding of a sum of a few numbers below 1, and of a solution by bisection relative to its scale.
+const ONE_ROUNDING: f64 = 1e-15;
+const FEW_ROUNDINGS: f64 = 1e-14;
+
 fn along_x(x: f64) -> Vector6<f64> {
     Vector6::new(x, 0.0, 0.0, 0.0, 0.0, 0.0)
 }
@@ -457,7 +467,10 @@ fn debt_is_paid_by_opposing_forces_alone() {
     let (along, opposing) = (along_x(30.0), along_x(-30.0));
     let velocity = along_x(1.0);
     port.observe(&along, &along_x(0.01));
-    assert!((port.budget_j() - (0.025 - 0.3)).abs() < 1e-15 && (port.largest_debt_j() - 0.275).abs() < 1e-15);
+    assert!(
+        (port.budget_j() - (0.025 - 0.3)).abs() < ONE_ROUNDING
+            && (port.largest_debt_j() - 0.275).abs() < ONE_ROUNDING
+    );
     assert_eq!(port.limit_force(&velocity, &along), Vector6::zeros());
     assert_eq!(port.active_s(), PERIOD_S);
     for _ in 0..10 {
@@ -469,9 +482,9 @@ fn debt_is_paid_by_opposing_forces_alone() {
     // The last 0.03 J pay 0.005 J; a tenth restores the store, the rest is the partner's. 1 mm, and the bound of 50 µm, at 30 N
     // would need 0.0315 J.
     let left_j = 0.1 * 0.025;
-    assert!((port.budget_j() - left_j).abs() < 1e-12, "{}", port.budget_j());
+    assert!((port.budget_j() - left_j).abs() < ROUNDING, "{}", port.budget_j());
     let allowed = port.limit_force(&velocity, &along);
-    assert!((allowed.x * (1e-3 + 50e-6) - left_j).abs() < 1e-12, "{}", allowed.x);
+    assert!((allowed.x * (1e-3 + 50e-6) - left_j).abs() < ROUNDING, "{}", allowed.x);
 }
 
 /// Compared: the allowed force, and all forces that keep the budget in every displacement within the bound. It is one of them,
@@ -492,10 +505,10 @@ fn allowed_force_is_the_nearest_one() {
         let (allowed, budget_j) = (port.limit_force(&velocity, &wanted), 0.5 * store_j);
         let most = |force: &Vector6<f64>| force.dot(&velocity) * PERIOD_S + force.component_mul(&r).norm();
         let scale = wanted.norm() * (velocity.norm() * PERIOD_S + r.norm());
-        assert!(most(&allowed) <= budget_j + 1e-14 * scale, "seed {seed}");
+        assert!(most(&allowed) <= budget_j + FEW_ROUNDINGS * scale, "seed {seed}");
         for _ in 0..100 {
             let displacement = velocity * PERIOD_S + within_ball(random, 6).component_mul(&r);
-            assert!(allowed.dot(&displacement) <= budget_j + 1e-14 * scale, "seed {seed}");
+            assert!(allowed.dot(&displacement) <= budget_j + FEW_ROUNDINGS * scale, "seed {seed}");
         }
         if most(&wanted) <= budget_j {
             assert_eq!(allowed, wanted);
@@ -527,9 +540,9 @@ fn displacement_beyond_the_budget_is_kept_as_a_gap_and_repaired() {
     let force = Vector6::new(10.0, 0.0, 0.0, 0.0, 0.0, 0.0);
     // 0.1 J wanted, 0.025 J allowed; the motion across the force is not changed.
     let moved = port.limit_displacement(&Vector6::new(0.01, 0.02, 0.0, 0.0, 0.0, 0.0), &force);
-    assert!((moved - Vector6::new(0.0025, 0.02, 0.0, 0.0, 0.0, 0.0)).norm() < 1e-15, "{moved}");
-    assert!((port.gap() - along_x(0.0075)).norm() < 1e-15);
-    assert!(port.limit_displacement(&Vector6::zeros(), &force).norm() < 1e-15);
+    assert!((moved - Vector6::new(0.0025, 0.02, 0.0, 0.0, 0.0, 0.0)).norm() < ONE_ROUNDING, "{moved}");
+    assert!((port.gap() - along_x(0.0075)).norm() < ONE_ROUNDING);
+    assert!(port.limit_displacement(&Vector6::zeros(), &force).norm() < ONE_ROUNDING);
     port.receive(0.055);
     let (mut sum, mut fastest) = (0.0, 0.0);
     for _ in 0..1000 {
@@ -728,23 +741,26 @@ fn only_newer_packets_are_accepted() {
 /// Leader and follower with wave variables and a constant delay in µs; a packet that is sent at the time of arrival of
 /// another one arrives first.
 struct Waves {
-    leader: LeaderWave,
-    follower: FollowerWave,
+    leader: WaveSide,
+    follower: WaveSide,
     periods_us: [u64; 2],
     delay_us: u64,
     transit: [Vec<(u64, u64, Vector6<f64>)>; 2],
     now_us: u64,
+    /// Spring and damper of the follower: part of its force that depends on the velocity of its reference.
+    per_velocity: Vector6<f64>,
 }
 
 impl Waves {
     fn new(impedance: f64, periods_us: [u64; 2], delay_us: u64) -> Self {
         Self {
-            leader: LeaderWave::new(impedance, periods_us[0] as f64 * 1e-6),
-            follower: FollowerWave::new(impedance, periods_us[1] as f64 * 1e-6),
+            leader: WaveSide::new(impedance, periods_us[0] as f64 * 1e-6),
+            follower: WaveSide::new(impedance, periods_us[1] as f64 * 1e-6),
             periods_us,
             delay_us,
             transit: [Vec::new(), Vec::new()],
             now_us: 0,
+            per_velocity: NO_SLOPE,
         }
     }
 
@@ -765,7 +781,7 @@ impl Waves {
                 }
                 *arrives > now
             });
-            outputs[0] = Some(self.leader.update(&leader()));
+            outputs[0] = Some(self.leader.lead(&leader()));
             self.transit[0].push((now + self.delay_us, now, *self.leader.sent()));
         }
         if now.is_multiple_of(self.periods_us[1]) {
@@ -775,7 +791,7 @@ impl Waves {
                 }
                 *arrives > now
             });
-            outputs[1] = Some(self.follower.update(&follower()));
+            outputs[1] = Some(self.follower.follow(&follower(), &self.per_velocity));
             self.transit[1].push((now + self.delay_us, now, *self.follower.sent()));
         }
         outputs
@@ -795,13 +811,20 @@ fn energy_of_waves_in_transit_is_not_negative() {
         let delay = random.random_range(0..40);
         let count = random.random_range(1..=6);
         let mut waves = Waves::new(10f64.powf(random.random_range(0.0..3.0)), periods, delay);
+        if seed % 2 == 0 {
+            let [least, largest] = [-1.0, 4.0];
+            waves.per_velocity = Vector6::from_fn(|_, _| 10f64.powf(random.random_range(least..largest)));
+        }
         let (mut energy, mut given): (f64, f64) = (0.0, 0.0);
         for _ in 0..2000 {
             let (velocity, force) = (within_ball(random, count), within_ball(random, count) * 50.0);
             let [on_handle, moved] = waves.step(|| velocity, || force);
             let flows = [
                 on_handle.map_or(0.0, |on_handle| -on_handle.dot(&velocity) * periods[0] as f64 * 1e-6),
-                moved.map_or(0.0, |moved| -moved.dot(&force)),
+                moved.map_or(0.0, |moved| {
+                    let velocity = moved / (periods[1] as f64 * 1e-6);
+                    -moved.dot(&(force + waves.per_velocity.component_mul(&velocity)))
+                }),
             ];
             energy += flows[0] + flows[1];
             given += flows[0].abs() + flows[1].abs();
@@ -871,23 +894,45 @@ fn contact_is_stable_up_to_a_stiffness_and_a_damping() {
     for (ratio, is_stable) in [(1.9, true), (2.1, false)] {
         let (impedance, period) = (20.0, 1e-3);
         let stiffness = ratio * impedance / period;
-        let mut follower = FollowerWave::new(impedance, period);
+        let mut follower = WaveSide::new(impedance, period);
         let mut tip = 1e-3;
         for _ in 0..400 {
-            tip += follower.update(&along_x(stiffness * tip)).x;
+            tip += follower.follow(&along_x(stiffness * tip), &NO_SLOPE).x;
         }
         assert_eq!(tip.abs() < 1e-6, is_stable, "{tip}");
         assert_eq!(tip.abs() > 1.0, !is_stable, "{tip}");
     }
     for (ratio, is_stable) in [(0.95, true), (1.05, false)] {
         let (impedance, period) = (20.0, 1e-3);
-        let mut follower = FollowerWave::new(impedance, period);
+        let mut follower = WaveSide::new(impedance, period);
         let mut velocity = 1e-3;
         for _ in 0..400 {
-            velocity = follower.update(&along_x(ratio * impedance * velocity)).x / period;
+            velocity = follower.follow(&along_x(ratio * impedance * velocity), &NO_SLOPE).x / period;
         }
         assert_eq!(velocity.abs() < 1e-6, is_stable, "{velocity}");
         assert_eq!(velocity.abs() > 1.0, !is_stable, "{velocity}");
+    }
+}
+
+/// A spring and a damper at the reference, solved with it: at rest for any stiffness and damping, also far above those of
+/// `contact_is_stable_up_to_a_stiffness_and_a_damping`.
+#[test]
+fn spring_at_the_reference_comes_to_rest() {
+    for (stiffness, damping) in [(1e3, 0.0), (1e6, 0.0), (1e3, 1e3), (1e6, 1e4), (0.0, 1e4)] {
+        let mut follower = WaveSide::new(20.0, PERIOD_S);
+        let (mut tip, mut speed) = (1e-3, 0.0);
+        let start = tip;
+        for _ in 0..20_000 {
+            let moved =
+                follower.follow(&along_x(stiffness * tip), &along_x(stiffness * PERIOD_S + damping)).x;
+            tip += moved;
+            speed = moved / PERIOD_S;
+            assert!((0.0..=start).contains(&tip), "{tip}");
+        }
+        assert!(
+            speed.abs() < 1e-6 && (stiffness == 0.0 || tip < 1e-6),
+            "{stiffness}, {damping}: {tip} {speed}"
+        );
     }
 }
 
@@ -896,22 +941,22 @@ fn contact_is_stable_up_to_a_stiffness_and_a_damping() {
 fn lost_waves_do_not_displace_the_follower() {
     let random = &mut ChaCha8Rng::seed_from_u64(2);
     let impedance = 20.0;
-    let mut leader = LeaderWave::new(impedance, PERIOD_S);
-    let mut follower = FollowerWave::new(impedance, PERIOD_S);
+    let mut leader = WaveSide::new(impedance, PERIOD_S);
+    let mut follower = WaveSide::new(impedance, PERIOD_S);
     let mut moved = Vector6::zeros();
     for k in 0..1000 {
         let velocity = if (10..900).contains(&k) { within_ball(random, 6) } else { Vector6::zeros() };
-        let _ = leader.update(&velocity);
+        let _ = leader.lead(&velocity);
         if !(10..=990).contains(&k) || random.random_range(0.0..1.0) > 0.3 {
             follower.receive(PERIOD_S * f64::from(k), leader.sent());
         }
-        moved += follower.update(&Vector6::zeros());
+        moved += follower.follow(&Vector6::zeros(), &NO_SLOPE);
     }
     let sent = leader.sent() * (2.0 / impedance).sqrt();
     assert!((moved - sent).norm() < 1e-12 && sent.norm() > 1e-3, "{moved} {sent}");
     // A restart is a new beginning: what was sent during it is not made up for.
     follower.restart();
-    let _ = leader.update(&along_x(1.0));
+    let _ = leader.lead(&along_x(1.0));
     follower.receive(2.0, leader.sent());
-    assert_eq!(follower.update(&Vector6::zeros()), Vector6::zeros());
+    assert_eq!(follower.follow(&Vector6::zeros(), &NO_SLOPE), Vector6::zeros());
 }

@@ -23,7 +23,7 @@ pub(crate) fn coupling_figures(evaluator: &CouplingEvaluator<'_>) -> Vec<Figure>
         },
         Figure {
             title: format!("Energy and packets of the coupling '{name}'"),
-            caption: "Energy that has entered and left the coupling at each robot, and the work of the environment on both: \
+            caption: "Energy that has entered the coupling at each robot and that the other may spend, energy that has left it, and the work of the environment on both: \
                       below zero, the pair has given energy away. Time for which the passivity control changed a force or a \
                       reference, and packets that were lost or overtaken."
                 .to_owned(),

@@ -55,12 +55,8 @@ fn measured_force_is_reflected_on_every_robot() {
 /// stable.
 #[test]
 fn waves_are_reflected_on_every_robot() {
-    let channel = [
-        "channels.net={ delay_s = 0.02 }",
-        "couplings.hands.channel=\"net\"",
-        "couplings.hands.teleoperation.damping_ns_per_m=20",
-    ];
-    check_on_every_robot("{ waves = { impedance_ns_per_m = 100.0 } }", &channel);
+    let channel = ["channels.net={ delay_s = 0.02 }", "couplings.hands.channel=\"net\""];
+    check_on_every_robot("{ waves = { impedance_ns_per_m = 40.0 } }", &channel);
 }
 
 /// The follower's force is estimated from the currents of its motors.
