@@ -13,15 +13,21 @@
 //! |---|---|
 //! | `energy_play` | energy that flows into a port and out of it, without noise |
 //! | `port_passivity` | bound on the energy that leaves the network, for any channel |
+//! | `steady_latency` | latency of the channel without its jitter |
 //! | `wave` | wave variables, passive at a constant delay |
+//! | `contact_compliance` | compliance of what the partner touches |
 //! | `received` | the newest packet from the partner |
 
+pub mod contact_compliance;
 pub mod energy_play;
 pub mod port_passivity;
 pub mod received;
+pub mod steady_latency;
 pub mod wave;
 
+pub use contact_compliance::ContactCompliance;
 pub use energy_play::EnergyPlay;
 pub use port_passivity::{PortPassivity, PortPassivityParameters};
 pub use received::{Packet, ReceivedState};
+pub use steady_latency::SteadyLatency;
 pub use wave::WaveSide;

@@ -293,7 +293,7 @@ impl Task for CoupledTask {
         (self.force, self.acceleration) = (Vector6::zeros(), Vector6::zeros());
         match &mut self.law {
             None => {}
-            Some(CouplingLaw::Teleoperation(law)) => law.rest(&self.state, &self.partner),
+            Some(CouplingLaw::Teleoperation(law)) => law.rest(&self.state, &self.partner, self.clock_s),
             Some(CouplingLaw::Carry(law)) => law.rest(&self.state),
         }
     }

@@ -14,8 +14,10 @@
 //! The [passivity control](crate::coupling::port_passivity) limits r of the leader, and the change of x, or f_c of the
 //! follower if both positions are coupled. The follower sends its position in the leader's coordinates.
 
+use crate::coupling::contact_compliance::ContactCompliance;
 use crate::coupling::port_passivity::{PortPassivity, PortPassivityParameters};
 use crate::coupling::received::{Packet, ReceivedState};
+use crate::coupling::steady_latency::SteadyLatency;
 use crate::coupling::wave::WaveSide;
 use crate::error::{ControlError, Reason};
 use crate::tasks::coupled_parameters::{CouplingSide, Passivity, Reflected, TeleoperationParameters};
@@ -32,7 +34,7 @@ const CONTACT_N: f64 = 2.0;
 /// Force that the leader lacks per velocity with which the follower retreats, Ns/m or Nms/rad: 10 N give 20 mm/s.
 const RETREAT_NS_PER_M: f64 = 500.0;
 
-/// Time over which the leader's force fades in after the coupling closes, s.
+/// Time over which the leader's force and the follower's motion fade in after the coupling closes, s.
 const FADE_S: f64 = 0.1;
 
 /// One side of a coupling, with its state.
@@ -50,6 +52,8 @@ pub(crate) struct Teleoperation {
     delay_damping_ratio: f64,
     lag_s: f64,
     delay_damping_at_most: f64,
+    /// What the follower touches, in the leader's coordinates.
+    compliance: ContactCompliance,
     clutch_open_s: Vec<[f64; 2]>,
     period_s: f64,
     passivity: PortPassivity,
@@ -58,7 +62,8 @@ pub(crate) struct Teleoperation {
     closed: bool,
     /// True if the passivity control reduced the leader's force in the last cycle.
     limited: bool,
-    /// Share of the leader's force, from 0 to 1.
+    latency: SteadyLatency,
+    /// Share of the leader's force, or of the follower's motion, from 0 to 1.
     share: f64,
     /// Reference of the follower's rows, m or rad, and its velocity.
     reference: Vector6<f64>,
@@ -122,10 +127,12 @@ impl Teleoperation {
             delay_damping_ratio: p.delay_damping_ratio.get(),
             lag_s: period_s + lag_s,
             delay_damping_at_most: p.delay_damping_at_most_ns_per_m.get(),
+            compliance: ContactCompliance::new(period_s),
             clutch_open_s: p.clutch_open_s.clone(),
             period_s,
             passivity: PortPassivity::new(&limits, angular, period_s),
             wave,
+            latency: SteadyLatency::new(period_s),
             closed: false,
             limited: false,
             share: 0.0,
@@ -167,12 +174,15 @@ impl Teleoperation {
             vector.fill(0.0);
         }
         (self.closed, self.share) = (false, 0.0);
+        self.compliance.restart();
+        self.latency.restart();
         self.passivity.restart();
     }
 
     /// Continues from the coupling of another task set.
     pub(crate) fn inherit_state(&mut self, before: &Self) {
         self.passivity.inherit_state(&before.passivity);
+        (self.compliance, self.latency) = (before.compliance, before.latency);
         (self.closed, self.share) = (before.closed, before.share);
         self.reference = before.reference;
         self.reference_velocity = before.reference_velocity;
@@ -183,23 +193,31 @@ impl Teleoperation {
     }
 
     /// Cycle in which the robot is held: the coupling is open, and the reference stays at the robot.
-    pub(crate) fn rest(&mut self, state: &RowState, partner: &ReceivedState) {
+    pub(crate) fn rest(&mut self, state: &RowState, partner: &ReceivedState, clock_s: f64) {
+        let partner = self.continued(partner, clock_s);
         self.position = state.position;
         self.reference = state.position;
-        self.open(partner);
+        self.open(partner.as_ref());
         self.force.fill(0.0);
         self.passivity.restart();
     }
 
     /// Opens the coupling: the reference stays where it is, whatever the leader does.
-    fn open(&mut self, partner: &ReceivedState) {
+    fn open(&mut self, partner: Option<&Packet>) {
         (self.closed, self.limited, self.share) = (false, false, 0.0);
         self.reference_velocity.fill(0.0);
-        if let Some(packet) = partner.newest() {
+        if let Some(packet) = partner {
             self.offset = self.reference - packet.position * self.position_scale;
         }
         self.target = self.reference;
         self.restart_wave();
+    }
+
+    /// Newest packet, its position continued over the jitter of the channel.
+    fn continued(&mut self, partner: &ReceivedState, clock_s: f64) -> Option<Packet> {
+        let mut packet = *partner.newest()?;
+        packet.position += packet.velocity * self.latency.excess_s(clock_s - packet.sent_s);
+        Some(packet)
     }
 
     /// Forgets the waves that arrived before: a coupling that closes again must not make up for the motion while it was open.
@@ -220,20 +238,21 @@ impl Teleoperation {
     ) -> Vector6<f64> {
         let scheduled = || self.clutch_open_s.iter().any(|[from, until]| (*from..*until).contains(&time_s));
         let is_open = clutch.unwrap_or_else(scheduled);
-        let packet = partner.fresh(clock_s);
+        let newest = self.continued(partner, clock_s);
         let moved = state.position - self.position;
         self.position = state.position;
         // A robot whose own clutch is open still sends what the other one needs to see that.
-        self.closed = packet.is_some() && !is_open;
-        let packet = packet.filter(|packet| packet.closed && !is_open);
+        self.closed = newest.is_some() && !partner.is_stale(clock_s) && !is_open;
+        let packet = newest.as_ref().filter(|packet| self.closed && packet.closed);
         match self.side {
             CouplingSide::Leader => self.lead(state, &moved, packet, clock_s),
-            CouplingSide::Follower => self.follow(state, &moved, packet, partner),
+            CouplingSide::Follower => self.follow(state, &moved, packet, newest.as_ref()),
         }
     }
 
-    /// Force by which the delay is paid for: a force that arrives the round trip T late lacks K T v of that of the spring K
-    /// behind it, and would give this energy away in each push. It is taken along the force, in the measure of the force, so
+    /// Force by which the delay is paid for: a force that arrives the round trip T late lacks K T v of that of the stiffness K
+    /// behind it, and would give this energy away in each push. K is that of the coupling's spring and of what the follower touches,
+    /// in series. It is taken along the force, in the measure of the force, so
     /// that neither motion without contact nor sliding is braked.
     fn delay_damping(&self, packet: &Packet, velocity: &Vector6<f64>, clock_s: f64) -> Vector6<f64> {
         let round_trip_s = clock_s - packet.echo_s;
@@ -244,7 +263,8 @@ impl Teleoperation {
         let delay_s = self.delay_damping_ratio * (round_trip_s + self.lag_s);
         let direction = packet.force / force;
         let stiffness = self.spring.component_mul(&direction).dot(&direction) * self.position_scale;
-        let damping = (stiffness * delay_s).min(self.delay_damping_at_most);
+        let series = stiffness / (1.0 + stiffness * self.compliance.get());
+        let damping = (series * delay_s).min(self.delay_damping_at_most);
         direction * (damping * direction.dot(velocity) * (force / CONTACT_N).min(1.0))
     }
 
@@ -258,6 +278,7 @@ impl Teleoperation {
         let wanted = match packet {
             None => {
                 self.share = 0.0;
+                self.compliance.restart();
                 self.restart_wave();
                 Vector6::zeros()
             }
@@ -278,6 +299,7 @@ impl Teleoperation {
                             wave.lead(&state.velocity)
                         }
                         None => {
+                            self.compliance.update(&packet.force, &packet.position);
                             let braked = packet.force - self.delay_damping(packet, &state.velocity, clock_s);
                             braked * self.force_scale
                         }
@@ -301,14 +323,14 @@ impl Teleoperation {
         state: &RowState,
         moved: &Vector6<f64>,
         packet: Option<&Packet>,
-        partner: &ReceivedState,
+        newest: Option<&Packet>,
     ) -> Vector6<f64> {
         let energy_scale = self.force_scale / self.position_scale;
         let effort = self.effort(state);
         match packet {
             None => {
                 let closed = self.closed;
-                self.open(partner);
+                self.open(newest);
                 self.closed = closed;
             }
             Some(packet) => {
@@ -324,9 +346,15 @@ impl Teleoperation {
                         let [sp, sf] = [self.position_scale, self.force_scale];
                         wave.follow(&(at_rest * sf), &(per_velocity * (sf * sp))) * sp
                     }
-                    None => target - self.target,
+                    None => {
+                        // What the leader moves while the follower fades in is as with the open clutch.
+                        self.share = (self.share + self.period_s / FADE_S).min(1.0);
+                        let slip = (target - self.target) * (1.0 - self.share);
+                        self.offset -= slip;
+                        target - slip - self.target
+                    }
                 };
-                self.target = target;
+                self.target += step;
                 let allowed = match self.reflect {
                     Reflected::Position => step,
                     _ => {
@@ -338,7 +366,7 @@ impl Teleoperation {
                 };
                 self.reference += allowed;
                 self.reference_velocity = if allowed == step && self.wave.is_none() {
-                    packet.velocity * self.position_scale
+                    packet.velocity * (self.position_scale * self.share)
                 } else {
                     allowed / self.period_s
                 };

@@ -4,7 +4,8 @@
 use nalgebra::Vector6;
 use opspace_backend::quantity::NonNegative;
 use opspace_control::coupling::{
-    EnergyPlay, Packet, PortPassivity, PortPassivityParameters, ReceivedState, WaveSide,
+    ContactCompliance, EnergyPlay, Packet, PortPassivity, PortPassivityParameters, ReceivedState,
+    SteadyLatency, WaveSide,
 };
 use proptest::prelude::*;
 use rand::{RngExt, SeedableRng};
@@ -959,4 +960,59 @@ fn lost_waves_do_not_displace_the_follower() {
     let _ = leader.lead(&along_x(1.0));
     follower.receive(2.0, leader.sent());
     assert_eq!(follower.follow(&Vector6::zeros(), &NO_SLOPE), Vector6::zeros());
+}
+
+// --- Compliance of a contact, and latency ---
+
+/// A hand presses a spring with a random motion, with noise of force and position; the place of the surface is not known. Compared: the
+/// estimate and the compliance of the spring.
+#[test]
+fn compliance_of_a_spring_is_found() {
+    const NOISE: [f64; 2] = [0.05, 2e-5];
+    for seed in 0..50 {
+        let random = &mut ChaCha8Rng::seed_from_u64(seed);
+        let stiffness = 10f64.powf(random.random_range(2.0..4.0));
+        let direction = Vector6::new(0.6, 0.0, 0.8, 0.0, 0.0, 0.0);
+        let (surface, frequency) = (random.random_range(-1.0..1.0), random.random_range(0.5..2.0));
+        let mut compliance = ContactCompliance::new(PERIOD_S);
+        assert_eq!(compliance.get(), 0.0);
+        for k in 0..5000 {
+            let phase = std::f64::consts::TAU * frequency * PERIOD_S * f64::from(k);
+            let force = 20.0 + 8.0 * phase.sin();
+            let [dither_n, dither_m] = NOISE.map(|noise| noise * random.random_range(-1.7..1.7));
+            let position = direction * (surface - force / stiffness + dither_m);
+            compliance.update(&(direction * (force + dither_n)), &position);
+        }
+        let error = compliance.get() * stiffness - 1.0;
+        // The variation of the force from which on an estimate counts makes it up to 3 % too stiff.
+        assert!((-0.03..0.01).contains(&error), "seed {seed}: {error} at {stiffness} N/m");
+        compliance.update(&Vector6::zeros(), &Vector6::zeros());
+        assert_eq!(compliance.get(), 0.0, "nothing is known of the next contact");
+        compliance.update(&along_x(f64::NAN), &Vector6::zeros());
+        assert_eq!(compliance.get(), 0.0);
+    }
+}
+
+/// A motion of constant speed over a channel with jitter and loss. Compared: steps of the continued position, and those of the motion.
+#[test]
+fn jitter_makes_no_steps() {
+    let random = &mut ChaCha8Rng::seed_from_u64(1);
+    let (speed, clock_offset_s) = (0.1, -7.0);
+    let mut latency = SteadyLatency::new(PERIOD_S);
+    let (mut newest_s, mut before) = (0.0, 0.0);
+    let mut largest: f64 = 0.0;
+    for k in 0..20_000 {
+        let now_s = PERIOD_S * f64::from(k);
+        // The newest packet is between 20 and 40 ms old.
+        newest_s = f64::max(newest_s, now_s - random.random_range(0.02..0.04));
+        let position = speed * (newest_s + latency.excess_s(now_s - newest_s - clock_offset_s));
+        if k > 5000 {
+            largest = largest.max((position - before - speed * PERIOD_S).abs());
+        }
+        before = position;
+    }
+    // Without the continuation a packet that comes 10 ms late and then on time is a step of ten cycles.
+    assert!(largest < 0.05 * speed * PERIOD_S, "{largest} m");
+    assert_eq!(latency.excess_s(f64::NAN), 0.0);
+    assert_eq!(latency.excess_s(1e3), 0.05, "the motion is not continued for longer");
 }

@@ -5,15 +5,17 @@ use opspace_backend::signal_names::{DISPLACEMENT, PORT_FORCE, REFERENCE};
 
 /// Index of z.
 const Z: usize = 2;
+/// Time over which a follower fades in, s.
+const FADE_S: f64 = 0.1;
 /// Friction of the arm over the spring of the coupling, m: 4 N / (3 kN/m), rounded up.
 const FRICTION_M: f64 = 2e-3;
 
 /// Compared: the follower's motion and force, and those of the leader times their scales. While the clutch is open, the
-/// reference stays; afterwards it continues from there.
+/// reference stays; afterwards it continues from there, and fades in.
 #[test]
 fn clutch_and_scales_are_obeyed() {
-    // The operator's 60 mm are 30 mm of the follower, and some of them are lost while the clutch is open: a table 5 mm below.
-    let table = "follower.environment.table.point_m=[0.36, 0.0, -0.162]";
+    // The operator's 60 mm are 30 mm of the follower, and some of them are lost while the clutch is open: a table 3 mm below.
+    let table = "follower.environment.table.point_m=[0.36, 0.0, -0.160]";
     let (open_s, closed_s) = (0.5, 0.7);
     let run = run(&teleoperation(&[
         table,
@@ -35,8 +37,14 @@ fn clutch_and_scales_are_obeyed() {
     // Closed: no step beyond the speed of the operator, 1.875 · 60 mm / 0.7 s · 0.5, doubled.
     let step = largest_step(&run.hand("follower", REFERENCE, closed_s - 5e-3, 3.0));
     assert!(step < 2.0 * 0.5 * 1.875 * 0.06 / 0.7 * 1e-3, "{step} m in a cycle");
+    // While the follower fades in, it takes a share of the leader's steps that grows to 1.
+    let steps = run.hand("leader", DISPLACEMENT, closed_s, closed_s + FADE_S);
+    let shares =
+        steps.windows(2).map(|pair| (1.0 - (pair[1].0 - closed_s) / FADE_S, pair[1].1[Z] - pair[0].1[Z]));
+    let slip: f64 = shares.map(|(left, step)| left * step).sum();
+    assert!(slip < -1e-3, "{slip} m");
     // Steady state: positions without what was moved with the open clutch, except the part of a cycle at each of its ends.
-    let expected = 0.5 * (at("leader", DISPLACEMENT, 2.9) - moved);
+    let expected = 0.5 * (at("leader", DISPLACEMENT, 2.9) - moved - slip);
     let reference = at("follower", REFERENCE, 2.9);
     assert!((reference - expected).abs() < 3e-4, "{reference} m for {expected} m");
     let follows = at("follower", DISPLACEMENT, 2.9) - reference;
