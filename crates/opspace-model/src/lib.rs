@@ -107,7 +107,10 @@ pub use reduce::{MimicConstraint, ReduceError};
 pub use regressor::{inertial_parameters, torque_regressor};
 pub use rnea::{bias, gravity, rnea, rnea_external};
 pub use spatial::{Force, Inertia, Motion, Placement, SpatialInertia, principal_moments};
-pub use urdf::{ParsedUrdf, UrdfError, UrdfErrorKind, UrdfOptions, UrdfWarning, UrdfWarningKind};
+pub use urdf::{
+    JointDynamics, ParsedUrdf, UrdfError, UrdfErrorKind, UrdfJoint, UrdfOptions, UrdfWarning, UrdfWarningKind,
+    urdf_joints,
+};
 pub use warnings::{ModelWarning, model_warnings};
 
 /// Computes the state quantities of a control cycle at `q` (nq; rad, m) and `dq` (n; rad/s, m/s): kinematics, M and its

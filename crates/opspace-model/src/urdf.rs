@@ -3,7 +3,7 @@
 //!
 //! Everything needed by the dynamics must be in the file and be physically possible. A moving body without mass, a
 //! joint without limits or a tree with two roots is an error with the element and its line; no default replaces a
-//! missing value. Shapes, materials, transmissions and `<dynamics>` are ignored;
+//! missing value. Shapes, materials and transmissions are ignored; `<dynamics>` is reported, but no part of the model;
 //! [`link_shapes`] reads the shapes for collisions.
 //!
 //! ```
@@ -41,7 +41,7 @@ mod tree;
 pub use error::{UrdfError, UrdfErrorKind, UrdfWarning, UrdfWarningKind};
 pub use shapes::{Geometry, LinkShapes, Shape, link_shapes};
 
-use crate::model::{BASE_JOINTS, Joint, JointKind, Model, rotation_z_to};
+use crate::model::{BASE_JOINTS, Joint, JointKind, Limits, Model, rotation_z_to};
 use crate::reduce::{MimicConstraint, ReduceError};
 use crate::spatial::{Inertia, Placement};
 use check::{Checked, CheckedJoint, Description, Motion};
@@ -55,8 +55,38 @@ pub struct ParsedUrdf {
     pub model: Model,
     /// Mass of the links that cannot move, kg. They are not part of the model.
     pub standing_kg: f64,
+    /// Friction of the joints according to their `<dynamics>`, in the model's joint order. It is no part of the model.
+    pub dynamics: Vec<JointDynamics>,
     /// Warnings about accepted but suspicious values, in the order of the file.
     pub warnings: Vec<UrdfWarning>,
+}
+
+/// Friction of a joint according to the `<dynamics>` of its URDF; `None` where the URDF has none.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[non_exhaustive]
+pub struct JointDynamics {
+    /// Viscous friction, Nms/rad (Ns/m).
+    pub damping: Option<f64>,
+    /// Coulomb friction, Nm (N).
+    pub friction: Option<f64>,
+}
+
+/// Joint of a URDF with its two links.
+#[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
+pub struct UrdfJoint {
+    /// Name of the joint.
+    pub name: String,
+    /// Type of the joint; `None` for a fixed joint.
+    pub kind: Option<JointKind>,
+    /// Limits of the joint; infinite for a fixed joint.
+    pub limits: Limits,
+    /// Name of the parent link.
+    pub parent: String,
+    /// Name of the child link.
+    pub child: String,
+    /// Name of the joint that this joint mimics, if any.
+    pub mimics: Option<String>,
 }
 
 /// Options for reading a URDF.
@@ -87,7 +117,20 @@ impl Model {
     /// # Errors
     /// As [`from_urdf`](Self::from_urdf).
     pub fn from_urdf_with(text: &str, options: UrdfOptions) -> Result<ParsedUrdf, UrdfError> {
-        load(read::read(text)?, options)
+        load(read::read(text)?, options, &[])
+    }
+
+    /// Variant of [`from_urdf_with`](Self::from_urdf_with) with some joints locked, each at a position (rad, m): they are
+    /// fixed joints there, and so are joints that mimic them if mimic joints are enforced.
+    ///
+    /// # Errors
+    /// As [`from_urdf`](Self::from_urdf); a locked joint that the URDF does not have, or that is fixed.
+    pub fn from_urdf_locked(
+        text: &str,
+        options: UrdfOptions,
+        locked: &[(String, f64)],
+    ) -> Result<ParsedUrdf, UrdfError> {
+        load(read::read(text)?, options, locked)
     }
 
     /// Returns a robot read by urdf-rs or built in code from its types. The checks are those of
@@ -102,21 +145,97 @@ impl Model {
     /// As [`from_urdf`](Self::from_urdf).
     #[cfg(feature = "urdf-rs")]
     pub fn from_urdf_rs(robot: &urdf_rs::Robot, options: UrdfOptions) -> Result<ParsedUrdf, UrdfError> {
-        load(from_urdf_rs::elements(robot)?, options)
+        load(from_urdf_rs::elements(robot)?, options, &[])
     }
 }
 
+/// Returns the joints of a URDF, in the order of the file. Its links form one tree.
+///
+/// # Errors
+/// As [`Model::from_urdf`], but for masses and inertias of moving links.
+pub fn urdf_joints(text: &str) -> Result<Vec<UrdfJoint>, UrdfError> {
+    let Checked { description, .. } = check::check(read::read(text)?)?;
+    tree::depth_first(&description)?;
+    let joint = |joint: CheckedJoint| {
+        let (kind, limits, mimics) = match joint.motion {
+            Motion::Fixed => (None, Limits::NONE, None),
+            Motion::Moving { kind, limits, mimic, .. } => (Some(kind), limits, mimic.map(|m| m.leader)),
+        };
+        UrdfJoint { name: joint.name, kind, limits, parent: joint.parent, child: joint.child, mimics }
+    };
+    Ok(description.joints.into_iter().map(joint).collect())
+}
+
 /// Checks the elements of a robot and builds its model.
-fn load(robot: RobotElement, options: UrdfOptions) -> Result<ParsedUrdf, UrdfError> {
-    let Checked { description, mut warnings } = check::check(robot)?;
+fn load(
+    robot: RobotElement,
+    options: UrdfOptions,
+    locked: &[(String, f64)],
+) -> Result<ParsedUrdf, UrdfError> {
+    let Checked { mut description, mut warnings } = check::check(robot)?;
+    lock(&mut description, options, locked)?;
     let order = tree::depth_first(&description)?;
-    let (mut model, standing_kg) = assemble(&description, &order, options.floating_base)?;
+    let (mut model, standing_kg) = assemble(&description, &order, options.floating_base, &mut warnings)?;
+    let is_moving = |name: &str| description.joints.iter().any(|j| j.name == name && j.motion.is_moving());
+    warnings.retain(|w| !matches!(w.kind(), UrdfWarningKind::Mimic { joint, .. } if !is_moving(joint)));
     if options.enforce_mimic {
         model = fold(&model, &description)?;
         warnings.retain(|w| !matches!(w.kind(), UrdfWarningKind::Mimic { .. }));
     }
     warnings.sort_by_key(UrdfWarning::line);
-    Ok(ParsedUrdf { model, standing_kg, warnings })
+    let dynamics_of = |joint: &Joint| {
+        let element = description.joints.iter().find(|element| element.name == joint.name);
+        match element.map(|element| &element.motion) {
+            Some(Motion::Moving { dynamics, .. }) => {
+                JointDynamics { damping: dynamics.damping, friction: dynamics.friction }
+            }
+            _ => JointDynamics::default(),
+        }
+    };
+    let dynamics = model.joints().iter().map(dynamics_of).collect();
+    Ok(ParsedUrdf { model, standing_kg, dynamics, warnings })
+}
+
+/// Fixes the locked joints at their positions and, if mimic joints are enforced, those that mimic them.
+fn lock(
+    description: &mut Description,
+    options: UrdfOptions,
+    locked: &[(String, f64)],
+) -> Result<(), UrdfError> {
+    let mut positions: Vec<(String, f64)> = Vec::new();
+    for (name, position) in locked {
+        if !description.joints.iter().any(|j| j.name == *name && j.motion.is_moving()) {
+            let moving = description.joints.iter().filter(|j| j.motion.is_moving());
+            let known = moving.map(|j| j.name.clone()).collect();
+            let kind = UrdfErrorKind::UnknownLocked { joint: name.clone(), known };
+            return Err(UrdfError::whole_file(kind));
+        }
+        positions.push((name.clone(), *position));
+    }
+    let mut next = 0;
+    while let Some((leader, position)) = positions.get(next).cloned() {
+        next += 1;
+        for joint in &mut description.joints {
+            let follower = match &joint.motion {
+                Motion::Moving { mimic: Some(mimic), .. }
+                    if options.enforce_mimic && mimic.leader == leader && joint.name != leader =>
+                {
+                    Some(mimic.ratio * position + mimic.offset)
+                }
+                _ => None,
+            };
+            if let Some(position) = follower.filter(|_| positions.iter().all(|(name, _)| *name != joint.name)) {
+                positions.push((joint.name.clone(), position));
+            }
+            if let (true, Motion::Moving { kind, axis, .. }) = (joint.name == leader, &joint.motion) {
+                let turned = Placement { rotation: rotation_z_to(axis), ..Placement::identity() };
+                joint.origin =
+                    kind.placement(&(joint.origin * turned), position, position.sin_cos()) * turned.inverse();
+                joint.motion = Motion::Fixed;
+            }
+        }
+    }
+    Ok(())
 }
 
 /// Placement of a link: its body, and its pose in the frame of that body.
@@ -131,6 +250,7 @@ fn assemble(
     description: &Description,
     order: &[tree::Step],
     floating: bool,
+    warnings: &mut Vec<UrdfWarning>,
 ) -> Result<(Model, f64), UrdfError> {
     let mut standing_kg = 0.0;
     let name = &description.name;
@@ -162,6 +282,17 @@ fn assemble(
             };
         }
         let (link, place) = (&description.links[step.link], places[step.link]);
+        match (link.indefinite, place.body) {
+            (Some((smallest, line)), Some(_)) => {
+                let element = format!("link '{}'", link.name);
+                return Err(UrdfError::at(line, UrdfErrorKind::NegativeInertia { element, smallest }));
+            }
+            (Some((smallest, line)), None) => {
+                let kind = UrdfWarningKind::StandingInertia { link: link.name.clone(), smallest };
+                warnings.push(UrdfWarning::at(line, kind));
+            }
+            (None, _) => {}
+        }
         match (place.body, link.inertia) {
             (Some(body), Some(inertia)) => {
                 inertias[body] = inertias[body] + place.placement.act_inertia(&inertia);

@@ -306,17 +306,20 @@ impl ArmConfig {
         let dt = 1.0 / physics_hz;
         let bandwidth_hz = simulated.current_loop_hz.map(|hz| hz.get());
         let joint = |(i, parameters): (usize, &JointParameters)| {
+            let torque_limit = parameters.torque_limit_nm.get();
+            let bristle = simulated.bristle_of(self.true_friction(i));
+            let brake = simulated.brake_of(torque_limit);
             let friction = LuGre::new(
                 self.true_friction(i),
-                &simulated.bristle,
+                &bristle,
                 simulated.true_over_nominal.friction.get(),
             );
-            let slip_torque = parameters.torque_limit_nm.get() * simulated.brake.holding_torque_ratio.get();
+            let slip_torque = torque_limit * brake.holding_torque_ratio.get();
             let drivetrain = Drivetrain::new(
                 Motor::new(bandwidth_hz, dt, motor_torque[i]),
                 friction,
-                EndStop::new(&model.joints()[i].limits, &simulated.end_stop),
-                Brake::new(&simulated.brake, slip_torque),
+                EndStop::new(&model.joints()[i].limits, &simulated.end_stop_of(torque_limit)),
+                Brake::new(&brake, slip_torque),
                 self.encoder(parameters, simulated.encoder.drive),
             );
             let angle_torque = AngleTorque::new(
@@ -330,10 +333,10 @@ impl ArmConfig {
                 .with_interface_encoder(self.encoder(parameters, simulated.encoder.interface));
             let Some(gear) = self.gear(i) else { return Ok(drivetrain) };
             let stiffness =
-                simulated.brake.stiffness_nm_per_rad.get() + simulated.bristle.stiffness_nm_per_rad.get();
+                brake.stiffness_nm_per_rad.get() + bristle.stiffness_nm_per_rad.get();
             let scale = simulated.true_over_nominal.friction.get();
-            let damping = simulated.brake.damping_nms_per_rad.get()
-                + simulated.bristle.damping_nms_per_rad.get()
+            let damping = brake.damping_nms_per_rad.get()
+                + bristle.damping_nms_per_rad.get()
                 + scale * self.true_friction(i).viscous_nms_per_rad.get();
             let steps = gear.steps(dt, stiffness, damping);
             if steps > MAX_STEPS {

@@ -75,6 +75,7 @@ fn drive(effort: f64) -> JointParameters {
         torque_limit_nm: Positive::try_from(effort).unwrap_or(Positive::literal(f64::MAX)),
         torque_rate_limit_nm_per_s: None,
         acceleration_limit_rad_per_s2: None,
+        velocity_limit_rad_per_s: None,
         gear_stiffness_nm_per_rad: None,
         rotor: RotorParameters {
             inertia_kg_m2: NonNegative::default(),
@@ -118,17 +119,17 @@ fn plant(physics_hz: Positive) -> SimulatedParameters {
         torque_noise_nm: NonNegative::default(),
         encoder_quantisation: false,
         torque_saturation: true,
-        bristle: BristleParameters {
+        bristle: Some(BristleParameters {
             stiffness_nm_per_rad: UNUSED,
             damping_nms_per_rad: NonNegative::default(),
             damping_fade_velocity_rad_per_s: UNUSED,
-        },
-        end_stop: EndStopParameters { stiffness_nm_per_rad: STIFFNESS, damping_nms_per_rad: DAMPING },
-        brake: BrakeParameters {
+        }),
+        end_stop: Some(EndStopParameters { stiffness_nm_per_rad: STIFFNESS, damping_nms_per_rad: DAMPING }),
+        brake: Some(BrakeParameters {
             holding_torque_ratio: UNUSED,
             stiffness_nm_per_rad: STIFFNESS,
             damping_nms_per_rad: DAMPING,
-        },
+        }),
         force_sensor: BTreeMap::new(),
         true_over_nominal: ScaleParameters::default(),
         bus: Default::default(),

@@ -14,7 +14,8 @@ use std::collections::BTreeMap;
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct SimulatedParameters {
-    /// Rate of the rigid-body integrator, Hz: a whole multiple of every profile's `servo_hz`.
+    /// Rate of the rigid-body integrator, Hz: a whole multiple of every profile's `servo_hz`; if absent, the smallest from
+    /// 10 kHz.
     pub physics_hz: Positive,
     /// Bandwidth of the motors' first-order current loop, Hz; no lag if absent.
     pub current_loop_hz: Option<Positive>,
@@ -27,12 +28,18 @@ pub struct SimulatedParameters {
     /// True if the drives' torque limits are active.
     #[serde(default = "yes")]
     pub torque_saturation: bool,
-    /// Bristles of the friction model.
-    pub bristle: BristleParameters,
-    /// End stops at the joints' position limits.
-    pub end_stop: EndStopParameters,
-    /// Brakes of the joints.
-    pub brake: BrakeParameters,
+    /// Bristles of the friction model. If absent, those of each joint have the stiffness static_nm/presliding_rad of its
+    /// friction, and this stiffness times 5 ms as damping, which decreases over 0.1 rad/s (m/s).
+    #[serde(default)]
+    pub bristle: Option<BristleParameters>,
+    /// End stops at the joints' position limits. If absent, the torque limit of a joint compresses its stop by 0.01 rad (m);
+    /// the damping is the stiffness times 10 ms.
+    #[serde(default)]
+    pub end_stop: Option<EndStopParameters>,
+    /// Brakes of the joints. If absent, a brake slips at 1.5 times the torque limit of its joint, after 0.01 rad (m); the
+    /// damping is the stiffness times 5 ms.
+    #[serde(default)]
+    pub brake: Option<BrakeParameters>,
     /// Measurement errors of each force sensor, by sensor name.
     #[serde(default)]
     pub force_sensor: BTreeMap<String, ForceSensorParameters>,
@@ -80,6 +87,70 @@ pub struct SimulatedParameters {
 
 const fn yes() -> bool {
     true
+}
+
+/// Deflection of a default end stop under the torque limit, and of a default brake that slips, rad (m).
+const DEFLECTION: f64 = 0.01;
+
+/// Speed over which the damping of default bristles decreases, rad/s (m/s).
+const DAMPING_FADE: Positive = Positive::literal(0.1);
+
+/// Holding torque of a default brake over the torque limit.
+const HOLDING_RATIO: Positive = Positive::literal(1.5);
+
+/// Damping over stiffness of default bristles and brakes, s.
+const DAMPING_S: f64 = 0.005;
+
+/// Damping over stiffness of default end stops, s.
+const END_STOP_S: f64 = 0.01;
+
+impl SimulatedParameters {
+    /// Bristles of a joint with this true friction.
+    #[must_use]
+    pub fn bristle_of(&self, friction: &FrictionParameters) -> BristleParameters {
+        self.bristle.clone().unwrap_or_else(|| {
+            // Without friction, bristles have no effect.
+            let stiffness = positive(friction.static_nm.get() / friction.presliding_rad.get());
+            BristleParameters {
+                stiffness_nm_per_rad: stiffness,
+                damping_nms_per_rad: times(stiffness, DAMPING_S),
+                damping_fade_velocity_rad_per_s: DAMPING_FADE,
+            }
+        })
+    }
+
+    /// End stops of a joint with this torque limit (Nm, N).
+    #[must_use]
+    pub fn end_stop_of(&self, torque_limit: f64) -> EndStopParameters {
+        self.end_stop.clone().unwrap_or_else(|| {
+            let stiffness = positive(torque_limit / DEFLECTION);
+            EndStopParameters {
+                stiffness_nm_per_rad: stiffness,
+                damping_nms_per_rad: times(stiffness, END_STOP_S),
+            }
+        })
+    }
+
+    /// Brake of a joint with this torque limit (Nm, N).
+    #[must_use]
+    pub fn brake_of(&self, torque_limit: f64) -> BrakeParameters {
+        self.brake.clone().unwrap_or_else(|| {
+            let stiffness = positive(HOLDING_RATIO.get() * torque_limit / DEFLECTION);
+            BrakeParameters {
+                holding_torque_ratio: HOLDING_RATIO,
+                stiffness_nm_per_rad: stiffness,
+                damping_nms_per_rad: times(stiffness, DAMPING_S),
+            }
+        })
+    }
+}
+
+fn positive(value: f64) -> Positive {
+    Positive::try_from(value).unwrap_or(Positive::literal(1.0))
+}
+
+fn times(stiffness: Positive, seconds: f64) -> NonNegative {
+    NonNegative::try_from(stiffness.get() * seconds).unwrap_or_default()
 }
 
 /// Bristles of the LuGre model, which describe presliding friction.

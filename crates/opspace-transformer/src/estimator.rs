@@ -33,7 +33,8 @@ pub struct EstimatorParameters {
     /// the observer, and all others the filter, as the paper does. A torque robot that measures velocities uses these.
     #[serde(default)]
     pub velocity: Option<VelocitySource>,
-    /// Cut-off frequency of the low-pass filter on the finite difference, Hz.
+    /// Cut-off frequency of the low-pass filter on the finite difference, Hz; 150 if absent.
+    #[serde(default = "default_filter")]
     pub velocity_filter_hz: Positive,
     /// Rms noise of measured positions at the joints, rad (m), for `extrapolation` where drives limit the acceleration of
     /// setpoints. That of the encoders' resolution if absent.
@@ -41,10 +42,14 @@ pub struct EstimatorParameters {
     pub position_noise_rad: Option<Positive>,
 }
 
+const fn default_filter() -> Positive {
+    Positive::literal(150.0)
+}
+
 impl Default for EstimatorParameters {
     /// Returns the cut-off of the paper's experiments, 150 Hz.
     fn default() -> Self {
-        Self { velocity: None, velocity_filter_hz: Positive::literal(150.0), position_noise_rad: None }
+        Self { velocity: None, velocity_filter_hz: default_filter(), position_noise_rad: None }
     }
 }
 

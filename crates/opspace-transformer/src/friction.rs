@@ -34,16 +34,17 @@ use serde::Deserialize;
 
 /// Friction of one joint: Coulomb and static friction with the Stribeck effect, and viscous friction.
 #[derive(Clone, Debug, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[cfg_attr(feature = "schema", derive(JsonSchema), schemars(transform = crate::parameters::with_optional_keys))]
 #[serde(deny_unknown_fields)]
 pub struct FrictionParameters {
-    /// Coulomb friction Fc while moving, Nm (N).
+    /// Coulomb friction Fc while moving, Nm (N); that of the URDF if absent.
     pub coulomb_nm: NonNegative,
-    /// Static (breakaway) friction Fs, Nm (N).
+    /// Static (breakaway) friction Fs, Nm (N); equal to `coulomb_nm` if absent.
     pub static_nm: NonNegative,
-    /// Stribeck velocity, over which static friction decreases to Coulomb friction, rad/s (m/s).
+    /// Stribeck velocity, over which static friction decreases to Coulomb friction, rad/s (m/s); 0.06 if absent.
+    #[serde(default = "default_stribeck")]
     pub stribeck_rad_per_s: Positive,
-    /// Viscous friction Fv, Nms/rad (Ns/m).
+    /// Viscous friction Fv, Nms/rad (Ns/m); damping of the URDF if absent.
     pub viscous_nms_per_rad: NonNegative,
     /// Presliding displacement δ, over which static friction builds up from zero like a spring, rad (m). Too small a
     /// value makes the joint oscillate at rest when its friction is compensated.
@@ -104,6 +105,10 @@ impl Default for FrictionCompensationParameters {
             observer_limit_nm: default_observer_limit(),
         }
     }
+}
+
+const fn default_stribeck() -> Positive {
+    Positive::literal(0.06)
 }
 
 const fn default_gain() -> NonNegative {

@@ -16,10 +16,10 @@ use std::f64::consts::TAU;
 
 /// Drive of one joint.
 #[derive(Clone, Debug, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[cfg_attr(feature = "schema", derive(JsonSchema), schemars(transform = with_optional_keys))]
 #[serde(deny_unknown_fields)]
 pub struct JointParameters {
-    /// Largest torque of the drive at the joint, Nm (N for a prismatic joint).
+    /// Largest torque of the drive at the joint, Nm (N for a prismatic joint); effort of the URDF if absent.
     pub torque_limit_nm: Positive,
     /// Largest rate of the commanded torque, Nm/s (N/s); if absent, the torque limit is reached in 10 ms.
     #[serde(default)]
@@ -28,6 +28,9 @@ pub struct JointParameters {
     /// half of the torque that gravity leaves in the worst of many postures.
     #[serde(default)]
     pub acceleration_limit_rad_per_s2: Option<Positive>,
+    /// Largest speed, rad/s (m/s); that of the URDF if absent.
+    #[serde(default)]
+    pub velocity_limit_rad_per_s: Option<Positive>,
     /// Stiffness of the gear between rotor and link, Nm/rad (N/m); rigid, or unknown, if absent. The simulated gear has
     /// it, unless `simulated.gear` has another.
     #[serde(default)]
@@ -38,17 +41,28 @@ pub struct JointParameters {
     pub friction: FrictionParameters,
 }
 
+/// Allows a table to lack any of its keys: other tables of the file may state them.
+#[cfg(feature = "schema")]
+pub(crate) fn with_optional_keys(schema: &mut schemars::Schema) {
+    schema.remove("required");
+}
+
 /// Rotor and encoder of a joint's motor.
 #[derive(Clone, Debug, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[cfg_attr(feature = "schema", derive(JsonSchema), schemars(transform = with_optional_keys))]
 #[serde(deny_unknown_fields)]
 pub struct RotorParameters {
     /// Inertia of all parts that turn at motor speed, kg m².
     pub inertia_kg_m2: NonNegative,
     /// Motor turns per joint turn.
     pub gear_ratio: Positive,
-    /// Encoder counts per motor turn.
+    /// Encoder counts per motor turn; 16384 (14 bits) if absent.
+    #[serde(default = "default_counts")]
     pub encoder_counts_per_turn: Count,
+}
+
+const fn default_counts() -> Count {
+    Count::literal(16384)
 }
 
 impl RotorParameters {
@@ -87,11 +101,13 @@ pub struct ProfileParameters {
     #[serde(default)]
     pub adapt_gains: Option<GainAdaptationParameters>,
     /// Estimator of joint velocity at the interface.
+    #[serde(default)]
     pub estimator: EstimatorParameters,
-    /// Position servo of each joint, by joint name; optional if there are velocity servos.
+    /// Position servo of each joint, by name of a joint, of a group of joints, or `joint_defaults` for all that state no other;
+    /// a value that is absent is that of the group or of all. Only robots that accept positions need it.
     #[serde(default)]
     pub servo: BTreeMap<String, ServoParameters>,
-    /// Velocity servo of each joint, by joint name, for a robot that accepts velocities; absent otherwise.
+    /// Velocity servo of each joint, by name as in `servo`, for a robot that accepts velocities; absent otherwise.
     #[serde(default)]
     pub velocity_servo: BTreeMap<String, VelocityServo>,
     /// Limits of the drives on the sequence of setpoints, and their reaction; none if absent.

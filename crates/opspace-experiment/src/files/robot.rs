@@ -4,8 +4,13 @@ use crate::files::collision::{CollisionFile, RobotCapsules, robot_capsules};
 use crate::files::interface::InterfaceParameters;
 use crate::files::origin::{Files, Kind, beside};
 use crate::files::overrides;
-use crate::files::source::{FileError, Source, parse};
+use crate::files::joint_layers::{UrdfValue, check_layers, expand, groups, urdf_layer, urdf_values};
+use crate::files::layered_path::{inner, stated_path};
+use crate::files::missing::check_complete;
+use crate::files::robot_part::{PartKeys, UsedPart, load_part, urdf_error};
+use crate::files::source::{FileError, KeyPath, Source, checked, explain, parse};
 use crate::files::suggest::{choices, list};
+use crate::files::toml_path::{depth_of, dotted, keys_at, value_at};
 use crate::files::tool::{self, ToolFile};
 use opspace_backend::quantity::Positive;
 use opspace_backend::{Capabilities, CommandKind, Measured, Setting};
@@ -15,7 +20,7 @@ use opspace_loop::{
     SensorEstimateParameters, SensorLoadParameters,
 };
 use opspace_model::collision::{CapsuleWarning, LinkCapsule};
-use opspace_model::{FrameId, Model, ParsedUrdf, UrdfOptions, UrdfWarning};
+use opspace_model::{FrameId, JointDynamics, Limits, Model, ParsedUrdf, UrdfOptions, UrdfWarning};
 use opspace_sim::SimulatedParameters;
 use opspace_transformer::{
     ClosedLoopModel, Gears, JointParameters, ProfileParameters, ServoLaw, ServoParameters,
@@ -23,9 +28,12 @@ use opspace_transformer::{
 #[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::Deserialize;
+use serde::de::IgnoredAny;
 use std::collections::BTreeMap;
 use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
+use toml::Spanned;
+use toml::de::{DeTable, DeValue};
 
 /// Contents of a robot file.
 #[derive(Clone, Debug, Deserialize)]
@@ -35,12 +43,35 @@ use std::path::{Path, PathBuf};
 pub struct RobotFile {
     /// URDF of the robot; the path is relative to this file.
     pub urdf: PathBuf,
-    /// Name of the default profile.
+    /// Name of the default profile; if absent, the only profile.
     pub default_profile: String,
+    /// Joints of the URDF that do not move, each with its position, rad (m).
+    #[serde(default)]
+    pub locked_joints: BTreeMap<String, f64>,
+    /// Chain of links that is used; joints elsewhere do not move: they are at `locked_joints`, or at the position closest to
+    /// zero.
+    #[serde(default, rename = "use")]
+    pub used: Option<UsedPart>,
+    /// True if mimic joints of the URDF move with the joints that they mimic; otherwise they are joints of their own.
+    #[serde(default)]
+    pub enforce_mimic: bool,
+    /// Keys of this file whose values, and all below them, are assumed: results rest on them. Remove a key when its value is
+    /// known.
+    #[serde(default)]
+    pub assumed: Vec<String>,
     /// Interface of the robot: commands, measurements and behaviour of the drives.
     pub interface: InterfaceParameters,
-    /// Drive of each moving joint of the URDF, by joint name.
+    /// Drive of each moving joint of the URDF, by joint name. A value that is absent is that of the joint's group, of
+    /// `joint_defaults`, or of the URDF, which has torque limits (effort) and friction (damping, friction).
     pub joint: BTreeMap<String, JointParameters>,
+    /// Values of all joints that state no other.
+    #[serde(default, rename = "joint_defaults")]
+    #[cfg_attr(feature = "schema", schemars(with = "Option<JointParameters>"))]
+    _joint_defaults: IgnoredAny,
+    /// Groups of joints, by name: values of the joints of a group that state no other. Each joint is in one group at most.
+    #[serde(default, rename = "group")]
+    #[cfg_attr(feature = "schema", schemars(with = "BTreeMap<String, JointGroup>"))]
+    _group: IgnoredAny,
     /// Profiles (sets of rates and servo parameters) of the robot, by name.
     pub profile: BTreeMap<String, ProfileParameters>,
     /// Force sensors, by name.
@@ -67,6 +98,17 @@ pub struct RobotFile {
     pub driver: Option<BTreeMap<String, Setting>>,
     /// Parameters of the simulated robot; if absent, the robot cannot be simulated.
     pub simulated: Option<SimulatedParameters>,
+}
+
+/// Group of joints, for the schema.
+#[cfg(feature = "schema")]
+#[derive(JsonSchema)]
+#[expect(dead_code, reason = "groups are expanded before a file is read")]
+struct JointGroup {
+    /// Names of the joints.
+    joints: Vec<String>,
+    #[serde(flatten)]
+    values: JointParameters,
 }
 
 /// A six-axis force sensor.
@@ -98,6 +140,10 @@ pub struct RobotDefinition {
     pub file: RobotFile,
     /// Rigid-body model, including rotors and tools.
     pub model: Model,
+    /// Mass of the links that cannot move, kg. They are not part of the model.
+    pub standing_kg: f64,
+    /// Values that the URDF states and the robot file does not.
+    pub urdf_values: Vec<UrdfValue>,
     /// Warnings about the URDF.
     pub warnings: Vec<UrdfWarning>,
     /// Force sensors, sorted by name, and after them the estimated forces, sorted by name.
@@ -116,9 +162,9 @@ impl RobotDefinition {
         let source = files.read(&path)?;
         Kind::Robot.require(&source)?;
         let source = overrides::apply_below(&source, "robot", settings)?;
-        let file: RobotFile = parse(&source)?;
-        let urdf = files.read_named(&beside(&path, &file.urdf), &source, "urdf")?;
-        Self::new(source, file, urdf, None)
+        let path_of_urdf = parse::<PartKeys>(&source)?.urdf;
+        let urdf = files.read_named(&beside(&path, &path_of_urdf), &source, "urdf")?;
+        Self::new(source, urdf, None)
     }
 
     /// Creates a robot definition from the texts of its files.
@@ -126,8 +172,7 @@ impl RobotDefinition {
     /// # Errors
     /// As [`load`](Self::load).
     pub fn from_sources(source: Source, urdf: Source) -> Result<Self, FileError> {
-        let file = parse(&source)?;
-        Self::new(source, file, urdf, None)
+        Self::new(source, urdf, None)
     }
 
     /// Creates a robot definition from the texts of its files and capsules that were generated before: the meshes may be
@@ -137,21 +182,21 @@ impl RobotDefinition {
         urdf: Source,
         generated: Option<Vec<LinkCapsule>>,
     ) -> Result<Self, FileError> {
-        let file = parse(&source)?;
-        Self::new(source, file, urdf, generated)
+        Self::new(source, urdf, generated)
     }
 
-    fn new(
-        source: Source,
-        file: RobotFile,
-        urdf: Source,
-        generated: Option<Vec<LinkCapsule>>,
-    ) -> Result<Self, FileError> {
-        let loaded = load_urdf(&urdf, UrdfOptions::default())?;
+    fn new(source: Source, urdf: Source, generated: Option<Vec<LinkCapsule>>) -> Result<Self, FileError> {
+        let loaded = load_part(&source, &urdf, &parse(&source)?)?;
         let mut model = loaded.model;
+        let (file, urdf_values) = read(&source, &model, &loaded.dynamics)?;
+        check_assumed(&source, &file.assumed)?;
         let mut rotors = Vec::new();
-        for joint in joints_of(&source, &model, &file.joint, &["joint"])? {
+        for (i, joint) in joints_of(&source, &model, &file.joint, &["joint"])?.into_iter().enumerate() {
             rotors.push(joint.rotor.reflected_inertia());
+            if let Some(velocity) = joint.velocity_limit_rad_per_s {
+                let limits = model.joints()[i].limits;
+                model.set_limits(i, Limits { velocity: velocity.get(), ..limits });
+            }
         }
         for (name, profile) in &file.profile {
             check_rate(&source, name, profile)?;
@@ -178,7 +223,17 @@ impl RobotDefinition {
             Some(collision) => Some(robot_capsules(&source, &model, collision, &urdf, generated)?),
             None => None,
         };
-        let robot = Self { source, urdf, file, model, warnings: loaded.warnings, sensors, capsules };
+        let robot = Self {
+            source,
+            urdf,
+            file,
+            model,
+            standing_kg: loaded.standing_kg,
+            urdf_values,
+            warnings: loaded.warnings,
+            sensors,
+            capsules,
+        };
         robot.profile(None)?;
         Ok(robot)
     }
@@ -246,7 +301,7 @@ impl RobotDefinition {
     /// torque robot these are its position servos, if any: they may hold it when no command arrives.
     ///
     /// # Errors
-    /// If the profile has no servos of that kind.
+    /// If the robot accepts positions or velocities, and the profile has no servos of that kind.
     pub fn servos_for(
         &self,
         profile_name: &str,
@@ -261,7 +316,8 @@ impl RobotDefinition {
             CommandKind::Torque if position.is_empty() => (velocity, "servo.JOINT.cascaded", "its gains"),
             CommandKind::Torque | CommandKind::Position => (position, "servo.JOINT.cascaded", "its gains"),
         };
-        if servos.is_empty() && self.model.n() > 0 {
+        // The brakes of a torque robot hold it.
+        if servos.is_empty() && self.model.n() > 0 && command != CommandKind::Torque {
             let message = format!(
                 "profile '{name}' has no {} servos, which a {} robot needs",
                 if command == CommandKind::Velocity { "velocity" } else { "position" },
@@ -330,10 +386,87 @@ impl RobotDefinition {
 /// # Errors
 /// Mistakes in the URDF, with the line.
 pub fn load_urdf(urdf: &Source, options: UrdfOptions) -> Result<ParsedUrdf, FileError> {
-    Model::from_urdf_with(urdf.text(), options).map_err(|error| {
-        let line = error.line().and_then(|line| usize::try_from(line).ok());
-        FileError::at_line(urdf, line, error.kind().to_string(), None)
-    })
+    Model::from_urdf_with(urdf.text(), options).map_err(|error| urdf_error(urdf, &error))
+}
+
+/// Reads the values of a robot file, of its groups and defaults, and of its URDF.
+fn read(
+    source: &Source,
+    model: &Model,
+    dynamics: &[JointDynamics],
+) -> Result<(RobotFile, Vec<UrdfValue>), FileError> {
+    let document = checked(source)?;
+    let document = document.get_ref();
+    let mut values = urdf_values(model, dynamics);
+    let stated = urdf_layer(&values) + &derived_values(document);
+    let stated = DeTable::parse(&stated)
+        .map_err(|error| FileError::of_file(source.name(), error.message().to_owned(), None))?;
+    let groups = groups(source, document, model)?;
+    let mut expanded = document.clone();
+    expand(&mut expanded, stated.get_ref(), &groups, model);
+    check_complete(source, &expanded, model)?;
+    check_layers(source, document, &expanded, &groups, model)?;
+    // Values that the file states are not those of the URDF.
+    values.retain(|value| {
+        let path: Vec<String> =
+            ["joint", &value.joint].into_iter().chain(value.key.split('.')).map(str::to_owned).collect();
+        value_at(document, &path).is_none() && stated_path(document, &path).is_none()
+    });
+    let file = RobotFile::deserialize(toml::de::Deserializer::from(Spanned::new(0..0, expanded)))
+        .map_err(|error| explain::<RobotFile>(source, document, &error))?;
+    Ok((file, values))
+}
+
+/// Smallest rate of the plant that is chosen for a robot that states none, Hz.
+const LEAST_PHYSICS_HZ: f64 = 10_000.0;
+
+/// Returns a document of values that follow from others: the default profile, the setpoints of a torque robot, and the rate
+/// of the plant.
+fn derived_values(document: &DeTable<'_>) -> String {
+    let mut text = String::new();
+    let profiles = inner(document, &["profile"]).and_then(|profiles| profiles.get_ref().as_table());
+    let names: Vec<String> =
+        profiles.iter().flat_map(|p| p.keys()).map(|name| name.get_ref().to_string()).collect();
+    if let [only] = names.as_slice() {
+        text += &format!("default_profile = {}\n", toml_edit::Value::from(only.as_str()));
+    }
+    let command = inner(document, &["interface", "command"]).and_then(|command| command.get_ref().as_str());
+    if command == Some("torque") {
+        text += "interface.setpoints = \"held\"\n";
+    }
+    let rate = |name: &String| match inner(document, &["profile", name, "servo_hz"])?.get_ref() {
+        DeValue::Float(number) => number.as_str().replace('_', "").parse::<f64>().ok(),
+        DeValue::Integer(number) => number.as_str().replace('_', "").parse::<f64>().ok(),
+        _ => None,
+    };
+    let rates: Option<Vec<f64>> = names.iter().map(rate).collect();
+    if let Some(rates) = rates {
+        let fastest = rates.iter().copied().fold(0.0, f64::max);
+        let multiples = (1..=1000).map(|times| f64::from(times) * fastest);
+        let is_multiple = |hz: &f64| rates.iter().all(|rate| (hz / rate).fract() == 0.0);
+        let found = multiples.skip_while(|hz| *hz < LEAST_PHYSICS_HZ).find(is_multiple);
+        text += &found.map_or_else(String::new, |hz| format!("simulated.physics_hz = {hz:?}\n"));
+    }
+    text
+}
+
+/// Checks that the keys that are marked as assumed exist.
+fn check_assumed(source: &Source, assumed: &[String]) -> Result<(), FileError> {
+    let document = checked(source)?;
+    for (index, key) in assumed.iter().enumerate() {
+        let path = key.segments();
+        let depth = depth_of(document.get_ref(), &path);
+        if depth == path.len() && !path.is_empty() {
+            continue;
+        }
+        let present = keys_at(document.get_ref(), &path[..depth]);
+        let missing = path.get(depth).map_or("", String::as_str);
+        let within = if depth == 0 { "the file".to_owned() } else { format!("`{}`", dotted(&path[..depth])) };
+        let message = format!("`{key}` is marked as assumed, but {within} has no key `{missing}`");
+        let help = format!("{}; remove entries whose values are known", choices(missing, &present));
+        return Err(FileError::at_key(source, ["assumed", &index.to_string()], message, Some(help)));
+    }
+    Ok(())
 }
 
 fn check_rate(source: &Source, name: &str, profile: &ProfileParameters) -> Result<(), FileError> {
@@ -361,7 +494,7 @@ fn check_servos(
     if !profile.velocity_servo.is_empty() {
         joints_of(source, model, &profile.velocity_servo, &["profile", name, "velocity_servo"])?;
     }
-    if !profile.servo.is_empty() || profile.velocity_servo.is_empty() {
+    if !profile.servo.is_empty() {
         joints_of(source, model, &profile.servo, &["profile", name, "servo"])?;
     }
     for (joint, servo) in &profile.servo {
@@ -464,12 +597,6 @@ fn check_values(source: &Source, file: &RobotFile, model: &Model) -> Result<(), 
             let key = ["joint", name, "friction", "static_nm"];
             let message = "static friction must not be below Coulomb friction";
             return Err(FileError::at_key(source, key, message, Some("give at least coulomb_nm".to_owned())));
-        }
-        if !(joint.limits.velocity.is_finite() && joint.limits.velocity > 0.0) {
-            let message =
-                format!("joint '{name}' has no velocity limit in the URDF, which a safe run requires");
-            let help = "add velocity=\"...\" (rad/s, m/s; above 0) to the joint's <limit>".to_owned();
-            return Err(FileError::at_key(source, ["joint", name], message, Some(help)));
         }
     }
     Ok(())

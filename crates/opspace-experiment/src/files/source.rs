@@ -14,6 +14,7 @@ use serde::de::DeserializeOwned;
 use toml::de::{DeTable, DeValue};
 
 use crate::files::explain::{list, syntax_words, words};
+use crate::files::layered_path::stated_path;
 use crate::files::suggest::nearest;
 use crate::files::toml_path::{Part, depth_of, dotted, keys_at, path_at, span_of};
 
@@ -169,6 +170,10 @@ impl FileError {
         help: Option<String>,
     ) -> Self {
         let path = key.segments();
+        let path = DeTable::parse(&source.text)
+            .ok()
+            .and_then(|document| stated_path(document.get_ref(), &path))
+            .unwrap_or(path);
         let message = message.into();
         if let Some(setting) = setting_at(source, &path) {
             return Self::of_setting(setting, Part::Value, message, help);

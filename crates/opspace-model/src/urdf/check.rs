@@ -1,7 +1,7 @@
 //! Checks of the individual elements of a robot, and their conversion to inertias, placements and limits.
 
 use super::elements::{
-    AxisElement, InertialElement, JointElement, LimitElement, Line, LinkElement, MimicElement, OriginElement,
+    AxisElement, DynamicsElement, InertialElement, JointElement, LimitElement, Line, LinkElement, MimicElement, OriginElement,
     RobotElement,
 };
 use super::error::{UrdfError, UrdfErrorKind, UrdfWarning, UrdfWarningKind};
@@ -35,6 +35,8 @@ pub(super) struct CheckedLink {
     pub line: Line,
     /// Inertia in the frame of the link; `None` if the link has none.
     pub inertia: Option<Inertia>,
+    /// Smallest principal moment (kg m²) and line of an inertia that is not positive semi-definite.
+    pub indefinite: Option<(f64, Line)>,
 }
 
 pub(super) struct CheckedJoint {
@@ -48,7 +50,20 @@ pub(super) struct CheckedJoint {
 
 pub(super) enum Motion {
     Fixed,
-    Moving { kind: JointKind, axis: Unit<Vector3<f64>>, limits: Limits, mimic: Option<MimicElement> },
+    Moving {
+        kind: JointKind,
+        axis: Unit<Vector3<f64>>,
+        limits: Limits,
+        dynamics: DynamicsElement,
+        mimic: Option<MimicElement>,
+    },
+}
+
+impl Motion {
+    /// True unless the joint is fixed.
+    pub fn is_moving(&self) -> bool {
+        matches!(self, Self::Moving { .. })
+    }
 }
 
 /// Checks every element of a robot and returns the contents. The connections between elements are checked by `tree`.
@@ -109,7 +124,8 @@ fn check_names<'a>(
 fn checked_link(link: LinkElement, warnings: &mut Vec<UrdfWarning>) -> Result<CheckedLink, UrdfError> {
     let element = Element { name: &link.name, words: format!("link '{}'", link.name) };
     let inertia = link.inertial.as_ref().map(|inertial| element.inertia(inertial, warnings)).transpose()?;
-    Ok(CheckedLink { line: link.line, inertia, name: link.name })
+    let indefinite = link.inertial.as_ref().and_then(indefinite);
+    Ok(CheckedLink { line: link.line, inertia, indefinite, name: link.name })
 }
 
 fn checked_joint(joint: JointElement, warnings: &mut Vec<UrdfWarning>) -> Result<CheckedJoint, UrdfError> {
@@ -120,6 +136,7 @@ fn checked_joint(joint: JointElement, warnings: &mut Vec<UrdfWarning>) -> Result
             kind,
             axis: element.axis(joint.axis.as_ref())?,
             limits: element.limits(kind, joint.line, joint.limit.as_ref(), warnings)?,
+            dynamics: element.dynamics(joint.dynamics)?,
             mimic: element.mimic(joint.mimic, warnings)?,
         },
     };
@@ -132,6 +149,21 @@ fn checked_joint(joint: JointElement, warnings: &mut Vec<UrdfWarning>) -> Result
         motion,
         name: joint.name,
     })
+}
+
+fn rotational(moments: &[f64; 6]) -> Matrix3<f64> {
+    let [xx, xy, xz, yy, yz, zz] = *moments;
+    Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz)
+}
+
+fn moment_tolerance(moments: &[f64; 3]) -> f64 {
+    INERTIA_TOLERANCE * moments[2].max(-moments[0])
+}
+
+/// Returns the smallest principal moment (kg m²) and the line of an inertia that is not positive semi-definite.
+fn indefinite(inertial: &InertialElement) -> Option<(f64, Line)> {
+    let moments = principal_moments(&rotational(&inertial.moments));
+    (moments[0] < -moment_tolerance(&moments)).then_some((moments[0], inertial.inertia_line))
 }
 
 /// Link or joint that is being checked.
@@ -158,19 +190,27 @@ impl Element<'_> {
         for (attribute, moment) in MOMENTS.iter().zip(inertial.moments) {
             self.bounded(&format!("<inertia {attribute}>"), line, &[moment])?;
         }
-        let [xx, xy, xz, yy, yz, zz] = inertial.moments;
-        let rotational = Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz);
+        let rotational = rotational(&inertial.moments);
         let moments = principal_moments(&rotational);
-        let tolerance = INERTIA_TOLERANCE * moments[2].max(-moments[0]);
-        if moments[0] < -tolerance {
-            let (element, smallest) = (self.words.clone(), moments[0]);
-            return Err(UrdfError::at(line, UrdfErrorKind::NegativeInertia { element, smallest }));
-        }
-        if moments[0] + moments[1] < moments[2] - tolerance {
+        let tolerance = moment_tolerance(&moments);
+        if moments[0] >= -tolerance && moments[0] + moments[1] < moments[2] - tolerance {
             let kind = UrdfWarningKind::ImpossibleInertia { link: self.name.to_owned(), moments };
             warnings.push(UrdfWarning::at(line, kind));
         }
         Ok(origin.act_inertia(&Inertia { mass, com: Vector3::zeros(), rotational }))
+    }
+
+    /// Checks the friction of a joint.
+    fn dynamics(&self, dynamics: DynamicsElement) -> Result<DynamicsElement, UrdfError> {
+        for (limit, value) in [("damping", dynamics.damping), ("friction", dynamics.friction)] {
+            let Some(value) = value else { continue };
+            self.bounded(&format!("<dynamics {limit}>"), dynamics.line, &[value])?;
+            if value < 0.0 {
+                let kind = UrdfErrorKind::NegativeFriction { element: self.words.clone(), limit, value };
+                return Err(UrdfError::at(dynamics.line, kind));
+            }
+        }
+        Ok(dynamics)
     }
 
     fn mimic(

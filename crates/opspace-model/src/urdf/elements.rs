@@ -46,7 +46,18 @@ pub(super) struct JointElement {
     pub origin: OriginElement,
     pub axis: Option<AxisElement>,
     pub limit: Option<LimitElement>,
+    pub dynamics: DynamicsElement,
     pub mimic: Option<MimicElement>,
+}
+
+/// Friction of a joint; `None` where the file has none.
+#[derive(Clone, Copy, Default)]
+pub(super) struct DynamicsElement {
+    pub line: Line,
+    /// Viscous friction, Nms/rad or Ns/m.
+    pub damping: Option<f64>,
+    /// Coulomb friction, Nm or N.
+    pub friction: Option<f64>,
 }
 
 pub(super) struct AxisElement {

@@ -225,6 +225,24 @@ pub enum UrdfErrorKind {
         /// Given value.
         value: f64,
     },
+    /// Friction below zero.
+    #[error("{element}: <dynamics {limit}> is {value}; it must not be negative")]
+    NegativeFriction {
+        /// Element that the friction belongs to.
+        element: String,
+        /// Name of the attribute: `damping` or `friction`.
+        limit: &'static str,
+        /// Given value.
+        value: f64,
+    },
+    /// Joint to be locked that the URDF does not have, or that cannot move.
+    #[error("there is no moving joint '{joint}' to lock; the moving joints are: {}", listed(known))]
+    UnknownLocked {
+        /// Given name.
+        joint: String,
+        /// Names of the moving joints.
+        known: Vec<String>,
+    },
     /// Mass below zero.
     #[error("{element}: mass is {mass} kg; it must not be negative")]
     NegativeMass {
@@ -343,6 +361,17 @@ pub enum UrdfWarningKind {
         link: String,
         /// Principal moments, ascending, kg m².
         moments: [f64; 3],
+    },
+    /// Inertia that no body has, on a link that cannot move.
+    #[error(
+        "link '{link}': inertia is not positive semi-definite, its smallest principal moment is {smallest} kg m²; \
+         the link cannot move, so that its inertia has no effect"
+    )]
+    StandingInertia {
+        /// Name of the link.
+        link: String,
+        /// Smallest principal moment, kg m².
+        smallest: f64,
     },
     /// Joint with equal position limits, which cannot move.
     #[error("joint '{joint}': lower and upper limits are both {value}: it cannot move; is it a fixed joint?")]

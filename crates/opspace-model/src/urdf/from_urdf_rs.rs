@@ -5,7 +5,7 @@
 
 use super::check::joint_kind;
 use super::elements::{
-    AxisElement, InertialElement, JointElement, LimitElement, LinkElement, MimicElement, OriginElement,
+    AxisElement, DynamicsElement, InertialElement, JointElement, LimitElement, LinkElement, MimicElement, OriginElement,
     RobotElement,
 };
 use super::error::UrdfError;
@@ -41,6 +41,11 @@ fn joint(joint: &Joint) -> Result<JointElement, UrdfError> {
         origin: origin(&joint.origin),
         axis: Some(AxisElement { line: None, xyz: joint.axis.xyz.0 }),
         limit: limit(&joint.limit),
+        dynamics: joint.dynamics.as_ref().map_or_else(DynamicsElement::default, |dynamics| DynamicsElement {
+            line: None,
+            damping: Some(dynamics.damping),
+            friction: Some(dynamics.friction),
+        }),
         mimic: joint.mimic.as_ref().map(|mimic| MimicElement {
             line: None,
             leader: trimmed(&mimic.joint),

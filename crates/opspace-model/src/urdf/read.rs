@@ -2,7 +2,7 @@
 
 use super::check::{LIMIT, MOMENTS, ONE_NUMBER, THREE_NUMBERS, joint_kind};
 use super::elements::{
-    AxisElement, InertialElement, JointElement, LimitElement, Line, LinkElement, MimicElement, OriginElement,
+    AxisElement, DynamicsElement, InertialElement, JointElement, LimitElement, Line, LinkElement, MimicElement, OriginElement,
     RobotElement,
 };
 use super::error::{UrdfError, UrdfErrorKind};
@@ -228,10 +228,10 @@ impl<'a> Element<'a> {
         const TYPE: &str = "give type=\"...\": revolute, continuous, prismatic or fixed";
         let line = self.line(self.node);
         let kind = joint_kind(&self.words, line, self.attribute(self.node, "type", TYPE)?)?;
-        // Axis, limits and mimic rule have no meaning for a fixed joint and are ignored.
-        let (axis, limit, mimic) = match kind {
-            None => (None, None, None),
-            Some(kind) => (self.axis()?, self.limit(kind)?, self.mimic()?),
+        // Axis, limits, friction and mimic rule have no meaning for a fixed joint and are ignored.
+        let (axis, limit, dynamics, mimic) = match kind {
+            None => (None, None, DynamicsElement::default(), None),
+            Some(kind) => (self.axis()?, self.limit(kind)?, self.dynamics()?, self.mimic()?),
         };
         Ok(JointElement {
             line,
@@ -242,7 +242,24 @@ impl<'a> Element<'a> {
             origin: self.origin(self.node)?,
             axis,
             limit,
+            dynamics,
             mimic,
+        })
+    }
+
+    /// Returns the `<dynamics>` of the joint.
+    fn dynamics(&self) -> Result<DynamicsElement, UrdfError> {
+        const DYNAMICS: &str = "write <dynamics damping=\"...\" friction=\"...\"/>";
+        let Some(node) = self.child(self.node, "dynamics")? else {
+            return Ok(DynamicsElement::default());
+        };
+        let number = |attribute| {
+            node.has_attribute(attribute).then(|| self.number(node, attribute, DYNAMICS)).transpose()
+        };
+        Ok(DynamicsElement {
+            line: self.line(node),
+            damping: number("damping")?,
+            friction: number("friction")?,
         })
     }
 

@@ -1,0 +1,269 @@
+//! Values that a robot file lacks, all at once: each with its unit, its typical range, and where one finds it.
+
+use crate::files::explain::list;
+use crate::files::layered_path::inner;
+use crate::files::source::{FileError, Source};
+use crate::files::toml_path::dotted;
+use opspace_model::{JointKind, Model};
+use std::fmt::Write as _;
+use toml::Spanned;
+use toml::de::{DeTable, DeValue};
+
+/// Kind of value without a default.
+struct Required {
+    /// Path below the file, the joint, the profile or the servo.
+    path: &'static [&'static str],
+    /// Description, with unit and typical range.
+    about: &'static str,
+    /// Place where one finds it.
+    found: &'static str,
+}
+
+const fn required(path: &'static [&'static str], about: &'static str, found: &'static str) -> Required {
+    Required { path, about, found }
+}
+
+const OF_FILE: [Required; 3] = [
+    required(
+        &["interface", "command"],
+        "accepted command: \"position\", \"velocity\" or \"torque\"",
+        "manual of the robot's interface",
+    ),
+    required(
+        &["interface", "gravity_compensated_by"],
+        "\"controller\", or \"robot\" if the robot adds the torques that bear its weight",
+        "manual of the robot's interface; position robots: \"controller\"",
+    ),
+    required(
+        &["interface", "measured"],
+        "[\"position\"], or [\"position\", \"motor-current\"]",
+        "manual of the robot's interface",
+    ),
+];
+
+const SETPOINTS: Required = required(
+    &["interface", "setpoints"],
+    "\"held\" until the next setpoint, or \"interpolated\" by the drives",
+    "manual of the robot's interface",
+);
+
+const OF_JOINT: [Required; 5] = [
+    required(
+        &["torque_limit_nm"],
+        "torque limit of the drive at the joint, Nm (N); typically 5 to 500 Nm",
+        "data sheet of the arm; peak torque of the motor times gear ratio; effort in the URDF",
+    ),
+    required(
+        &["rotor", "inertia_kg_m2"],
+        "inertia of all parts that turn at motor speed, kg m²; typically 1e-7 to 1e-3",
+        "data sheet of the motor",
+    ),
+    required(
+        &["rotor", "gear_ratio"],
+        "motor turns per joint turn (prismatic: motor radians per metre); typically 1 to 200",
+        "data sheet of the gear",
+    ),
+    required(
+        &["friction", "coulomb_nm"],
+        "Coulomb friction, Nm (N); typically 1 to 8 % of the torque limit; 0 for none",
+        "`opspace identify`; <dynamics friction> in the URDF",
+    ),
+    required(
+        &["friction", "viscous_nms_per_rad"],
+        "viscous friction, Nms/rad (Ns/m); typically 0 to 5 % of the torque limit per rad/s",
+        "`opspace identify`; <dynamics damping> in the URDF",
+    ),
+];
+
+const VELOCITY_LIMIT: Required = required(
+    &["velocity_limit_rad_per_s"],
+    "largest speed, rad/s (m/s); typically 1 to 6 rad/s; the URDF has none",
+    "data sheet of the arm; velocity in the joint's <limit> in the URDF",
+);
+
+const OF_PROFILE: [Required; 2] = [
+    required(
+        &["servo_hz"],
+        "rate of the servo loops, Hz; typically 500 to 20000",
+        "data sheet of the drives; the rate of the interface if unknown",
+    ),
+    required(
+        &["servo_ticks_per_cycle"],
+        "servo ticks per command, a whole number; typically 1 to 10",
+        "servo_hz over the rate of the interface",
+    ),
+];
+
+const OF_SERVO: [Required; 3] = [
+    required(
+        &["cascaded", "kp_per_s"],
+        "gain of the position loop, 1/s; typically 10 to 100",
+        "`opspace identify`; settings of the drives",
+    ),
+    required(
+        &["cascaded", "kv_nms_per_rad"],
+        "gain of the velocity loop, Nms/rad (Ns/m); typically 60 to 300 times the inertia at the joint",
+        "`opspace identify`; settings of the drives",
+    ),
+    required(
+        &["cascaded", "velocity_filter_hz"],
+        "low-pass filter of the servo's velocity, Hz; typically 100 to 1000",
+        "`opspace identify`; settings of the drives",
+    ),
+];
+
+const OF_VELOCITY_SERVO: [Required; 2] = [
+    required(
+        &["kv_nms_per_rad"],
+        "gain of the velocity loop, Nms/rad (Ns/m); typically 60 to 300 times the inertia at the joint",
+        "`opspace identify`; settings of the drives",
+    ),
+    required(
+        &["velocity_filter_hz"],
+        "low-pass filter of the servo's velocity, Hz; typically 100 to 1000",
+        "`opspace identify`; settings of the drives",
+    ),
+];
+
+/// Values of one kind that are missing.
+struct Missing {
+    of: &'static Required,
+    /// Tables that lack it: paths from the root.
+    tables: Vec<Vec<String>>,
+    /// Table that states it for all joints, if it is one of a joint or a servo.
+    defaults: Option<Vec<String>>,
+}
+
+/// Checks that an expanded document has all values that a robot needs.
+///
+/// # Errors
+/// One error that lists all values that are missing.
+pub(crate) fn check_complete(source: &Source, document: &DeTable<'_>, model: &Model) -> Result<(), FileError> {
+    let missing = missing(document, model);
+    let values: usize = missing.iter().map(|kind| kind.tables.len()).sum();
+    match missing.as_slice() {
+        [] => Ok(()),
+        [only] if values == 1 => {
+            let path: Vec<String> = only.tables[0].clone();
+            let keys = [path.as_slice(), &words(only.of.path)].concat();
+            let (within, key) = keys.split_at(keys.len() - 1);
+            let message = format!("missing key `{}` in `{}`", dotted(key), dotted(within));
+            Err(FileError::at_key(source, keys, message, Some(text_of(only, model))))
+        }
+        _ => {
+            let mut help = String::from("the file needs these values:\n");
+            missing.iter().for_each(|kind| help += &text_of(kind, model));
+            help += "`opspace new DIR --urdf FILE --assume` fills such values in and marks them as assumed";
+            Err(FileError::of_file(source.name(), format!("{values} values are missing"), Some(help)))
+        }
+    }
+}
+
+fn words(path: &[&str]) -> Vec<String> {
+    path.iter().map(|&word| word.to_owned()).collect()
+}
+
+fn missing(document: &DeTable<'_>, model: &Model) -> Vec<Missing> {
+    let mut all = Vec::new();
+    let of_file = OF_FILE.iter().chain([&SETPOINTS]);
+    for of in of_file.filter(|of| lacks(document, &[], of.path)) {
+        all.push(Missing { of, tables: vec![vec![]], defaults: None });
+    }
+    let names = || model.joints().iter().map(|joint| joint.name.as_str());
+    for of in &OF_JOINT {
+        let tables: Vec<Vec<String>> = names()
+            .filter(|name| lacks(document, &["joint", name], of.path))
+            .map(|name| words(&["joint", name]))
+            .collect();
+        all.push(Missing { of, tables, defaults: Some(words(&["joint_defaults"])) });
+    }
+    let unlimited = model.joints().iter().filter(|joint| {
+        let velocity = joint.limits.velocity;
+        !(velocity.is_finite() && velocity > 0.0)
+            && lacks(document, &["joint", &joint.name], VELOCITY_LIMIT.path)
+    });
+    let tables = unlimited.map(|joint| words(&["joint", &joint.name])).collect();
+    all.push(Missing { of: &VELOCITY_LIMIT, tables, defaults: Some(words(&["joint_defaults"])) });
+    let command = inner(document, &["interface", "command"]).and_then(|command| command.get_ref().as_str());
+    let profiles: Vec<&str> = match inner(document, &["profile"]).map(Spanned::get_ref) {
+        Some(DeValue::Table(profiles)) => profiles.keys().map(|name| name.get_ref().as_ref()).collect(),
+        Some(_) => return all.into_iter().filter(|kind| !kind.tables.is_empty()).collect(),
+        None => vec!["default"],
+    };
+    for of in &OF_PROFILE {
+        let lacking = profiles.iter().filter(|profile| lacks(document, &["profile", profile], of.path));
+        let tables = lacking.map(|profile| words(&["profile", profile])).collect();
+        all.push(Missing { of, tables, defaults: None });
+    }
+    for profile in &profiles {
+        let has = |table: &str| inner(document, &["profile", profile, table]).is_some();
+        let of_tables: [(&str, bool, &'static [Required]); 2] = [
+            ("servo", command != Some("torque") && command != Some("velocity") || has("servo"), &OF_SERVO),
+            ("velocity_servo", command == Some("velocity") || has("velocity_servo"), &OF_VELOCITY_SERVO),
+        ];
+        for (table, _, kinds) in of_tables.into_iter().filter(|(_, needed, _)| *needed) {
+            for of in kinds {
+                let lacking = names().filter(|name| {
+                    let path = ["profile", profile, table, name];
+                    let other_kind = inner(document, &path).and_then(|servo| servo.get_ref().as_table());
+                    let other_kind = table == "servo"
+                        && other_kind.is_some_and(|servo| !servo.is_empty() && !servo.contains_key("cascaded"));
+                    !other_kind && lacks(document, &path, of.path)
+                });
+                let tables = lacking.map(|name| words(&["profile", profile, table, name])).collect();
+                let defaults = Some(words(&["profile", profile, table, "joint_defaults"]));
+                all.push(Missing { of, tables, defaults });
+            }
+        }
+    }
+    all.retain(|kind| !kind.tables.is_empty());
+    all
+}
+
+/// True if a value is missing, and no value of another type is in its place.
+fn lacks(document: &DeTable<'_>, table: &[&str], path: &[&str]) -> bool {
+    let mut at = document;
+    for key in table.iter().chain(path) {
+        match at.get(*key).map(Spanned::get_ref) {
+            None => return true,
+            Some(DeValue::Table(table)) => at = table,
+            Some(_) => return false,
+        }
+    }
+    false
+}
+
+/// Describes the values of one kind that are missing.
+fn text_of(missing: &Missing, model: &Model) -> String {
+    let Missing { of, tables, defaults } = missing;
+    let mut text = format!("- {}\n  source: {}\n", of.about, of.found);
+    let line = |table: &[String]| {
+        let keys = words(of.path);
+        match table {
+            [] => format!("[{}] {} = ...", keys[0], dotted(&keys[1..])),
+            _ => format!("[{}] {} = ...", dotted(table), dotted(&keys)),
+        }
+    };
+    let joints: Vec<&str> = tables.iter().filter_map(|table| table.last().map(String::as_str)).collect();
+    match defaults {
+        Some(defaults) if joints.len() == model.n() && joints.len() > 1 => {
+            let _ = writeln!(text, "  write:  {}, or {} for each", line(defaults), line(&tables[0]));
+            let _ = writeln!(text, "  joints: all {}", joints.len());
+        }
+        Some(_) if joints.len() > 1 => {
+            let _ = writeln!(text, "  write:  {}", line(&tables[0]));
+            let _ = writeln!(text, "  joints: {}", list(&joints));
+        }
+        _ => tables.iter().for_each(|table| {
+            let _ = writeln!(text, "  write:  {}", line(table));
+        }),
+    }
+    let is_prismatic = |name: &&str| {
+        model.joint(name).is_ok_and(|joint| model.joints()[joint].kind == JointKind::Prismatic)
+    };
+    let prismatic: Vec<&str> = joints.iter().copied().filter(is_prismatic).collect();
+    if defaults.is_some() && !prismatic.is_empty() {
+        let _ = writeln!(text, "  prismatic, in N and m: {}", list(&prismatic));
+    }
+    text
+}

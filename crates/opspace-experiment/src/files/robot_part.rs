@@ -1,0 +1,126 @@
+//! Part of a robot that is used: locked joints, mimic joints, and one chain of a larger robot.
+
+use crate::files::source::{FileError, Source};
+use crate::files::suggest::choices;
+use opspace_model::{Limits, Model, ParsedUrdf, UrdfError, UrdfJoint, UrdfOptions, urdf_joints};
+#[cfg(feature = "schema")]
+use schemars::JsonSchema;
+use serde::Deserialize;
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::PathBuf;
+
+/// Chain of links of a robot.
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct UsedPart {
+    /// First link of the chain.
+    pub from: String,
+    /// Last link of the chain.
+    pub to: String,
+}
+
+/// Keys of robot.toml that are needed before its other values: the URDF, and which of its joints move.
+#[derive(Clone, Debug, Default, Deserialize)]
+pub(crate) struct PartKeys {
+    pub(crate) urdf: PathBuf,
+    #[serde(default)]
+    locked_joints: BTreeMap<String, f64>,
+    #[serde(default, rename = "use")]
+    used: Option<UsedPart>,
+    #[serde(default)]
+    enforce_mimic: bool,
+}
+
+/// Returns the model of the part of a URDF that a robot file uses.
+///
+/// # Errors
+/// Mistakes in the URDF, and links or joints that it does not have.
+pub(crate) fn load_part(source: &Source, urdf: &Source, keys: &PartKeys) -> Result<ParsedUrdf, FileError> {
+    let options = UrdfOptions { enforce_mimic: keys.enforce_mimic, ..UrdfOptions::default() };
+    let mut locked: Vec<(String, f64)> = Vec::new();
+    if keys.used.is_some() || !keys.locked_joints.is_empty() {
+        let joints = urdf_joints(urdf.text()).map_err(|error| urdf_error(urdf, &error))?;
+        locked = locked_joints(source, &joints, keys)?;
+    }
+    Model::from_urdf_locked(urdf.text(), options, &locked).map_err(|error| urdf_error(urdf, &error))
+}
+
+/// Error in a URDF, at its line.
+pub(crate) fn urdf_error(urdf: &Source, error: &UrdfError) -> FileError {
+    let line = error.line().and_then(|line| usize::try_from(line).ok());
+    FileError::at_line(urdf, line, error.kind().to_string(), None)
+}
+
+/// Returns all joints that do not move, each with its position.
+fn locked_joints(
+    source: &Source,
+    joints: &[UrdfJoint],
+    keys: &PartKeys,
+) -> Result<Vec<(String, f64)>, FileError> {
+    let moving = || joints.iter().filter(|joint| joint.kind.is_some());
+    for (name, &position) in &keys.locked_joints {
+        let wrong = |message: String, help: Option<String>| {
+            FileError::at_key(source, ["locked_joints", name.as_str()], message, help)
+        };
+        let Some(joint) = moving().find(|joint| joint.name == *name) else {
+            let help = choices(name, moving().map(|joint| joint.name.as_str()));
+            return Err(wrong(format!("the URDF has no moving joint '{name}'"), Some(help)));
+        };
+        let Limits { lower, upper, .. } = joint.limits;
+        if !(lower..=upper).contains(&position) {
+            let message = format!("joint '{name}' cannot be locked at {position}");
+            return Err(wrong(message, Some(format!("its limits in the URDF are {lower} and {upper}"))));
+        }
+    }
+    let mut locked: Vec<(String, f64)> =
+        keys.locked_joints.iter().map(|(name, &position)| (name.clone(), position)).collect();
+    let Some(used) = &keys.used else { return Ok(locked) };
+    let mut kept = chain(source, joints, used)?;
+    if keys.enforce_mimic {
+        // Joints that mimic a joint of the chain move with it; as many passes as there are joints reach all of them.
+        for _ in joints {
+            let follows = |joint: &&UrdfJoint| joint.mimics.as_deref().is_some_and(|leader| kept.contains(leader));
+            let followers: Vec<&str> = moving().filter(follows).map(|joint| joint.name.as_str()).collect();
+            kept.extend(followers);
+        }
+    }
+    for joint in moving().filter(|joint| !kept.contains(joint.name.as_str())) {
+        if !keys.locked_joints.contains_key(&joint.name) {
+            // The position that is closest to zero.
+            locked.push((joint.name.clone(), 0.0_f64.clamp(joint.limits.lower, joint.limits.upper)));
+        }
+    }
+    Ok(locked)
+}
+
+/// Returns the moving joints between the two links of a chain.
+fn chain<'a>(
+    source: &Source,
+    joints: &'a [UrdfJoint],
+    used: &UsedPart,
+) -> Result<BTreeSet<&'a str>, FileError> {
+    let links: BTreeSet<&str> = joints.iter().flat_map(|j| [j.parent.as_str(), j.child.as_str()]).collect();
+    for (key, link) in [("from", &used.from), ("to", &used.to)] {
+        if !links.contains(link.as_str()) {
+            let message = format!("the URDF has no link '{link}'");
+            return Err(FileError::at_key(source, ["use", key], message, Some(choices(link, links))));
+        }
+    }
+    let mut kept = BTreeSet::new();
+    let mut link = used.to.as_str();
+    while link != used.from {
+        let Some(above) = joints.iter().find(|joint| joint.child == link) else {
+            let message = format!("link '{}' is not above link '{}'", used.from, used.to);
+            let help = "`from` is a link on the way from the root of the robot to `to`".to_owned();
+            return Err(FileError::at_key(source, ["use", "from"], message, Some(help)));
+        };
+        kept.extend(above.kind.is_some().then_some(above.name.as_str()));
+        link = &above.parent;
+    }
+    if kept.is_empty() {
+        let message = format!("no joint moves between the links '{}' and '{}'", used.from, used.to);
+        return Err(FileError::at_key(source, "use", message, None));
+    }
+    Ok(kept)
+}
