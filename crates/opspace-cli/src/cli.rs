@@ -159,8 +159,11 @@ Jbar and N are those of these rows; they are null if the task is rank-deficient.
 
     /// Make a robot folder for your own robot from its URDF.
     #[command(after_help = "\
-The new robot.toml lists every required value as a comment with its meaning; no value is guessed. \
-`opspace check DIR` names the next missing value. The folder also contains a first task, hold.toml.")]
+The new robot.toml lists every required value as a comment with its meaning; no value is guessed unless --assume is given. \
+`opspace check DIR` lists all missing values. The folder also contains a first task, first-task.toml: the tip moves some \
+centimetres and returns.
+
+Example: opspace new left-arm --urdf robot.urdf --from torso --to left_gripper --assume")]
     New(NewArgs),
 
     /// Print the JSON Schema of a kind of file, for editors.
@@ -525,6 +528,18 @@ pub struct NewArgs {
     /// The robot's URDF; it is copied into the folder.
     #[arg(long, value_name = "FILE")]
     pub urdf: PathBuf,
+
+    /// Fill in assumed values of the drives, computed from the URDF and marked as assumed: the robot can be simulated at once.
+    #[arg(long)]
+    pub assume: bool,
+
+    /// First link of the chain that is used; joints elsewhere do not move. The root link if only --to is given.
+    #[arg(long, value_name = "LINK", requires = "to")]
+    pub from: Option<String>,
+
+    /// Last link of the chain that is used: the tip of the first task.
+    #[arg(long, value_name = "LINK")]
+    pub to: Option<String>,
 }
 
 #[derive(Debug, Args)]

@@ -3,7 +3,7 @@
 use annotate_snippets::renderer::DecorStyle;
 use annotate_snippets::{AnnotationKind, Group, Level, Renderer, Snippet};
 use comfy_table::{CellAlignment, ContentArrangement, LineStyle, TableStyle};
-use opspace_experiment::evaluate::notes::{joint_notes, notes, task_notes};
+use opspace_experiment::evaluate::notes::{assumed_notes, joint_notes, notes, task_notes};
 use opspace_experiment::evaluate::results::{Measure, failures, joint_table, table, task_table};
 use opspace_experiment::evaluate::table::{Cell, Table};
 use opspace_experiment::{FileError, RunError, Summary};
@@ -144,7 +144,8 @@ pub fn results(console: Console, summaries: &[Summary], measures: &[Measure]) ->
     if summaries.is_empty() {
         return "no runs\n".to_owned();
     }
-    let mut text: String = failures(summaries).iter().map(|failure| format!("FAILED {failure}\n")).collect();
+    let mut text: String = assumed_notes(summaries).iter().map(|note| format!("ASSUMED {note}\n")).collect();
+    failures(summaries).iter().for_each(|failure| text += &format!("FAILED {failure}\n"));
     if let [one] = summaries {
         one.unreached_goals.iter().for_each(|goal| text += &format!("NOTE {goal}\n"));
         one.escapes.iter().for_each(|escape| text += &format!("NOTE {escape}\n"));

@@ -8,6 +8,7 @@ use crate::result_folder::{LOGS, ROWS};
 use crate::suite_results::{is_stdout, worst};
 use crate::sweep::Executed;
 use opspace_experiment::evaluate::csv::coupled_csv;
+use opspace_experiment::evaluate::notes::assumed_notes;
 use opspace_experiment::report::coupled_suite_page::coupled_suite_page;
 use opspace_experiment::report::coupled_table::{coupling_notes, coupling_table};
 use opspace_experiment::run::coupled_summary::CoupledSummary;
@@ -65,7 +66,8 @@ pub fn write_coupled(done: &Executed<CoupledSummary>, args: &SuiteOutputArgs, co
 
 /// Text of the results: failures, table and notes.
 fn results(console: Console, summaries: &[CoupledSummary]) -> String {
-    let mut text = String::new();
+    let robots = summaries.iter().flat_map(|summary| summary.robots.values());
+    let mut text: String = assumed_notes(robots).iter().map(|note| format!("ASSUMED {note}\n")).collect();
     for summary in summaries {
         for failure in summary.failures() {
             text += &format!("FAILED {}: {failure}\n", summary.title());

@@ -20,6 +20,5 @@ pub mod suggest;
 pub mod suite;
 pub mod task;
 pub mod task_kinds;
-pub mod template;
 pub(crate) mod toml_path;
 pub mod tool;

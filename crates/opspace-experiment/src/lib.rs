@@ -33,6 +33,7 @@ pub mod identify;
 pub mod preflight;
 pub mod report;
 pub mod run;
+pub mod setup;
 
 pub use evaluate::metrics::{Metrics, Timing};
 pub use extensions::Extensions;

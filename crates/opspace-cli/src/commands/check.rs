@@ -7,6 +7,8 @@ use crate::commands::own_backend;
 use crate::console::{Console, Exit, Outcome, report};
 use crate::output::pretty;
 use crate::outputs::check_outputs;
+use opspace_experiment::evaluate::notes::assumed_text;
+use opspace_experiment::files::joint_layers::urdf_values_text;
 use opspace_experiment::files::origin::Kind;
 use opspace_experiment::files::robot::load_urdf;
 use opspace_experiment::preflight::{
@@ -35,6 +37,7 @@ pub fn check(args: &CheckArgs, extensions: &Extensions, console: Console) -> Out
         match checked {
             Ok(checked) => {
                 text += &format!("{}: {}\n", path.display(), checked.what);
+                text += &checked.values;
                 checked.margin.iter().for_each(|margin| text += &format!("  {margin}\n"));
                 checked.gears.iter().for_each(|gear| text += &format!("  {gear}\n"));
                 checked.forces.iter().for_each(|force| text += &format!("  {force}\n"));
@@ -59,6 +62,8 @@ pub fn check(args: &CheckArgs, extensions: &Extensions, console: Console) -> Out
 struct Checked {
     /// Kind of the file.
     what: String,
+    /// Values of a robot that its file does not state, and those that are assumed.
+    values: String,
     /// Gain margin of a task whose torques pass through a transformer.
     margin: Option<GainMargin>,
     /// Frequencies of the joints whose gear stiffness is declared.
@@ -82,6 +87,7 @@ impl Checked {
     fn clean(what: String) -> Self {
         Self {
             what,
+            values: String::new(),
             margin: None,
             gears: Vec::new(),
             forces: Vec::new(),
@@ -173,7 +179,8 @@ fn check_one(path: &Path, extensions: &Extensions, console: Console) -> Result<C
         let robot = RobotDefinition::load(Files::Disk, path, &[])?;
         warn(console, robot.urdf.name(), &robot.warnings, &robot.model);
         robot.capsule_warnings().iter().for_each(|w| console.note(&format!("{}: {w}", robot.urdf.name())));
-        Ok(Checked::clean(format!("a robot of {} joints", robot.model.n())))
+        let values = values_text(&robot);
+        Ok(Checked { values, ..Checked::clean(format!("a robot of {} joints", robot.model.n())) })
     };
     match Kind::of(source.text()) {
         Some(Kind::Suite) => {
@@ -212,6 +219,7 @@ fn check_one(path: &Path, extensions: &Extensions, console: Console) -> Result<C
             let thresholds = collision_thresholds(&experiment);
             Ok(Checked {
                 what,
+                values: values_text(experiment.robot()),
                 margin,
                 gears,
                 forces,
@@ -232,6 +240,15 @@ fn check_one(path: &Path, extensions: &Extensions, console: Console) -> Result<C
             Err(FileError::of_file(source.name(), message, Some(help.to_owned())))
         }
     }
+}
+
+/// Lists the values of a robot that are those of the URDF, and those that are assumed.
+pub(super) fn values_text(robot: &RobotDefinition) -> String {
+    let mut text = urdf_values_text(&robot.urdf_values);
+    if !robot.file.assumed.is_empty() {
+        text += &format!("  assumed, results rest on them: {}\n", assumed_text(&robot.file.assumed));
+    }
+    text
 }
 
 /// Names of the pairs that are kept apart.
@@ -323,6 +340,7 @@ fn as_json(path: &Path, checked: &Result<Checked, FileError>) -> Value {
                 "file": path,
                 "ok": true,
                 "is": checked.what,
+                "values": checked.values.lines().map(str::trim).collect::<Vec<&str>>(),
                 "position_gain_margin": margin_of(ServoLoop::Position),
                 "velocity_gain_margin": margin_of(ServoLoop::Velocity),
                 "gears": checked.gears.iter().map(gear_as_json).collect::<Vec<Value>>(),

@@ -1,6 +1,7 @@
 //! `opspace model`: tables of a robot and warnings about it, or its kinematics and dynamics at given states.
 
 use crate::cli::ModelArgs;
+use crate::commands::check::values_text;
 use crate::console::{Console, Exit, Failure, Outcome, print_exactly, render};
 use crate::output::{Format, pretty, write_named};
 use crate::outputs::check_outputs;
@@ -57,6 +58,8 @@ struct ModelView {
     model: Model,
     /// Mass of the links that cannot move, kg; they are not part of the model.
     standing_kg: f64,
+    /// Values of a robot that are those of the URDF, and those that are assumed.
+    values: String,
     /// Warnings of the URDF parser, then warnings about the whole model.
     warnings: Vec<String>,
 }
@@ -65,7 +68,7 @@ impl ModelView {
     fn new(urdf: &Source, model: Model, standing_kg: f64, warnings: &[UrdfWarning]) -> Self {
         let warnings = warnings.iter().map(ToString::to_string);
         let warnings = warnings.chain(model_warnings(&model).iter().map(ToString::to_string)).collect();
-        Self { file: urdf.name().to_owned(), model, standing_kg, warnings }
+        Self { file: urdf.name().to_owned(), model, standing_kg, values: String::new(), warnings }
     }
 }
 
@@ -83,8 +86,8 @@ fn load(args: &ModelArgs) -> Result<ModelView, Failure> {
         let text = format!("{option} is only for a URDF, but {file} is a robot file: give {urdf} instead");
         return Err(Failure::Other(text, Exit::Bad));
     }
-    let standing_kg = load_urdf(&robot.urdf, options)?.standing_kg;
-    Ok(ModelView::new(&robot.urdf, robot.model, standing_kg, &robot.warnings))
+    let values = values_text(&robot);
+    Ok(ModelView { values, ..ModelView::new(&robot.urdf, robot.model, robot.standing_kg, &robot.warnings) })
 }
 
 fn describe(shown: &ModelView) -> String {
@@ -94,10 +97,11 @@ fn describe(shown: &ModelView) -> String {
         false => (model.n(), "fixed"),
     };
     format!(
-        "{}: {joints} moving joints on a {base} base, {:.3} kg moving, {:.3} kg in total\n\n{}\n{}\n{}",
+        "{}: {joints} moving joints on a {base} base, {:.3} kg moving, {:.3} kg in total\n{}\n{}\n{}\n{}",
         model.name(),
         model.total_mass(),
         model.total_mass() + shown.standing_kg,
+        shown.values,
         render(&joint_table(model)),
         render(&body_table(model)),
         render(&frame_table(model))

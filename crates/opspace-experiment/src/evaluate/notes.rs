@@ -2,7 +2,9 @@
 
 use crate::evaluate::metric_tables::{JointMetrics, PoseErrors, TaskMetrics};
 use crate::evaluate::results::{Measure, error_of_desired, group, task_table};
+use crate::files::source::KeyPath;
 use crate::run::summary::Summary;
+use std::collections::BTreeMap;
 
 /// Note under tables of simulated runs.
 const OF_SIMULATION: &str =
@@ -33,6 +35,43 @@ const OF_TIMES: &str =
 /// Note under tables of runs that differ in the seed.
 const OF_SEEDS: &str = "Rows are medians over the seeds; the rows below have the interval that contains the median of all seeds with a \
                         probability of 95 % (order statistics), with fewer than six runs the lowest and the highest value.";
+
+/// Notes above tables of results: values of each robot that are assumed, and on which its results rest.
+#[must_use]
+pub fn assumed_notes<'a>(summaries: impl IntoIterator<Item = &'a Summary>) -> Vec<String> {
+    let robots: BTreeMap<&str, &[String]> = summaries
+        .into_iter()
+        .filter(|summary| !summary.assumed.is_empty())
+        .map(|summary| (summary.robot.as_str(), summary.assumed.as_slice()))
+        .collect();
+    let note = |(robot, keys): (&str, &[String])| {
+        let keys = assumed_text(keys);
+        format!("all results of robot '{robot}' rest on assumed values (`assumed` in its robot.toml): {keys}")
+    };
+    robots.into_iter().map(note).collect()
+}
+
+/// Lists assumed keys; those of joints are sorted by their kind.
+#[must_use]
+pub fn assumed_text(keys: &[String]) -> String {
+    let mut kinds: Vec<(String, Vec<String>)> = Vec::new();
+    for key in keys {
+        let words = key.as_str().segments();
+        let (kind, joint) = match words.as_slice() {
+            [first, joint, rest @ ..] if first == "joint" && !rest.is_empty() => (rest.join("."), Some(joint.clone())),
+            _ => (key.clone(), None),
+        };
+        match kinds.iter_mut().find(|(known, joints)| *known == kind && joint.is_some() && !joints.is_empty()) {
+            Some((_, joints)) => joints.extend(joint),
+            None => kinds.push((kind, joint.into_iter().collect())),
+        }
+    }
+    let text = |(kind, joints): (String, Vec<String>)| match joints.is_empty() {
+        true => kind,
+        false => format!("{kind} of {}", joints.join(", ")),
+    };
+    kinds.into_iter().map(text).collect::<Vec<_>>().join("; ")
+}
 
 /// Notes under a table of results with these columns.
 #[must_use]

@@ -536,6 +536,7 @@ pub(crate) mod tests {
             seed,
             simulated: true,
             plant: Some(OWN_PLANT.to_owned()),
+            assumed: Vec::new(),
             duration_s: 1.0,
             overrides: Vec::new(),
             label: None,

@@ -37,12 +37,27 @@ pub(crate) struct PartKeys {
 /// # Errors
 /// Mistakes in the URDF, and links or joints that it does not have.
 pub(crate) fn load_part(source: &Source, urdf: &Source, keys: &PartKeys) -> Result<ParsedUrdf, FileError> {
-    let options = UrdfOptions { enforce_mimic: keys.enforce_mimic, ..UrdfOptions::default() };
-    let mut locked: Vec<(String, f64)> = Vec::new();
-    if keys.used.is_some() || !keys.locked_joints.is_empty() {
-        let joints = urdf_joints(urdf.text()).map_err(|error| urdf_error(urdf, &error))?;
-        locked = locked_joints(source, &joints, keys)?;
-    }
+    let joints = match keys.used.is_some() || !keys.locked_joints.is_empty() {
+        true => urdf_joints(urdf.text()).map_err(|error| urdf_error(urdf, &error))?,
+        false => Vec::new(),
+    };
+    load_part_of(source, urdf, &joints, keys.used.as_ref(), &keys.locked_joints, keys.enforce_mimic)
+}
+
+/// Returns the model of the part of a URDF with these joints that moves. Mistakes in the choice are reported in `source`.
+///
+/// # Errors
+/// As [`load_part`].
+pub(crate) fn load_part_of(
+    source: &Source,
+    urdf: &Source,
+    joints: &[UrdfJoint],
+    used: Option<&UsedPart>,
+    locked: &BTreeMap<String, f64>,
+    enforce_mimic: bool,
+) -> Result<ParsedUrdf, FileError> {
+    let options = UrdfOptions { enforce_mimic, ..UrdfOptions::default() };
+    let locked = locked_joints(source, joints, used, locked, enforce_mimic)?;
     Model::from_urdf_locked(urdf.text(), options, &locked).map_err(|error| urdf_error(urdf, &error))
 }
 
@@ -56,10 +71,12 @@ pub(crate) fn urdf_error(urdf: &Source, error: &UrdfError) -> FileError {
 fn locked_joints(
     source: &Source,
     joints: &[UrdfJoint],
-    keys: &PartKeys,
+    used: Option<&UsedPart>,
+    stated: &BTreeMap<String, f64>,
+    enforce_mimic: bool,
 ) -> Result<Vec<(String, f64)>, FileError> {
     let moving = || joints.iter().filter(|joint| joint.kind.is_some());
-    for (name, &position) in &keys.locked_joints {
+    for (name, &position) in stated {
         let wrong = |message: String, help: Option<String>| {
             FileError::at_key(source, ["locked_joints", name.as_str()], message, help)
         };
@@ -74,10 +91,10 @@ fn locked_joints(
         }
     }
     let mut locked: Vec<(String, f64)> =
-        keys.locked_joints.iter().map(|(name, &position)| (name.clone(), position)).collect();
-    let Some(used) = &keys.used else { return Ok(locked) };
+        stated.iter().map(|(name, &position)| (name.clone(), position)).collect();
+    let Some(used) = used else { return Ok(locked) };
     let mut kept = chain(source, joints, used)?;
-    if keys.enforce_mimic {
+    if enforce_mimic {
         // Joints that mimic a joint of the chain move with it; as many passes as there are joints reach all of them.
         for _ in joints {
             let follows = |joint: &&UrdfJoint| joint.mimics.as_deref().is_some_and(|leader| kept.contains(leader));
@@ -86,7 +103,7 @@ fn locked_joints(
         }
     }
     for joint in moving().filter(|joint| !kept.contains(joint.name.as_str())) {
-        if !keys.locked_joints.contains_key(&joint.name) {
+        if !stated.contains_key(&joint.name) {
             // The position that is closest to zero.
             locked.push((joint.name.clone(), 0.0_f64.clamp(joint.limits.lower, joint.limits.upper)));
         }

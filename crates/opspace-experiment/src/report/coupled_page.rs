@@ -2,7 +2,7 @@
 
 use crate::evaluate::coupling_metrics::FeltLine;
 use crate::report::coupled_table::{coupling_notes, coupling_table};
-use crate::report::document::run_blocks;
+use crate::report::document::{run_blocks, with_assumed};
 use crate::report::figure::{Figure, Panel, Series, Style};
 use crate::report::html::Page;
 use crate::report::run_section::RunSection;
@@ -19,8 +19,9 @@ pub(crate) fn coupled_page(
     let notes = coupling_notes(std::slice::from_ref(summary));
     let notes: Vec<&str> = notes.iter().map(String::as_str).collect();
     let settle_s = experiment.file.settle_s.get();
-    let mut page = Page::new(format!("{}, seed {}", summary.experiment, summary.seed))
-        .lead("Several robots, coupled through channels, in one run.")
+    let head = Page::new(format!("{}, seed {}", summary.experiment, summary.seed))
+        .lead("Several robots, coupled through channels, in one run.");
+    let mut page = with_assumed(head, summary.robots.values())
         .section("Couplings")
         .table(
             &format!("Couplings, after the first {settle_s} s (settle_s)"),

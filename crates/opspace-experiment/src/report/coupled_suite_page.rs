@@ -1,6 +1,7 @@
 //! Page about a suite of experiments with several robots.
 
 use crate::report::coupled_table::{coupling_notes, coupling_table};
+use crate::report::document::with_assumed;
 use crate::report::html::Page;
 use crate::run::coupled_summary::CoupledSummary;
 
@@ -9,11 +10,11 @@ use crate::run::coupled_summary::CoupledSummary;
 pub fn coupled_suite_page(title: &str, summaries: &[CoupledSummary], pages: &[(String, String)]) -> String {
     let notes = coupling_notes(summaries);
     let notes: Vec<&str> = notes.iter().map(String::as_str).collect();
-    let mut page = Page::new(title)
-        .lead(&format!(
-            "{} runs of several robots, coupled through channels, in simulation.",
-            summaries.len()
-        ))
+    let head = Page::new(title).lead(&format!(
+        "{} runs of several robots, coupled through channels, in simulation.",
+        summaries.len()
+    ));
+    let mut page = with_assumed(head, summaries.iter().flat_map(|summary| summary.robots.values()))
         .section("Couplings")
         .table("Couplings, after settle_s", &coupling_table(summaries), &notes);
     for summary in summaries {

@@ -1,6 +1,6 @@
 //! Reports: pages with a table of runs, charts that compare them, and the figures of each run.
 
-use crate::evaluate::notes::{joint_notes, notes, task_notes};
+use crate::evaluate::notes::{assumed_notes, joint_notes, notes, task_notes};
 use crate::evaluate::results::{Measure, group, joint_table, table, task_table};
 use crate::evaluate::table::Table;
 use crate::report::comparisons::{comparisons, overlays, sweeps};
@@ -24,7 +24,8 @@ pub fn page(
     {
         all_notes.push(format!("Axes of the operator force and of the hand motion: {}.", run.operator_axes));
     }
-    let mut page = Page::new(title).lead(lead).section("Results").table(
+    let head = with_assumed(Page::new(title).lead(lead), summaries);
+    let mut page = head.section("Results").table(
         &caption(summaries, shown),
         &table(summaries, measures),
         &borrowed(&all_notes),
@@ -42,6 +43,11 @@ pub fn page(
             run_blocks(page, if run.title == title { "Tasks, joints and signals" } else { &run.title }, run);
     }
     page.render()
+}
+
+/// Adds notes about assumed values, on which results rest.
+pub(super) fn with_assumed<'a>(page: Page, summaries: impl IntoIterator<Item = &'a Summary>) -> Page {
+    assumed_notes(summaries).iter().fold(page, |page, note| page.warning(&format!("{note}.")))
 }
 
 /// Adds the section of one run to a page.

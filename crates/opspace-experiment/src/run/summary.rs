@@ -39,6 +39,9 @@ pub struct Summary {
     /// was real, and in files of earlier versions.
     #[serde(default)]
     pub plant: Option<String>,
+    /// Keys of robot.toml whose values are assumed: the results rest on them.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub assumed: Vec<String>,
     /// Intended duration of control, s.
     pub duration_s: f64,
     /// Settings that were applied to the files.
@@ -133,6 +136,7 @@ impl Experiment {
             seed: self.seed(),
             simulated: !is_real(recording),
             plant: (!is_real(recording)).then(|| self.plant()),
+            assumed: self.robot().file.assumed.clone(),
             duration_s: self.duration_s(),
             overrides: self.settings().to_vec(),
             label: self.options().label.clone(),

@@ -1,0 +1,8 @@
+//! Files of a new robot: its robot.toml, with assumed values if requested, and a first task.
+
+pub mod assumed_drives;
+pub mod first_motion;
+pub mod first_task;
+pub mod new_robot;
+pub mod robot_template;
+mod tip;

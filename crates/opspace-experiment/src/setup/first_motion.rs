@@ -1,0 +1,342 @@
+//! A first motion of a robot: a start pose away from limits, singularities and self-contact, and a displacement of the tip
+//! that the arm can do there.
+
+use crate::files::collision::generated_capsules;
+use crate::files::source::Source;
+use crate::setup::tip::tip;
+use nalgebra::{DMatrix, DVector, Matrix3, Matrix6xX, Vector3};
+use opspace_model::collision::{CollisionData, CollisionModel, PairSampling, collision_distances};
+use opspace_model::{
+    Data, FrameId, JointKind, Model, Postures, forward_kinematics, frame_jacobian, frame_placement, gravity,
+};
+
+/// Number of postures among which the start is chosen.
+const POSTURES: usize = 2000;
+/// Number of the best postures at which motions are tried.
+const TRIED: usize = 40;
+/// Fraction of the range of each joint in which the start is.
+const RANGE: f64 = 0.8;
+/// Displacements that are tried, m.
+const DISTANCES_M: [f64; 4] = [0.1, 0.05, 0.02, 0.01];
+/// Steps in which a displacement is followed.
+const STEPS: usize = 20;
+/// Least singular value of the Jacobian of the task over the length of the arm.
+const LEAST_SINGULAR_VALUE: f64 = 0.06;
+/// Largest torque that holds the arm over the torque limit.
+const LARGEST_LOAD: f64 = 0.6;
+/// Largest speed of a joint over its limit.
+const LARGEST_SPEED: f64 = 0.4;
+/// Largest speed of a joint, rad/s (m/s).
+const LARGEST_JOINT_SPEED: f64 = 1.0;
+/// Peak over mean speed of a minimum-jerk motion.
+const PEAK_OVER_MEAN: f64 = 1.875;
+/// Least distance of links over the length of the arm.
+const LEAST_DISTANCE: f64 = 0.02;
+
+/// Axes of a tip that a first task controls.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ControlledAxes {
+    /// Position and orientation.
+    Pose,
+    /// Position.
+    Position,
+    /// The axis of the motion alone.
+    One,
+}
+
+/// First motion of a robot.
+#[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
+pub struct FirstMotion {
+    /// Start positions (n; rad, m).
+    pub start: Vec<f64>,
+    /// Name of the frame that moves.
+    pub frame: String,
+    /// Position of the frame at the start, in world axes, m.
+    pub tip_m: [f64; 3],
+    /// Axes that the task controls.
+    pub axes: ControlledAxes,
+    /// Axis of the motion: 0, 1 or 2 for x, y or z of the world.
+    pub axis: usize,
+    /// Displacement along the axis, m; 0 if the tip can only be held.
+    pub distance_m: f64,
+    /// Duration of the displacement, s.
+    pub duration_s: f64,
+}
+
+/// Search for a motion.
+struct Search<'a> {
+    model: &'a Model,
+    frame: FrameId,
+    data: Data,
+    jacobian: Matrix6xX<f64>,
+    /// Torque limits (n; Nm, N); infinite if unknown.
+    torque_limits: &'a [f64],
+    /// True for the joints that move the frame (n).
+    moves: Vec<bool>,
+    /// Length of the arm, m.
+    reach_m: f64,
+    collision: Option<(CollisionModel, CollisionData)>,
+}
+
+/// Finds a first motion of the frame `tip`, or of the end of the longest chain of joints. `torque_limits` (n; Nm, N) are
+/// infinite where they are unknown. Returns `None` if the robot has no joints, or no frame of this name.
+#[must_use]
+pub fn first_motion(
+    model: &Model,
+    urdf: &Source,
+    tip_name: Option<&str>,
+    torque_limits: &[f64],
+) -> Option<FirstMotion> {
+    let frame = match tip_name {
+        Some(name) => model.frame_id(name).ok()?,
+        None => tip(model)?,
+    };
+    let mut search = Search::new(model, urdf, frame, torque_limits)?;
+    let joints = search.moves.iter().filter(|moves| **moves).count();
+    for axes in [ControlledAxes::Pose, ControlledAxes::Position, ControlledAxes::One] {
+        let least_joints = match axes {
+            ControlledAxes::Pose => 6,
+            ControlledAxes::Position => 3,
+            ControlledAxes::One => 1,
+        };
+        if joints < least_joints {
+            continue;
+        }
+        // Without a posture that keeps all conditions, loads and contacts are accepted.
+        for strict in [true, false] {
+            if let Some(found) = search.motion(axes, strict) {
+                return Some(found);
+            }
+        }
+    }
+    let start = search.posture(0);
+    Some(search.at(start, ControlledAxes::One, 0, 0.0, 1.0))
+}
+
+impl<'a> Search<'a> {
+    fn new(model: &'a Model, urdf: &Source, frame: FrameId, torque_limits: &'a [f64]) -> Option<Self> {
+        let mut moves = vec![false; model.n()];
+        model.ancestors(frame).for_each(|body| moves[model.bodies()[body].joint] = true);
+        if moves.iter().all(|moves| !moves) {
+            return None;
+        }
+        let mut search = Self {
+            model,
+            frame,
+            data: Data::new(model),
+            jacobian: Matrix6xX::zeros(model.n()),
+            torque_limits,
+            moves,
+            reach_m: 0.0,
+            collision: None,
+        };
+        search.reach_m = search.reach();
+        let capsules = generated_capsules(urdf).ok().map(|generated| generated.capsules);
+        let collision = capsules.and_then(|capsules| CollisionModel::new(model, &capsules).ok());
+        search.collision = collision.map(|mut collision| {
+            collision.drop_unneeded_pairs(model, &PairSampling::default());
+            let data = CollisionData::new(&collision);
+            (collision, data)
+        });
+        Some(search)
+    }
+
+    /// Largest distance of the tip from the first joint that moves it, in some postures, m.
+    fn reach(&mut self) -> f64 {
+        let mut reach: f64 = 0.0;
+        for number in 0..50 {
+            let q = Postures::new(self.model, 1.0).posture(number);
+            forward_kinematics(self.model, &mut self.data, &q);
+            let tip = frame_placement(self.model, &self.data, self.frame).translation;
+            let first = self.model.ancestors(self.frame).last();
+            let base = first.map_or(Vector3::zeros(), |body| self.data.placement[body].translation);
+            reach = reach.max((tip - base).norm());
+        }
+        reach.max(1e-3)
+    }
+
+    /// Posture of this number: joints that do not move the tip are as close to zero as their limits permit.
+    fn posture(&self, number: usize) -> Vec<f64> {
+        let sampled = Postures::new(self.model, RANGE).posture(number);
+        let rest = |(i, joint): (usize, &opspace_model::Joint)| {
+            let (lower, upper) = joint.limits.range(joint.kind);
+            let margin = 0.1 * (upper - lower);
+            if self.moves[i] { sampled[i] } else { 0.0_f64.clamp(lower + margin, upper - margin) }
+        };
+        // Two decimals are enough.
+        let rounded = |q: f64| (q * 1000.0).round() / 1000.0;
+        self.model.joints().iter().enumerate().map(rest).map(rounded).collect()
+    }
+
+    fn motion(&mut self, axes: ControlledAxes, strict: bool) -> Option<FirstMotion> {
+        let mut scored: Vec<(f64, Vec<f64>)> = Vec::new();
+        for number in 0..POSTURES {
+            let q = self.posture(number);
+            let score = self.score(&q, axes, strict);
+            if score > 0.0 {
+                scored.push((score, q));
+            }
+        }
+        scored.sort_by(|a, b| b.0.total_cmp(&a.0));
+        let farthest_m = 0.4 * self.reach_m;
+        for distance_m in DISTANCES_M.into_iter().filter(|distance| *distance <= farthest_m) {
+            for (_, start) in scored.iter().take(TRIED) {
+                let mut ways: Vec<(f64, usize, f64)> = Vec::new();
+                for (axis, sign) in (0..3).flat_map(|axis| [(axis, 1.0), (axis, -1.0)]) {
+                    let duration = self.duration(start, axes, axis, sign * distance_m, strict);
+                    ways.extend(duration.map(|duration_s| (duration_s, axis, sign * distance_m)));
+                }
+                // The motion that needs the slowest joints.
+                let best = ways.into_iter().min_by(|a, b| a.0.total_cmp(&b.0));
+                if let Some((duration_s, axis, distance)) = best {
+                    return Some(self.at(start.clone(), axes, axis, distance, duration_s));
+                }
+            }
+        }
+        None
+    }
+
+    fn at(
+        &mut self,
+        start: Vec<f64>,
+        axes: ControlledAxes,
+        axis: usize,
+        distance_m: f64,
+        duration_s: f64,
+    ) -> FirstMotion {
+        forward_kinematics(self.model, &mut self.data, &start);
+        let tip_m = frame_placement(self.model, &self.data, self.frame).translation.into();
+        let frame = self.model.frame(self.frame).name.clone();
+        FirstMotion { start, frame, tip_m, axes, axis, distance_m, duration_s }
+    }
+
+    /// Quality of a posture from 0 to 1: the product of the distances from limits, singularities and largest loads; 0 if it
+    /// cannot be used.
+    fn score(&mut self, q: &[f64], axes: ControlledAxes, strict: bool) -> f64 {
+        let singular = self.least_singular_value(q, axes);
+        if singular < LEAST_SINGULAR_VALUE {
+            return 0.0;
+        }
+        gravity(self.model, &mut self.data);
+        let loads = self.data.gravity.iter().zip(self.torque_limits).map(|(torque, limit)| torque.abs() / limit);
+        let load = loads.fold(0.0, f64::max);
+        if strict && (load > LARGEST_LOAD || self.is_in_contact()) {
+            return 0.0;
+        }
+        let near = self.model.joints().iter().zip(q).map(|(joint, q)| {
+            let (lower, upper) = joint.limits.range(joint.kind);
+            if joint.kind == JointKind::Continuous || upper <= lower {
+                return 1.0;
+            }
+            ((q - lower).min(upper - q) / (0.25 * (upper - lower))).min(1.0)
+        });
+        let room = near.zip(&self.moves).filter(|(_, moves)| **moves).map(|(near, _)| near).fold(1.0, f64::min);
+        room * (singular / (4.0 * LEAST_SINGULAR_VALUE)).min(1.0) * (1.0 - load.min(0.99))
+    }
+
+    /// True if links are closer to each other than is safe.
+    fn is_in_contact(&mut self) -> bool {
+        let Some((collision, data)) = &mut self.collision else { return false };
+        collision_distances(collision, self.model, &self.data, LEAST_DISTANCE * self.reach_m, data);
+        data.near().next().is_some()
+    }
+
+    /// Least singular value of the Jacobian of the task over the length of the arm.
+    fn least_singular_value(&mut self, q: &[f64], axes: ControlledAxes) -> f64 {
+        let jacobian = self.task_jacobian(q, axes, None);
+        match axes {
+            // One axis of the three is enough.
+            ControlledAxes::One => jacobian.row_iter().map(|row| row.norm()).fold(0.0, f64::max) / self.reach_m,
+            _ => jacobian.singular_values().min() / self.reach_m,
+        }
+    }
+
+    /// Jacobian of the task; its angular rows are multiplied by a quarter of the length of the arm.
+    fn task_jacobian(&mut self, q: &[f64], axes: ControlledAxes, axis: Option<usize>) -> DMatrix<f64> {
+        forward_kinematics(self.model, &mut self.data, q);
+        frame_jacobian(self.model, &self.data, self.frame, &mut self.jacobian);
+        let mut rows = DMatrix::from(self.jacobian.rows(0, 6));
+        rows.rows_mut(3, 3).scale_mut(0.25 * self.reach_m);
+        match (axes, axis) {
+            (ControlledAxes::Pose, _) => rows,
+            (ControlledAxes::One, Some(axis)) => rows.rows(axis, 1).into_owned(),
+            _ => rows.rows(0, 3).into_owned(),
+        }
+    }
+
+    /// Returns the duration of a displacement; `None` if the arm cannot do it.
+    fn duration(
+        &mut self,
+        start: &[f64],
+        axes: ControlledAxes,
+        axis: usize,
+        distance_m: f64,
+        strict: bool,
+    ) -> Option<f64> {
+        let mut q = start.to_vec();
+        forward_kinematics(self.model, &mut self.data, &q);
+        let begin = frame_placement(self.model, &self.data, self.frame);
+        let mut slowest = vec![0.0_f64; q.len()];
+        for step in 1..=STEPS {
+            let mut goal = begin.translation;
+            goal[axis] += distance_m * step as f64 / STEPS as f64;
+            let before = q.clone();
+            for _ in 0..3 {
+                let jacobian = self.task_jacobian(&q, axes, Some(axis));
+                let place = frame_placement(self.model, &self.data, self.frame);
+                let error = self.error(axes, axis, &(goal - place.translation), &begin.rotation, &place.rotation);
+                let least = jacobian.singular_values().min() / self.reach_m;
+                if least < LEAST_SINGULAR_VALUE {
+                    return None;
+                }
+                let inverse = jacobian.pseudo_inverse(1e-9).ok()?;
+                q.iter_mut().zip((inverse * error).iter()).for_each(|(q, change)| *q += change);
+            }
+            if self.score(&q, axes, strict) <= 0.0 || !self.is_within_limits(&q) {
+                return None;
+            }
+            for ((most, q), before) in slowest.iter_mut().zip(&q).zip(&before) {
+                *most = most.max((q - before).abs() * STEPS as f64);
+            }
+        }
+        let durations = slowest.iter().zip(self.model.joints()).map(|(change, joint)| {
+            let speed = (LARGEST_SPEED * joint.limits.velocity).min(LARGEST_JOINT_SPEED);
+            PEAK_OVER_MEAN * change / speed.max(1e-6)
+        });
+        let duration_s = durations.fold(1.5, f64::max);
+        (duration_s <= 6.0).then(|| (duration_s * 10.0).ceil() / 10.0)
+    }
+
+    /// Error of the task: position (m), and rotation in the units of [`task_jacobian`](Self::task_jacobian).
+    fn error(
+        &self,
+        axes: ControlledAxes,
+        axis: usize,
+        position: &Vector3<f64>,
+        goal: &Matrix3<f64>,
+        rotation: &Matrix3<f64>,
+    ) -> DVector<f64> {
+        let turn = goal * rotation.transpose();
+        let angular = Vector3::new(
+            turn[(2, 1)] - turn[(1, 2)],
+            turn[(0, 2)] - turn[(2, 0)],
+            turn[(1, 0)] - turn[(0, 1)],
+        ) * (0.5 * 0.25 * self.reach_m);
+        match axes {
+            ControlledAxes::Pose => {
+                DVector::from_iterator(6, position.iter().chain(angular.iter()).copied())
+            }
+            ControlledAxes::Position => DVector::from_iterator(3, position.iter().copied()),
+            ControlledAxes::One => DVector::from_element(1, position[axis]),
+        }
+    }
+
+    fn is_within_limits(&self, q: &[f64]) -> bool {
+        self.model.joints().iter().zip(q).zip(&self.moves).all(|((joint, q), moves)| {
+            let (lower, upper) = joint.limits.range(joint.kind);
+            let margin = 0.05 * (upper - lower);
+            !moves || joint.kind == JointKind::Continuous || (lower + margin..=upper - margin).contains(q)
+        })
+    }
+}

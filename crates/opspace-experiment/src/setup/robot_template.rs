@@ -1,0 +1,293 @@
+//! robot.toml of a new robot: one that lists all required values and guesses none, and one with assumed values.
+
+use crate::files::joint_layers::UrdfValue;
+use crate::files::robot_part::UsedPart;
+use crate::setup::assumed_drives::{
+    ACCELERATION, AssumedDrive, COULOMB_SHARE, GEAR_RAD_PER_M, KP_PER_S, LIMIT_OVER_NEED, ROTOR_KG_M2_PER_NM,
+    ROTOR_KG_PER_N, VELOCITY_LOOP_HZ, VISCOUS_SHARE,
+};
+use opspace_model::{Joint, JointKind, Model};
+use std::fmt::Write as _;
+use toml_edit::{Key, Value};
+
+/// Robot for which a robot.toml is written.
+#[derive(Clone, Copy, Debug)]
+pub struct NewRobot<'a> {
+    /// File name of the URDF.
+    pub urdf: &'a str,
+    /// Part of the robot that is used, if not all of it.
+    pub used: Option<&'a UsedPart>,
+    /// True if mimic joints move with the joints that they mimic.
+    pub enforce_mimic: bool,
+    /// Joints that are locked, each at a position (rad, m).
+    pub locked: &'a [(String, f64)],
+    /// Joints that move.
+    pub model: &'a Model,
+    /// Values of the drives that the URDF states.
+    pub stated: &'a [UrdfValue],
+}
+
+impl NewRobot<'_> {
+    fn head(&self) -> String {
+        let mut text = format!("urdf = {}\n", Value::from(self.urdf));
+        if let Some(UsedPart { from, to }) = self.used {
+            let (from, to) = (Value::from(from.as_str()), Value::from(to.as_str()));
+            let _ = writeln!(text, "use = {{ from = {from}, to = {to} }}   # the other joints do not move");
+        }
+        if !self.locked.is_empty() {
+            let joints = self.locked.iter().map(|(name, at)| format!("{} = {at:?}", Key::new(name)));
+            let _ = writeln!(text, "locked_joints = {{ {} }}", joints.collect::<Vec<_>>().join(", "));
+        }
+        if self.enforce_mimic {
+            text += "enforce_mimic = true   # mimic joints move with the joints that they mimic\n";
+        }
+        text
+    }
+
+    /// True if the URDF states a value of a joint.
+    fn states(&self, joint: &Joint, key: &str) -> bool {
+        self.stated.iter().any(|value| value.joint == joint.name && value.key == key)
+    }
+
+    /// Notes about the values that the URDF states.
+    fn notes(&self) -> String {
+        let mut text = String::new();
+        for joint in self.model.joints() {
+            let of_joint = self.stated.iter().filter(|value| value.joint == joint.name);
+            let values: Vec<String> =
+                of_joint.map(|v| format!("{} = {:?} ({})", v.key, v.value, v.attribute)).collect();
+            if !values.is_empty() {
+                let _ = writeln!(text, "## {}: {}", one_line(&joint.name), values.join(", "));
+            }
+        }
+        if text.is_empty() { text } else { format!("## From the URDF; values in this file replace them:\n{text}") }
+    }
+}
+
+/// Returns a robot.toml that guesses nothing. Values that only the manufacturer knows are commented out.
+#[must_use]
+pub fn robot_toml(robot: &NewRobot<'_>) -> String {
+    let joints = robot.model.joints();
+    let needs = |key: &str| joints.iter().any(|joint| !robot.states(joint, key));
+    let line = |key: &str, text: &str| if needs(key) { text.to_owned() } else { format!("#{text}") };
+    let prismatic: Vec<String> = joints
+        .iter()
+        .filter(|joint| joint.kind == JointKind::Prismatic)
+        .map(|joint| one_line(&joint.name))
+        .collect();
+    let mut text = format!(
+        r#"#:schema robot.schema.json
+# Nominal parameters of {name}.
+# A line such as `# gear_ratio =` marks a required value without a default: uncomment it and write the value.
+# `opspace check` on this folder lists all values that are missing. Lines with `##` are notes and optional keys.
+{head}
+# Interface of the robot.
+[interface]
+# command =                   # accepted command: "position", "velocity" or "torque"
+setpoints = "held"            # commands of position or velocity servos: "held" until the next one, or "interpolated"
+gears = "elastic"             # between motors and links: "rigid" only if known to be, "elastic" also if unknown
+# gravity_compensated_by =    # "controller", or "robot" if the robot compensates gravity itself
+## brakes = true              # if brakes hold a velocity robot without a controller
+# measured =                  # ["position"], or ["position", "motor-current"]
+
+## Optional force sensor: `frame` is the URDF link at whose origin and in whose axes it measures.
+## [force_sensor.wrist]
+## frame = "..."
+
+## Optional tool: adds its mass and a frame of its name at its tip. `opspace schema robot` lists all keys.
+## [tool.gripper]
+## on = "..."                 # URDF link to which it is attached
+## xyz_m = [0.0, 0.0, 0.1]    # position of the tip in the axes of that link
+## mass_kg = 0.5
+## com_m = [0.0, 0.0, 0.05]   # centre of mass in the axes of that link
+
+# Drives of the joints. These values are those of all joints; [joint.NAME] with the same keys has those of one joint, and
+# [group.NAME] with `joints = ["...", "..."]` those of several.
+{notes}[joint_defaults]
+{limit}{speed}[joint_defaults.rotor]
+# inertia_kg_m2 =             # inertia of all parts rotating at motor speed, kg m²
+# gear_ratio =                # motor turns per joint turn
+## encoder_counts_per_turn =  # encoder counts per motor turn; 16384 if absent
+[joint_defaults.friction]
+{coulomb}{viscous}## static_nm =                # static (breakaway) friction, Nm; coulomb_nm if absent
+## stribeck_rad_per_s =       # velocity of the transition from static to Coulomb friction, rad/s; 0.06 if absent
+## presliding_rad =           # displacement over which static friction builds up, rad; 0.001 if absent
+"#,
+        name = one_line(robot.model.name()),
+        head = robot.head(),
+        notes = robot.notes(),
+        limit = line("torque_limit_nm", "# torque_limit_nm =           # torque limit of the drive, at the joint, Nm\n"),
+        speed = if joints.iter().all(|joint| has_speed(joint)) {
+            ""
+        } else {
+            "# velocity_limit_rad_per_s =  # largest speed, rad/s; joints that have a velocity in the URDF need none\n"
+        },
+        coulomb = line("friction.coulomb_nm", "# coulomb_nm =                # Coulomb friction, Nm; 0 for none\n"),
+        viscous = line(
+            "friction.viscous_nms_per_rad",
+            "# viscous_nms_per_rad =       # viscous friction, Nms/rad; 0 for none\n"
+        ),
+    );
+    if !prismatic.is_empty() {
+        let _ = write!(
+            text,
+            "\n## These joints are prismatic; their values are in N and m, and the gear ratio in motor radians per metre. Give\n\
+             ## them tables of their own, or a group: {}\n",
+            prismatic.join(", ")
+        );
+    }
+    text += r"
+# Profile: a set of rates and servo parameters of the drives.
+[profile.default]
+# servo_hz =                  # rate of the servo loops, Hz
+# servo_ticks_per_cycle =     # servo ticks per setpoint, a whole number; 5 is written 1:5 in reports
+## delay_servo_ticks =        # delay from writing a setpoint until it acts, in servo ticks: a whole number; unknown if absent
+[profile.default.estimator]
+## velocity_filter_hz =       # low-pass filter of velocities computed from measured positions, Hz; 150 if absent
+
+# Servos of the drives: torque = kv (kp (q_desired - q) - dq); a torque robot needs none. These values are those of all
+# joints; [profile.default.servo.NAME.cascaded] has those of a joint or a group. A velocity robot has, instead or in
+# addition, [profile.default.velocity_servo.joint_defaults] with kv_nms_per_rad, velocity_filter_hz and, if its velocity
+# loop has an integral, ki_nm_per_rad: torque = kv (dq_desired - dq) + ki times the integral of that error.
+[profile.default.servo.joint_defaults.cascaded]
+# kp_per_s =                  # gain of the position loop, 1/s
+# kv_nms_per_rad =            # gain of the velocity loop, Nms/rad: proportional to the inertia of each joint
+# velocity_filter_hz =        # low-pass filter of the servo's velocity, Hz
+
+# Simulated plant: parameters in addition to those above. Without this section the robot cannot be simulated.
+[simulated]
+## physics_hz =               # rate of the plant's integration steps, a whole multiple of servo_hz, Hz
+## current_loop_hz =          # bandwidth of the motors' current loop, Hz; no lag if absent
+## torque_noise_nm =          # noise of the measured motor torque, rms, Nm (N); 0 if absent
+";
+    text
+}
+
+/// Returns a robot.toml in which all values that the URDF does not state are assumed, and marked as such. `kv` has the gains
+/// of the velocity loops (n; Nms/rad, Ns/m).
+#[must_use]
+pub fn assumed_robot_toml(robot: &NewRobot<'_>, drives: &[AssumedDrive], kv: &[f64]) -> String {
+    let mut assumed = vec![vec!["interface".to_owned()]];
+    let mut tables = String::new();
+    for (joint, drive) in robot.model.joints().iter().zip(drives) {
+        let (table, keys) = assumed_joint(robot, joint, drive);
+        tables += &table;
+        assumed.push(keys);
+    }
+    assumed.push(vec!["profile.default".to_owned(), "simulated".to_owned()]);
+    let mut list = String::new();
+    for keys in &assumed {
+        let keys: Vec<String> = keys.iter().map(|key| Value::from(key.as_str()).to_string()).collect();
+        let _ = writeln!(list, "    {},", keys.join(", "));
+    }
+    let mut servos = String::new();
+    for (joint, kv) in robot.model.joints().iter().zip(kv) {
+        let _ = writeln!(servos, "{} = {{ cascaded = {{ kv_nms_per_rad = {kv:?} }} }}", Key::new(&joint.name));
+    }
+    format!(
+        r#"#:schema robot.schema.json
+# Nominal parameters of {name}. Values marked [A] are assumed: they are computed from masses, inertias and efforts of the
+# URDF, and are those of no particular drive. Results rest on them.
+{head}
+# Keys whose values are assumed; every table and page lists them. Remove an entry when you have replaced its value by one that
+# you know: see `opspace identify` and data sheets.
+assumed = [
+{list}]
+
+# [A] a position robot that measures positions only.
+[interface]
+command = "position"
+setpoints = "held"            # or "interpolated"
+gears = "elastic"             # "rigid" only if they are known to be
+gravity_compensated_by = "controller"
+measured = ["position"]       # or ["position", "motor-current"]
+
+# Drives of the joints. The size of a drive is its torque limit or, if that is less, ten times the torque of weight and of
+# {acceleration} rad/s² (m/s²) of acceleration that its joint needs.
+{notes}{tables}
+# [A] a servo at 5 kHz that gets a setpoint every fifth tick.
+[profile.default]
+servo_hz = 5000.0
+servo_ticks_per_cycle = 5
+delay_servo_ticks = 0
+estimator = {{ velocity_filter_hz = 150.0 }}
+
+# [A] velocity loops of {loop_hz} Hz for the inertia of each joint at the start of first-task.toml, with its rotor; position loops of
+# {kp} 1/s.
+[profile.default.servo]
+joint_defaults = {{ cascaded = {{ kp_per_s = {kp:?}, velocity_filter_hz = 600.0 }} }}
+{servos}
+[safety]
+torque_ramp_s = 0.2
+tare_s = 0.2
+
+# [A] bristles of friction, end stops and brakes have their defaults: see `opspace schema robot`.
+[simulated]
+current_loop_hz = 1000.0
+"#,
+        name = one_line(robot.model.name()),
+        head = robot.head(),
+        acceleration = ACCELERATION,
+        notes = robot.notes(),
+        loop_hz = VELOCITY_LOOP_HZ,
+        kp = KP_PER_S,
+    )
+}
+
+/// Returns the table of a joint with assumed values, and the keys of these values.
+fn assumed_joint(robot: &NewRobot<'_>, joint: &Joint, drive: &AssumedDrive) -> (String, Vec<String>) {
+    let name = Key::new(&joint.name).to_string();
+    let slides = joint.kind == JointKind::Prismatic;
+    let (torque, speed) = if slides { ("N", "m/s") } else { ("Nm", "rad/s") };
+    let mut text = format!("\n[joint.{name}]\n");
+    let mut keys = Vec::new();
+    if let Some(limit) = drive.torque_limit {
+        let _ = writeln!(
+            text,
+            "torque_limit_nm = {limit:?}   # [A] {LIMIT_OVER_NEED} times the torque that the joint needs, {torque}"
+        );
+        keys.push(format!("joint.{name}.torque_limit_nm"));
+    }
+    if let Some(limit) = drive.velocity_limit {
+        let _ = writeln!(text, "velocity_limit_rad_per_s = {limit:?}   # [A] {speed}; the URDF has none");
+        keys.push(format!("joint.{name}.velocity_limit_rad_per_s"));
+    }
+    let (per_size, unit, ratio) = match slides {
+        true => (ROTOR_KG_PER_N, "kg/N", format!("; a spindle of {GEAR_RAD_PER_M} rad/m")),
+        false => (ROTOR_KG_M2_PER_NM, "kg m²/Nm", String::new()),
+    };
+    let (size, inertia, gear) = (drive.size, drive.rotor_kg_m2, drive.gear_ratio);
+    let _ = writeln!(
+        text,
+        "# [A] {per_size} {unit} of the size of the drive at the joint, {size:.3} {torque}{ratio}\n\
+         rotor = {{ inertia_kg_m2 = {inertia:?}, gear_ratio = {gear:?} }}"
+    );
+    keys.push(format!("joint.{name}.rotor"));
+    let mut friction = Vec::new();
+    if !robot.states(joint, "friction.coulomb_nm") {
+        friction.push(format!("coulomb_nm = {:?}", drive.coulomb));
+    }
+    if !robot.states(joint, "friction.viscous_nms_per_rad") {
+        friction.push(format!("viscous_nms_per_rad = {:?}", drive.viscous));
+    }
+    friction.push(format!("presliding_rad = {:?}", drive.presliding));
+    let _ = writeln!(
+        text,
+        "# [A] Coulomb friction: {} % of the size; viscous friction: {} % of it at the speed limit\nfriction = {{ {} }}",
+        100.0 * COULOMB_SHARE,
+        100.0 * VISCOUS_SHARE,
+        friction.join(", ")
+    );
+    keys.push(format!("joint.{name}.friction"));
+    (text, keys)
+}
+
+/// True if the URDF has a velocity limit of the joint.
+fn has_speed(joint: &Joint) -> bool {
+    joint.limits.velocity.is_finite() && joint.limits.velocity > 0.0
+}
+
+/// Replaces the control characters of a name by spaces, so that the name stays on one comment line.
+fn one_line(name: &str) -> String {
+    name.chars().map(|c| if c.is_control() { ' ' } else { c }).collect()
+}
