@@ -1,16 +1,18 @@
 //! Assumed drives of a robot of which only the URDF is known.
 //!
 //! Each value follows from masses and inertias of the links, and from the efforts of the URDF. The *size* of a drive is its
-//! torque limit or, if that is less, ten times the torque of weight and acceleration that the joint needs: many URDFs state
-//! efforts that no such drive has.
+//! torque limit or, if that is less, ten times the torque that the joint needs for weight, acceleration and the friction of
+//! the URDF: many URDFs state efforts that no such drive has.
 
-use opspace_model::{Data, JointKind, Model, Postures, crba, forward_kinematics, gravity};
+use opspace_model::{Data, JointDynamics, JointKind, Model, Postures, crba, forward_kinematics, gravity};
 use std::f64::consts::TAU;
 
 /// Number of postures from which weight and inertia of a joint are the largest.
 const POSTURES: usize = 100;
 /// Acceleration that a drive is sized for, rad/s² (m/s²).
 pub const ACCELERATION: f64 = 10.0;
+/// Speed that a drive is sized for, rad/s (m/s).
+const FRICTION_SPEED: f64 = 1.0;
 /// Largest size of a drive over the torque that its joint needs.
 const LARGEST_SIZE: f64 = 10.0;
 /// Torque limit, where the URDF has none, over the torque of weight and acceleration.
@@ -72,9 +74,9 @@ pub fn rounded(value: f64) -> f64 {
     format!("{value:.2e}").parse().unwrap_or(value)
 }
 
-/// Returns the assumed drives of a robot (n).
+/// Returns the assumed drives of a robot (n). `dynamics` is the friction that the URDF states (n).
 #[must_use]
-pub fn assumed_drives(model: &Model) -> Vec<AssumedDrive> {
+pub fn assumed_drives(model: &Model, dynamics: &[JointDynamics]) -> Vec<AssumedDrive> {
     let n = model.n();
     let (mut weight, mut inertia) = (vec![0.0_f64; n], vec![0.0_f64; n]);
     let (mut data, postures) = (Data::new(model), Postures::new(model, 1.0));
@@ -89,7 +91,8 @@ pub fn assumed_drives(model: &Model) -> Vec<AssumedDrive> {
     }
     let drive = |(i, joint): (usize, &opspace_model::Joint)| {
         let slides = joint.kind == JointKind::Prismatic;
-        let need = weight[i] + ACCELERATION * inertia[i];
+        let friction = dynamics[i].friction.unwrap_or(0.0) + FRICTION_SPEED * dynamics[i].damping.unwrap_or(0.0);
+        let need = weight[i] + ACCELERATION * inertia[i] + friction;
         let (effort, speed) = (joint.limits.effort, joint.limits.velocity);
         let torque_limit = (!is_limit(effort)).then(|| rounded(LIMIT_OVER_NEED * need));
         let default_speed = if slides { SPEED_M_PER_S } else { SPEED_RAD_PER_S };

@@ -156,15 +156,17 @@ impl<'a> Search<'a> {
         reach.max(1e-3)
     }
 
-    /// Posture of this number: joints that do not move the tip are as close to zero as their limits permit.
+    /// Posture of this number: joints that do not move the tip are at zero, or in the middle of their range if zero is not in
+    /// its middle half.
     fn posture(&self, number: usize) -> Vec<f64> {
         let sampled = Postures::new(self.model, RANGE).posture(number);
         let rest = |(i, joint): (usize, &opspace_model::Joint)| {
             let (lower, upper) = joint.limits.range(joint.kind);
-            let margin = 0.1 * (upper - lower);
-            if self.moves[i] { sampled[i] } else { 0.0_f64.clamp(lower + margin, upper - margin) }
+            let (middle, quarter) = (0.5 * (lower + upper), 0.25 * (upper - lower));
+            let rest = if middle.abs() < quarter { 0.0 } else { middle };
+            if self.moves[i] { sampled[i] } else { rest }
         };
-        // Two decimals are enough.
+        // Three decimals are enough.
         let rounded = |q: f64| (q * 1000.0).round() / 1000.0;
         self.model.joints().iter().enumerate().map(rest).map(rounded).collect()
     }

@@ -51,7 +51,7 @@ pub fn new_files(urdf: &Source, urdf_name: &str, part: Part<'_>, assume: bool) -
     if model.n() == 0 {
         return Err(FileError::of_file(urdf.name(), "the robot has no joints that can move", None));
     }
-    let drives = assumed_drives(&model);
+    let drives = assumed_drives(&model, &loaded.dynamics);
     let limits: Vec<f64> = (model.joints().iter().zip(&drives))
         .map(|(joint, drive)| {
             let unknown = if assume { drive.torque_limit.unwrap_or(f64::INFINITY) } else { f64::INFINITY };

@@ -202,8 +202,8 @@ gears = "elastic"             # "rigid" only if they are known to be
 gravity_compensated_by = "controller"
 measured = ["position"]       # or ["position", "motor-current"]
 
-# Drives of the joints. The size of a drive is its torque limit or, if that is less, ten times the torque of weight and of
-# {acceleration} rad/s² (m/s²) of acceleration that its joint needs.
+# Drives of the joints. The size of a drive is its torque limit or, if that is less, ten times the torque that its joint needs
+# for its weight, for {acceleration} rad/s² (m/s²), and for the friction of the URDF.
 {notes}{tables}
 # [A] a servo at 5 kHz that gets a setpoint every fifth tick.
 [profile.default]
