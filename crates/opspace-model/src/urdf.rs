@@ -224,7 +224,8 @@ fn lock(
                 }
                 _ => None,
             };
-            if let Some(position) = follower.filter(|_| positions.iter().all(|(name, _)| *name != joint.name)) {
+            if let Some(position) = follower.filter(|_| positions.iter().all(|(name, _)| *name != joint.name))
+            {
                 positions.push((joint.name.clone(), position));
             }
             if let (true, Motion::Moving { kind, axis, .. }) = (joint.name == leader, &joint.motion) {

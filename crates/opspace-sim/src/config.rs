@@ -309,11 +309,8 @@ impl ArmConfig {
             let torque_limit = parameters.torque_limit_nm.get();
             let bristle = simulated.bristle_of(self.true_friction(i));
             let brake = simulated.brake_of(torque_limit);
-            let friction = LuGre::new(
-                self.true_friction(i),
-                &bristle,
-                simulated.true_over_nominal.friction.get(),
-            );
+            let friction =
+                LuGre::new(self.true_friction(i), &bristle, simulated.true_over_nominal.friction.get());
             let slip_torque = torque_limit * brake.holding_torque_ratio.get();
             let drivetrain = Drivetrain::new(
                 Motor::new(bandwidth_hz, dt, motor_torque[i]),
@@ -332,8 +329,7 @@ impl ArmConfig {
                 .with_angle_torque(angle_torque)
                 .with_interface_encoder(self.encoder(parameters, simulated.encoder.interface));
             let Some(gear) = self.gear(i) else { return Ok(drivetrain) };
-            let stiffness =
-                brake.stiffness_nm_per_rad.get() + bristle.stiffness_nm_per_rad.get();
+            let stiffness = brake.stiffness_nm_per_rad.get() + bristle.stiffness_nm_per_rad.get();
             let scale = simulated.true_over_nominal.friction.get();
             let damping = brake.damping_nms_per_rad.get()
                 + bristle.damping_nms_per_rad.get()

@@ -53,7 +53,7 @@ impl ArmConfig {
         let needs_none = capabilities.command == CommandKind::Torque && capabilities.has_brakes;
         Ok(Self {
             joints: model.joints().iter().map(|joint| drive(joint.limits.effort)).collect(),
-            servos: if needs_none { vec![unused_servo(); model.n()] } else { servos },
+            servos: if needs_none { Self::unused_servos(model.n()) } else { servos },
             profile: profile(servo_hz),
             simulated: plant(physics_hz),
             start: neutral(&model),
@@ -66,6 +66,12 @@ impl ArmConfig {
             rest_s: 0.0,
             seed: 0,
         })
+    }
+
+    /// Placeholder servos for a torque robot with brakes, whose drives use none (n).
+    #[must_use]
+    pub fn unused_servos(n: usize) -> Vec<ServoParameters> {
+        vec![ServoParameters::Cascaded(CascadedServo::new(UNUSED, UNUSED, UNUSED)); n]
     }
 }
 
@@ -90,11 +96,6 @@ fn drive(effort: f64) -> JointParameters {
             presliding_rad: Positive::literal(0.001),
         },
     }
-}
-
-/// Placeholder servo for a robot whose drives use none.
-fn unused_servo() -> ServoParameters {
-    ServoParameters::Cascaded(CascadedServo::new(UNUSED, UNUSED, UNUSED))
 }
 
 fn profile(servo_hz: Positive) -> ProfileParameters {

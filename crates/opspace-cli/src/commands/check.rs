@@ -180,6 +180,7 @@ fn check_one(path: &Path, extensions: &Extensions, console: Console) -> Result<C
         warn(console, robot.urdf.name(), &robot.warnings, &robot.model);
         robot.capsule_warnings().iter().for_each(|w| console.note(&format!("{}: {w}", robot.urdf.name())));
         let values = values_text(&robot);
+        robot.defaults().iter().for_each(|default| console.detail(&format!("  {default}")));
         Ok(Checked { values, ..Checked::clean(format!("a robot of {} joints", robot.model.n())) })
     };
     match Kind::of(source.text()) {

@@ -4,8 +4,8 @@ use crate::cli::{NewArgs, SchemaKind};
 use crate::commands::schema::text as schema_text;
 use crate::console::{Console, Exit, Failure, Outcome, print};
 use crate::output::write;
-use opspace_experiment::setup::new_robot::{NewFiles, Part, new_files};
 use opspace_experiment::Source;
+use opspace_experiment::setup::new_robot::{NewFiles, Part, new_files};
 use std::fs;
 
 pub fn new(args: &NewArgs, console: Console) -> Outcome {
@@ -13,7 +13,8 @@ pub fn new(args: &NewArgs, console: Console) -> Outcome {
     let robot = args.dir.join("robot.toml");
     let urdf = args.urdf.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let part = Part { from: args.from.as_deref(), to: args.to.as_deref() };
-    let NewFiles { robot_toml, task_toml, motion, warnings, .. } = new_files(&source, &urdf, part, args.assume)?;
+    let NewFiles { robot_toml, task_toml, motion, warnings, .. } =
+        new_files(&source, &urdf, part, args.assume)?;
     warnings.iter().for_each(|w| console.note(&format!("{}: {w}", source.name())));
     if robot.exists() {
         let text = format!("{}: already exists; choose another folder", robot.display());

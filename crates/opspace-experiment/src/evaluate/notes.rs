@@ -58,10 +58,13 @@ pub fn assumed_text(keys: &[String]) -> String {
     for key in keys {
         let words = key.as_str().segments();
         let (kind, joint) = match words.as_slice() {
-            [first, joint, rest @ ..] if first == "joint" && !rest.is_empty() => (rest.join("."), Some(joint.clone())),
+            [first, joint, rest @ ..] if first == "joint" && !rest.is_empty() => {
+                (rest.join("."), Some(joint.clone()))
+            }
             _ => (key.clone(), None),
         };
-        match kinds.iter_mut().find(|(known, joints)| *known == kind && joint.is_some() && !joints.is_empty()) {
+        match kinds.iter_mut().find(|(known, joints)| *known == kind && joint.is_some() && !joints.is_empty())
+        {
             Some((_, joints)) => joints.extend(joint),
             None => kinds.push((kind, joint.into_iter().collect())),
         }

@@ -123,12 +123,7 @@ pub(crate) fn groups(source: &Source, document: &DeTable<'_>, model: &Model) -> 
 }
 
 /// Expands the layers of a document: afterwards it has one entry for each joint and for each servo.
-pub(crate) fn expand<'a>(
-    document: &mut DeTable<'a>,
-    stated: &DeTable<'a>,
-    groups: &Groups,
-    model: &Model,
-) {
+pub(crate) fn expand<'a>(document: &mut DeTable<'a>, stated: &DeTable<'a>, groups: &Groups, model: &Model) {
     for joint in model.joints() {
         let mut layers: Vec<Spanned<DeValue<'a>>> = Vec::new();
         layers.extend(inner(document, &["joint", &joint.name]).cloned());
@@ -188,7 +183,10 @@ fn expand_servos(profile: &mut DeTable<'_>, servos: &str, groups: &Groups, model
 
 /// Names of the groups of a joint: one or none.
 fn groups_of<'a>(groups: &'a Groups, joint: &'a str) -> impl Iterator<Item = &'a str> {
-    groups.iter().filter(move |(_, joints)| joints.iter().any(|name| name == joint)).map(|(name, _)| name.as_str())
+    groups
+        .iter()
+        .filter(move |(_, joints)| joints.iter().any(|name| name == joint))
+        .map(|(name, _)| name.as_str())
 }
 
 /// Static friction is Coulomb friction unless the file states it.
@@ -230,7 +228,10 @@ enum Rule {
 }
 
 /// Merges layers: the first that states a key is taken. A value that is not a table hides those after it.
-fn merge<'a>(layers: impl IntoIterator<Item = Spanned<DeValue<'a>>>, rule: Rule) -> Option<Spanned<DeValue<'a>>> {
+fn merge<'a>(
+    layers: impl IntoIterator<Item = Spanned<DeValue<'a>>>,
+    rule: Rule,
+) -> Option<Spanned<DeValue<'a>>> {
     let mut layers = layers.into_iter();
     let mut merged = layers.next()?;
     for layer in layers {
@@ -268,8 +269,10 @@ pub(crate) fn check_layers(
     groups: &Groups,
     model: &Model,
 ) -> Result<(), FileError> {
+    check_names(source, expanded, model)?;
     let first = model.joints().first().map(|joint| (DEFAULTS, joint.name.as_str()));
-    let members = groups.iter().filter_map(|(group, joints)| Some((group.as_str(), joints.first()?.as_str())));
+    let members =
+        groups.iter().filter_map(|(group, joints)| Some((group.as_str(), joints.first()?.as_str())));
     let layers: Vec<(&str, &str)> = first.into_iter().chain(members).collect();
     for (layer, joint) in &layers {
         let path: &[&str] = if *layer == DEFAULTS { &[DEFAULTS] } else { &["group", layer] };
@@ -286,6 +289,28 @@ pub(crate) fn check_layers(
             });
             check_layer::<ServoParameters>(source, document, position.0, position.1, Rule::Servo)?;
             check_layer::<VelocityServo>(source, document, velocity.0, velocity.1, Rule::Values)?;
+        }
+    }
+    Ok(())
+}
+
+/// Checks that the entries of joints and servos have names of joints. `expanded` has no layers.
+fn check_names(source: &Source, expanded: &DeTable<'_>, model: &Model) -> Result<(), FileError> {
+    let mut tables = vec![vec!["joint"]];
+    if let Some(DeValue::Table(profiles)) = inner(expanded, &["profile"]).map(Spanned::get_ref) {
+        for profile in profiles.keys() {
+            let profile = profile.get_ref().as_ref();
+            tables.extend(SERVO_TABLES.map(|servos| vec!["profile", profile, servos]));
+        }
+    }
+    for path in tables {
+        let Some(DeValue::Table(table)) = inner(expanded, &path).map(Spanned::get_ref) else { continue };
+        let mut names = table.keys().map(|name| name.get_ref().as_ref());
+        if let Some(unknown) = names.find(|name| model.joint(name).is_err()) {
+            let known = model.joints().iter().map(|joint| joint.name.as_str());
+            let message = format!("the URDF has no moving joint '{unknown}'");
+            let help = Some(choices(unknown, known));
+            return Err(FileError::at_key(source, [&path[..], &[unknown]].concat(), message, help));
         }
     }
     Ok(())

@@ -26,7 +26,9 @@ pub(crate) fn stated_path(document: &DeTable<'_>, path: &[String]) -> Option<Vec
     let words: Vec<&str> = path.iter().map(String::as_str).collect();
     let (joint, servos, rest): (&str, &[&str], &[&str]) = match words[..] {
         ["joint", joint, ..] => (joint, &[], &words[2..]),
-        ["profile", _, table, joint, ..] if SERVO_TABLES.contains(&table) => (joint, &words[..3], &words[4..]),
+        ["profile", _, table, joint, ..] if SERVO_TABLES.contains(&table) => {
+            (joint, &words[..3], &words[4..])
+        }
         _ => return None,
     };
     if inner(document, &words).is_some() {

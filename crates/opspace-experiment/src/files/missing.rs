@@ -138,7 +138,11 @@ struct Missing {
 ///
 /// # Errors
 /// One error that lists all values that are missing.
-pub(crate) fn check_complete(source: &Source, document: &DeTable<'_>, model: &Model) -> Result<(), FileError> {
+pub(crate) fn check_complete(
+    source: &Source,
+    document: &DeTable<'_>,
+    model: &Model,
+) -> Result<(), FileError> {
     let missing = missing(document, model);
     let values: usize = missing.iter().map(|kind| kind.tables.len()).sum();
     match missing.as_slice() {
@@ -207,7 +211,8 @@ fn missing(document: &DeTable<'_>, model: &Model) -> Vec<Missing> {
                     let path = ["profile", profile, table, name];
                     let other_kind = inner(document, &path).and_then(|servo| servo.get_ref().as_table());
                     let other_kind = table == "servo"
-                        && other_kind.is_some_and(|servo| !servo.is_empty() && !servo.contains_key("cascaded"));
+                        && other_kind
+                            .is_some_and(|servo| !servo.is_empty() && !servo.contains_key("cascaded"));
                     !other_kind && lacks(document, &path, of.path)
                 });
                 let tables = lacking.map(|name| words(&["profile", profile, table, name])).collect();
@@ -237,30 +242,32 @@ fn lacks(document: &DeTable<'_>, table: &[&str], path: &[&str]) -> bool {
 fn text_of(missing: &Missing, model: &Model) -> String {
     let Missing { of, tables, defaults } = missing;
     let mut text = format!("- {}\n  source: {}\n", of.about, of.found);
-    let line = |table: &[String]| {
-        let keys = words(of.path);
-        match table {
-            [] => format!("[{}] {} = ...", keys[0], dotted(&keys[1..])),
-            _ => format!("[{}] {} = ...", dotted(table), dotted(&keys)),
-        }
+    // Table and line: keys of inner tables are dotted.
+    let place = |table: &[String]| match table {
+        [] => format!("[{}]", of.path[0]),
+        _ => format!("[{}]", dotted(table)),
+    };
+    let line = match tables[0].as_slice() {
+        [] => format!("{} = ...", dotted(&words(&of.path[1..]))),
+        _ => format!("{} = ...", dotted(&words(of.path))),
     };
     let joints: Vec<&str> = tables.iter().filter_map(|table| table.last().map(String::as_str)).collect();
     match defaults {
         Some(defaults) if joints.len() == model.n() && joints.len() > 1 => {
-            let _ = writeln!(text, "  write:  {}, or {} for each", line(defaults), line(&tables[0]));
-            let _ = writeln!(text, "  joints: all {}", joints.len());
+            let (all, first) = (place(defaults), place(&tables[0]));
+            let _ = writeln!(text, "  write:  {line}   in {all}, or in {first} and the other joints");
         }
         Some(_) if joints.len() > 1 => {
-            let _ = writeln!(text, "  write:  {}", line(&tables[0]));
+            let first = place(&tables[0]);
+            let _ = writeln!(text, "  write:  {line}   in {first}, and for the other of these joints");
             let _ = writeln!(text, "  joints: {}", list(&joints));
         }
         _ => tables.iter().for_each(|table| {
-            let _ = writeln!(text, "  write:  {}", line(table));
+            let _ = writeln!(text, "  write:  {line}   in {}", place(table));
         }),
     }
-    let is_prismatic = |name: &&str| {
-        model.joint(name).is_ok_and(|joint| model.joints()[joint].kind == JointKind::Prismatic)
-    };
+    let is_prismatic =
+        |name: &&str| model.joint(name).is_ok_and(|joint| model.joints()[joint].kind == JointKind::Prismatic);
     let prismatic: Vec<&str> = joints.iter().copied().filter(is_prismatic).collect();
     if defaults.is_some() && !prismatic.is_empty() {
         let _ = writeln!(text, "  prismatic, in N and m: {}", list(&prismatic));

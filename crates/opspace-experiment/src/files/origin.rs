@@ -98,7 +98,10 @@ impl Kind {
     #[must_use]
     pub fn of(text: &str) -> Option<Self> {
         const KEYS: [(Kind, &[&str]); 4] = [
-            (Kind::Robot, &["urdf", "default_profile", "interface", "joint", "joint_defaults", "group", "simulated"]),
+            (
+                Kind::Robot,
+                &["urdf", "default_profile", "interface", "joint", "joint_defaults", "group", "simulated"],
+            ),
             (Kind::Task, &["robot", "priority", "task", "environment"]),
             (Kind::Suite, &["title", "profiles", "grid", "grid_mode", "run"]),
             (Kind::Experiment, &["robots", "couplings", "channels"]),

@@ -2,11 +2,11 @@
 
 use crate::files::collision::{CollisionFile, RobotCapsules, robot_capsules};
 use crate::files::interface::InterfaceParameters;
-use crate::files::origin::{Files, Kind, beside};
-use crate::files::overrides;
-use crate::files::joint_layers::{UrdfValue, check_layers, expand, groups, urdf_layer, urdf_values};
+use crate::files::joint_layers::{Groups, UrdfValue, check_layers, expand, groups, urdf_layer, urdf_values};
 use crate::files::layered_path::{inner, stated_path};
 use crate::files::missing::check_complete;
+use crate::files::origin::{Files, Kind, beside};
+use crate::files::overrides;
 use crate::files::robot_part::{PartKeys, UsedPart, load_part, urdf_error};
 use crate::files::source::{FileError, KeyPath, Source, checked, explain, parse};
 use crate::files::suggest::{choices, list};
@@ -335,6 +335,48 @@ impl RobotDefinition {
         self.in_order(&profile.identified)
     }
 
+    /// Value at a path of the robot file, with the values of its groups, defaults and URDF, as TOML.
+    pub(crate) fn value_of(&self, path: &[&str]) -> Option<toml_edit::Value> {
+        let value = with_expanded(&self.source, &self.model, &self.urdf_values, |_, expanded, _| {
+            Ok(inner(&expanded, path).map(|value| inline_text(value.get_ref())))
+        });
+        value.ok()??.parse().ok()
+    }
+
+    /// Describes the values that neither the file nor the URDF states, and the defaults that take their places.
+    #[must_use]
+    pub fn defaults(&self) -> Vec<String> {
+        let mut lines = Vec::new();
+        for (key, default) in [
+            ("rotor.encoder_counts_per_turn", "16384"),
+            ("friction.static_nm", "coulomb_nm"),
+            ("friction.stribeck_rad_per_s", "0.06"),
+            ("friction.presliding_rad", "0.001"),
+        ] {
+            let joints = self.model.joints().iter().map(|joint| joint.name.as_str());
+            let lacking: Vec<&str> = joints.filter(|joint| !states(&self.source, joint, key)).collect();
+            if !lacking.is_empty() {
+                lines.push(format!("{key} = {default} by default: {}", list(lacking.into_iter())));
+            }
+        }
+        let simulated = self.file.simulated.as_ref();
+        let mut add = |is_absent: bool, text: &str| lines.extend(is_absent.then(|| text.to_owned()));
+        let lacks = |of: fn(&SimulatedParameters) -> bool| simulated.is_some_and(of);
+        add(
+            lacks(|s| s.bristle.is_none()),
+            "simulated.bristle by default: stiffness static_nm/presliding_rad of each joint, damping 5 ms times that, fading over 0.1 rad/s",
+        );
+        add(
+            lacks(|s| s.end_stop.is_none()),
+            "simulated.end_stop by default: the torque limit of a joint compresses it by 0.01 rad (m); damping 10 ms times the stiffness",
+        );
+        add(
+            lacks(|s| s.brake.is_none()),
+            "simulated.brake by default: slips at 1.5 times the torque limit, after 0.01 rad (m); damping 5 ms times the stiffness",
+        );
+        lines
+    }
+
     /// Capsules of the links, with which the robot avoids collisions; empty if the robot file has no `[collision]`.
     #[must_use]
     pub fn capsules(&self) -> &[LinkCapsule] {
@@ -389,32 +431,78 @@ pub fn load_urdf(urdf: &Source, options: UrdfOptions) -> Result<ParsedUrdf, File
     Model::from_urdf_with(urdf.text(), options).map_err(|error| urdf_error(urdf, &error))
 }
 
+/// Expands the document of a robot file, with the values of its URDF, and passes it on, after the document itself.
+fn with_expanded<T>(
+    source: &Source,
+    model: &Model,
+    values: &[UrdfValue],
+    then: impl FnOnce(&DeTable<'_>, DeTable<'_>, &Groups) -> Result<T, FileError>,
+) -> Result<T, FileError> {
+    let document = checked(source)?;
+    let document = document.get_ref();
+    let stated = urdf_layer(values) + &derived_values(document);
+    let stated = DeTable::parse(&stated)
+        .map_err(|error| FileError::of_file(source.name(), error.message().to_owned(), None))?;
+    let groups = groups(source, document, model)?;
+    let mut expanded = document.clone();
+    expand(&mut expanded, stated.get_ref(), &groups, model);
+    then(document, expanded, &groups)
+}
+
 /// Reads the values of a robot file, of its groups and defaults, and of its URDF.
 fn read(
     source: &Source,
     model: &Model,
     dynamics: &[JointDynamics],
 ) -> Result<(RobotFile, Vec<UrdfValue>), FileError> {
-    let document = checked(source)?;
-    let document = document.get_ref();
     let mut values = urdf_values(model, dynamics);
-    let stated = urdf_layer(&values) + &derived_values(document);
-    let stated = DeTable::parse(&stated)
-        .map_err(|error| FileError::of_file(source.name(), error.message().to_owned(), None))?;
-    let groups = groups(source, document, model)?;
-    let mut expanded = document.clone();
-    expand(&mut expanded, stated.get_ref(), &groups, model);
-    check_complete(source, &expanded, model)?;
-    check_layers(source, document, &expanded, &groups, model)?;
+    let file = with_expanded(source, model, &values, |document, expanded, groups| {
+        // A misspelt key is reported before the value that it leaves missing.
+        check_layers(source, document, &expanded, groups, model)?;
+        let file = RobotFile::deserialize(toml::de::Deserializer::from(Spanned::new(0..0, expanded.clone())));
+        match file {
+            Err(error) if !error.message().starts_with("missing field") => {
+                Err(explain::<RobotFile>(source, document, &error))
+            }
+            file => {
+                check_complete(source, &expanded, model)?;
+                file.map_err(|error| explain::<RobotFile>(source, document, &error))
+            }
+        }
+    })?;
     // Values that the file states are not those of the URDF.
-    values.retain(|value| {
-        let path: Vec<String> =
-            ["joint", &value.joint].into_iter().chain(value.key.split('.')).map(str::to_owned).collect();
-        value_at(document, &path).is_none() && stated_path(document, &path).is_none()
-    });
-    let file = RobotFile::deserialize(toml::de::Deserializer::from(Spanned::new(0..0, expanded)))
-        .map_err(|error| explain::<RobotFile>(source, document, &error))?;
+    values.retain(|value| !states(source, &value.joint, value.key));
     Ok((file, values))
+}
+
+/// True if a robot file states a value of a joint, in one of its layers.
+fn states(source: &Source, joint: &str, key: &str) -> bool {
+    let path: Vec<String> = ["joint", joint].into_iter().chain(key.split('.')).map(str::to_owned).collect();
+    let document = DeTable::parse(source.text());
+    document.is_ok_and(|document| {
+        value_at(document.get_ref(), &path).is_some() || stated_path(document.get_ref(), &path).is_some()
+    })
+}
+
+/// Writes a value in one line.
+fn inline_text(value: &DeValue<'_>) -> String {
+    match value {
+        DeValue::Table(table) => {
+            let keys = table.iter().map(|(key, value)| {
+                format!("{} = {}", toml_edit::Key::new(key.get_ref().as_ref()), inline_text(value.get_ref()))
+            });
+            format!("{{ {} }}", keys.collect::<Vec<_>>().join(", "))
+        }
+        DeValue::Array(array) => {
+            let values: Vec<String> = array.iter().map(|value| inline_text(value.get_ref())).collect();
+            format!("[{}]", values.join(", "))
+        }
+        DeValue::String(text) => toml_edit::Value::from(text.as_ref()).to_string(),
+        DeValue::Integer(number) => number.to_string(),
+        DeValue::Float(number) => number.to_string(),
+        DeValue::Boolean(flag) => flag.to_string(),
+        DeValue::Datetime(time) => time.to_string(),
+    }
 }
 
 /// Smallest rate of the plant that is chosen for a robot that states none, Hz.

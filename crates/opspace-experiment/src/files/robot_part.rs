@@ -97,7 +97,8 @@ fn locked_joints(
     if enforce_mimic {
         // Joints that mimic a joint of the chain move with it; as many passes as there are joints reach all of them.
         for _ in joints {
-            let follows = |joint: &&UrdfJoint| joint.mimics.as_deref().is_some_and(|leader| kept.contains(leader));
+            let follows =
+                |joint: &&UrdfJoint| joint.mimics.as_deref().is_some_and(|leader| kept.contains(leader));
             let followers: Vec<&str> = moving().filter(follows).map(|joint| joint.name.as_str()).collect();
             kept.extend(followers);
         }

@@ -89,10 +89,12 @@ impl IdentificationResults {
             }
             driven.insert("identified", Item::Table(joints));
         }
-        let joints = table(file, "joint").ok_or_else(|| wrong("`joint` is not a table"))?;
+        // Values of a joint may all be those of a group, of all joints, or of the URDF.
+        let joints = table_or_new(file, "joint").ok_or_else(|| wrong("`joint` is not a table"))?;
         for joint in &self.joints {
             if let Some(friction) = self.friction(joint) {
-                let drive = table(joints, &joint.name).ok_or_else(|| wrong("a joint is not a table"))?;
+                let drive =
+                    table_or_new(joints, &joint.name).ok_or_else(|| wrong("a joint is not a table"))?;
                 put(drive, "friction", friction);
             }
         }
@@ -134,10 +136,9 @@ impl IdentificationResults {
         let mut servos = Vec::new();
         let mut frictions = Vec::new();
         for joint in &self.joints {
-            let believed = table(table(table(file, "profile")?, &self.profile_name)?, "servo")?;
-            servos.push((joint.name.clone(), inline(believed.get(&joint.name)?.clone())?));
-            let drive = table(table(file, "joint")?, &joint.name)?;
-            frictions.push((joint.name.clone(), inline(drive.get("friction")?.clone())?));
+            let value = |path: &[&str]| self.robot.value_of(path)?.as_inline_table().cloned();
+            servos.push((joint.name.clone(), value(&["profile", &self.profile_name, "servo", &joint.name])?));
+            frictions.push((joint.name.clone(), value(&["joint", &joint.name, "friction"])?));
         }
         let simulated = table(file, "simulated")?;
         let delay = i64::from(self.profile.delay());
@@ -162,11 +163,14 @@ fn table<'a>(parent: &'a mut Table, key: &str) -> Option<&'a mut Table> {
     item.as_table_mut()
 }
 
-fn inline(item: Item) -> Option<InlineTable> {
-    item.into_value().ok()?.as_inline_table().cloned().map(|mut table| {
-        table.fmt();
-        table
-    })
+/// Returns an inner table, which is made if it does not exist.
+fn table_or_new<'a>(parent: &'a mut Table, key: &str) -> Option<&'a mut Table> {
+    if !parent.contains_key(key) {
+        let mut new = Table::new();
+        new.set_implicit(true);
+        parent.insert(key, Item::Table(new));
+    }
+    table(parent, key)
 }
 
 /// Replaces a value and drops its comment, which described the old value.

@@ -21,13 +21,11 @@ pub(crate) fn coupled_page(
     let settle_s = experiment.file.settle_s.get();
     let head = Page::new(format!("{}, seed {}", summary.experiment, summary.seed))
         .lead("Several robots, coupled through channels, in one run.");
-    let mut page = with_assumed(head, summary.robots.values())
-        .section("Couplings")
-        .table(
-            &format!("Couplings, after the first {settle_s} s (settle_s)"),
-            &coupling_table(std::slice::from_ref(summary)),
-            &notes,
-        );
+    let mut page = with_assumed(head, summary.robots.values()).section("Couplings").table(
+        &format!("Couplings, after the first {settle_s} s (settle_s)"),
+        &coupling_table(std::slice::from_ref(summary)),
+        &notes,
+    );
     for failure in summary.failures() {
         page = page.warning(&format!("{failure}."));
     }

@@ -432,10 +432,13 @@ impl Experiment {
             let message = "this robot has no [simulated] section, so it cannot be simulated";
             return Err(FileError::of_file(self.robot.source.name(), message, Some(help)));
         };
+        let servos = self.servos()?;
+        // Brakes hold a torque robot without servos.
+        let servos = if servos.is_empty() { ArmConfig::unused_servos(self.robot.model.n()) } else { servos };
         Ok(ArmConfig {
             model: self.robot.model.clone(),
             joints: self.robot.joints(),
-            servos: self.servos()?,
+            servos,
             profile: self.profile.clone(),
             simulated,
             capabilities: self.capabilities().simulated(),

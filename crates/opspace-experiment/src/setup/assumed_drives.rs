@@ -91,7 +91,8 @@ pub fn assumed_drives(model: &Model, dynamics: &[JointDynamics]) -> Vec<AssumedD
     }
     let drive = |(i, joint): (usize, &opspace_model::Joint)| {
         let slides = joint.kind == JointKind::Prismatic;
-        let friction = dynamics[i].friction.unwrap_or(0.0) + FRICTION_SPEED * dynamics[i].damping.unwrap_or(0.0);
+        let friction =
+            dynamics[i].friction.unwrap_or(0.0) + FRICTION_SPEED * dynamics[i].damping.unwrap_or(0.0);
         let need = weight[i] + ACCELERATION * inertia[i] + friction;
         let (effort, speed) = (joint.limits.effort, joint.limits.velocity);
         let torque_limit = (!is_limit(effort)).then(|| rounded(LIMIT_OVER_NEED * need));

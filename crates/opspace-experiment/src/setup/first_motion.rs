@@ -221,7 +221,8 @@ impl<'a> Search<'a> {
             return 0.0;
         }
         gravity(self.model, &mut self.data);
-        let loads = self.data.gravity.iter().zip(self.torque_limits).map(|(torque, limit)| torque.abs() / limit);
+        let loads =
+            self.data.gravity.iter().zip(self.torque_limits).map(|(torque, limit)| torque.abs() / limit);
         let load = loads.fold(0.0, f64::max);
         if strict && (load > LARGEST_LOAD || self.is_in_contact()) {
             return 0.0;
@@ -233,7 +234,8 @@ impl<'a> Search<'a> {
             }
             ((q - lower).min(upper - q) / (0.25 * (upper - lower))).min(1.0)
         });
-        let room = near.zip(&self.moves).filter(|(_, moves)| **moves).map(|(near, _)| near).fold(1.0, f64::min);
+        let room =
+            near.zip(&self.moves).filter(|(_, moves)| **moves).map(|(near, _)| near).fold(1.0, f64::min);
         room * (singular / (4.0 * LEAST_SINGULAR_VALUE)).min(1.0) * (1.0 - load.min(0.99))
     }
 
@@ -249,7 +251,9 @@ impl<'a> Search<'a> {
         let jacobian = self.task_jacobian(q, axes, None);
         match axes {
             // One axis of the three is enough.
-            ControlledAxes::One => jacobian.row_iter().map(|row| row.norm()).fold(0.0, f64::max) / self.reach_m,
+            ControlledAxes::One => {
+                jacobian.row_iter().map(|row| row.norm()).fold(0.0, f64::max) / self.reach_m
+            }
             _ => jacobian.singular_values().min() / self.reach_m,
         }
     }
@@ -287,7 +291,8 @@ impl<'a> Search<'a> {
             for _ in 0..3 {
                 let jacobian = self.task_jacobian(&q, axes, Some(axis));
                 let place = frame_placement(self.model, &self.data, self.frame);
-                let error = self.error(axes, axis, &(goal - place.translation), &begin.rotation, &place.rotation);
+                let error =
+                    self.error(axes, axis, &(goal - place.translation), &begin.rotation, &place.rotation);
                 let least = jacobian.singular_values().min() / self.reach_m;
                 if least < LEAST_SINGULAR_VALUE {
                     return None;
@@ -326,9 +331,7 @@ impl<'a> Search<'a> {
             turn[(1, 0)] - turn[(0, 1)],
         ) * (0.5 * 0.25 * self.reach_m);
         match axes {
-            ControlledAxes::Pose => {
-                DVector::from_iterator(6, position.iter().chain(angular.iter()).copied())
-            }
+            ControlledAxes::Pose => DVector::from_iterator(6, position.iter().chain(angular.iter()).copied()),
             ControlledAxes::Position => DVector::from_iterator(3, position.iter().copied()),
             ControlledAxes::One => DVector::from_element(1, position[axis]),
         }

@@ -33,8 +33,7 @@ pub fn first_task_toml(model: &Model, motion: &FirstMotion) -> String {
             ControlledAxes::Position => ["x", "y", "z"].map(str::to_owned).into(),
             ControlledAxes::One => vec![name.to_owned()],
         };
-        let controlled: Vec<String> =
-            controlled.iter().map(|axis| format!("{axis} = \"motion\"")).collect();
+        let controlled: Vec<String> = controlled.iter().map(|axis| format!("{axis} = \"motion\"")).collect();
         let _ = write!(
             text,
             "\n[task.tip.cartesian]\nframe = {}\naxes = {{ {} }}\n\

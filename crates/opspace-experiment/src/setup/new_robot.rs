@@ -39,12 +39,22 @@ pub struct NewFiles {
 ///
 /// # Errors
 /// Mistakes in the URDF; a link that it does not have; a robot without moving joints.
-pub fn new_files(urdf: &Source, urdf_name: &str, part: Part<'_>, assume: bool) -> Result<NewFiles, FileError> {
+pub fn new_files(
+    urdf: &Source,
+    urdf_name: &str,
+    part: Part<'_>,
+    assume: bool,
+) -> Result<NewFiles, FileError> {
     let joints = urdf_joints(urdf.text()).map_err(|error| urdf_error(urdf, &error))?;
     let used = used_part(urdf, &joints, part)?;
-    // A joint whose limits are equal cannot move.
-    let stuck = joints.iter().filter(|joint| joint.kind.is_some() && joint.limits.lower == joint.limits.upper);
-    let locked: BTreeMap<String, f64> = stuck.map(|joint| (joint.name.clone(), joint.limits.lower)).collect();
+    // A joint whose limits are equal cannot move; a robot of such joints alone has mistakes in its URDF.
+    let moving = || joints.iter().filter(|joint| joint.kind.is_some());
+    let is_stuck = |joint: &&UrdfJoint| joint.limits.lower == joint.limits.upper;
+    let mut locked: BTreeMap<String, f64> =
+        moving().filter(is_stuck).map(|joint| (joint.name.clone(), joint.limits.lower)).collect();
+    if locked.len() == moving().count() {
+        locked.clear();
+    }
     let enforce_mimic = joints.iter().any(|joint| joint.mimics.is_some());
     let loaded = load_part_of(urdf, urdf, &joints, used.as_ref(), &locked, enforce_mimic)?;
     let model = loaded.model;

@@ -60,7 +60,11 @@ impl NewRobot<'_> {
                 let _ = writeln!(text, "## {}: {}", one_line(&joint.name), values.join(", "));
             }
         }
-        if text.is_empty() { text } else { format!("## From the URDF; values in this file replace them:\n{text}") }
+        if text.is_empty() {
+            text
+        } else {
+            format!("## From the URDF; values in this file replace them:\n{text}")
+        }
     }
 }
 
@@ -116,13 +120,17 @@ gears = "elastic"             # between motors and links: "rigid" only if known 
         name = one_line(robot.model.name()),
         head = robot.head(),
         notes = robot.notes(),
-        limit = line("torque_limit_nm", "# torque_limit_nm =           # torque limit of the drive, at the joint, Nm\n"),
+        limit = line(
+            "torque_limit_nm",
+            "# torque_limit_nm =           # torque limit of the drive, at the joint, Nm\n"
+        ),
         speed = if joints.iter().all(|joint| has_speed(joint)) {
             ""
         } else {
             "# velocity_limit_rad_per_s =  # largest speed, rad/s; joints that have a velocity in the URDF need none\n"
         },
-        coulomb = line("friction.coulomb_nm", "# coulomb_nm =                # Coulomb friction, Nm; 0 for none\n"),
+        coulomb =
+            line("friction.coulomb_nm", "# coulomb_nm =                # Coulomb friction, Nm; 0 for none\n"),
         viscous = line(
             "friction.viscous_nms_per_rad",
             "# viscous_nms_per_rad =       # viscous friction, Nms/rad; 0 for none\n"
@@ -182,7 +190,8 @@ pub fn assumed_robot_toml(robot: &NewRobot<'_>, drives: &[AssumedDrive], kv: &[f
     }
     let mut servos = String::new();
     for (joint, kv) in robot.model.joints().iter().zip(kv) {
-        let _ = writeln!(servos, "{} = {{ cascaded = {{ kv_nms_per_rad = {kv:?} }} }}", Key::new(&joint.name));
+        let _ =
+            writeln!(servos, "{} = {{ cascaded = {{ kv_nms_per_rad = {kv:?} }} }}", Key::new(&joint.name));
     }
     format!(
         r#"#:schema robot.schema.json

@@ -9,8 +9,7 @@ const LEAST_ARM_JOINTS: usize = 3;
 pub(super) fn tip(model: &Model) -> Option<FrameId> {
     let parents: Vec<Option<usize>> = model.bodies().iter().map(|body| body.parent).collect();
     let chain = |leaf: usize| -> Vec<usize> {
-        let mut bodies: Vec<usize> =
-            std::iter::successors(Some(leaf), |&body| parents[body]).collect();
+        let mut bodies: Vec<usize> = std::iter::successors(Some(leaf), |&body| parents[body]).collect();
         bodies.reverse();
         bodies
     };
@@ -25,7 +24,8 @@ pub(super) fn tip(model: &Model) -> Option<FrameId> {
 
 /// Frame that is the tool of a body: one whose name says so, or else the last one.
 fn last_frame(model: &Model, body: usize) -> Option<FrameId> {
-    let frames = || model.frames().iter().filter(|frame| frame.body == Some(body)).map(|frame| frame.name.as_str());
+    let frames =
+        || model.frames().iter().filter(|frame| frame.body == Some(body)).map(|frame| frame.name.as_str());
     let named = ["tool0", "tcp", "tool", "tip", "ee_link"];
     let name = named.iter().find_map(|word| frames().find(|name| name.contains(word))).or(frames().last())?;
     model.frame_id(name).ok()

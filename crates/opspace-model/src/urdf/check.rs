@@ -1,8 +1,8 @@
 //! Checks of the individual elements of a robot, and their conversion to inertias, placements and limits.
 
 use super::elements::{
-    AxisElement, DynamicsElement, InertialElement, JointElement, LimitElement, Line, LinkElement, MimicElement, OriginElement,
-    RobotElement,
+    AxisElement, DynamicsElement, InertialElement, JointElement, LimitElement, Line, LinkElement,
+    MimicElement, OriginElement, RobotElement,
 };
 use super::error::{UrdfError, UrdfErrorKind, UrdfWarning, UrdfWarningKind};
 use crate::model::{JointKind, Limits};

@@ -5,8 +5,8 @@
 
 use super::check::joint_kind;
 use super::elements::{
-    AxisElement, DynamicsElement, InertialElement, JointElement, LimitElement, LinkElement, MimicElement, OriginElement,
-    RobotElement,
+    AxisElement, DynamicsElement, InertialElement, JointElement, LimitElement, LinkElement, MimicElement,
+    OriginElement, RobotElement,
 };
 use super::error::UrdfError;
 use urdf_rs::{Inertial, Joint, JointLimit, JointType, Link, Pose, Robot};

@@ -2,8 +2,8 @@
 
 use super::check::{LIMIT, MOMENTS, ONE_NUMBER, THREE_NUMBERS, joint_kind};
 use super::elements::{
-    AxisElement, DynamicsElement, InertialElement, JointElement, LimitElement, Line, LinkElement, MimicElement, OriginElement,
-    RobotElement,
+    AxisElement, DynamicsElement, InertialElement, JointElement, LimitElement, Line, LinkElement,
+    MimicElement, OriginElement, RobotElement,
 };
 use super::error::{UrdfError, UrdfErrorKind};
 use crate::model::{JointKind, Limits};

@@ -40,7 +40,8 @@ fn motor_follows_first_order_lag_exactly() {
 fn friction() -> (FrictionParameters, BristleParameters) {
     let friction =
         parsed("coulomb_nm = 1.8\nstatic_nm = 2.34\nstribeck_rad_per_s = 0.06\nviscous_nms_per_rad = 2.0");
-    (friction, robot().simulated.bristle)
+    let bristle = robot().simulated.bristle_of(&friction);
+    (friction, bristle)
 }
 
 const DT: f64 = 5e-5;

@@ -18,9 +18,9 @@ fn frictionless(dt: f64, q: &[f64]) -> (RigidPlant, Vec<Drivetrain>, Model) {
         let simulated = &robot.simulated;
         Drivetrain::new(
             Motor::new(Some(1000.0), dt, 0.0),
-            LuGre::new(&j.friction, &simulated.bristle, 0.0),
-            EndStop::new(&Limits::NONE, &simulated.end_stop),
-            Brake::new(&simulated.brake, 0.0),
+            LuGre::new(&j.friction, &simulated.bristle_of(&j.friction), 0.0),
+            EndStop::new(&Limits::NONE, &simulated.end_stop_of(40.0)),
+            Brake::new(&simulated.brake_of(40.0), 0.0),
             Encoder::new(None),
         )
     };

@@ -158,18 +158,18 @@ fn small_rotor_is_stable() {
     let friction =
         parsed("coulomb_nm = 1.8\nstatic_nm = 2.34\nstribeck_rad_per_s = 0.06\nviscous_nms_per_rad = 2.0");
     let config = GearConfig { stiffness: 320_000.0, damping: 10.0, backlash: 0.0, inertia: 1e-3 };
-    let brake_stiffness =
-        simulated.brake.stiffness_nm_per_rad.get() + simulated.bristle.stiffness_nm_per_rad.get();
-    let brake_damping =
-        simulated.brake.damping_nms_per_rad.get() + simulated.bristle.damping_nms_per_rad.get();
+    let brake_stiffness = simulated.brake_of(40.0).stiffness_nm_per_rad.get()
+        + simulated.bristle_of(&friction).stiffness_nm_per_rad.get();
+    let brake_damping = simulated.brake_of(40.0).damping_nms_per_rad.get()
+        + simulated.bristle_of(&friction).damping_nms_per_rad.get();
     let steps = config.steps(DT, brake_stiffness, brake_damping + 2.0);
     assert!(steps > 5.0, "{steps}");
     for braked in [false, true] {
         let mut drivetrain = Drivetrain::new(
             Motor::new(Some(1000.0), DT, 0.0),
-            LuGre::new(&friction, &simulated.bristle, 1.0),
-            EndStop::new(&opspace_model::Limits::NONE, &simulated.end_stop),
-            Brake::new(&simulated.brake, 50.0),
+            LuGre::new(&friction, &simulated.bristle_of(&friction), 1.0),
+            EndStop::new(&opspace_model::Limits::NONE, &simulated.end_stop_of(40.0)),
+            Brake::new(&simulated.brake_of(40.0), 50.0),
             Encoder::new(None),
         )
         .with_gear(ElasticGear::new(&config, steps, 0.0, 0.0));
@@ -273,9 +273,9 @@ fn swinging_elastic_arm_conserves_energy() {
             let gear = GearConfig { stiffness: 8000.0, damping: 0.0, backlash: 1e-3, inertia: rotors[i] };
             Drivetrain::new(
                 Motor::new(None, DT, 0.0),
-                LuGre::new(friction, &simulated.bristle, 0.0),
-                EndStop::new(&opspace_model::Limits::NONE, &simulated.end_stop),
-                Brake::new(&simulated.brake, 0.0),
+                LuGre::new(friction, &simulated.bristle_of(friction), 0.0),
+                EndStop::new(&opspace_model::Limits::NONE, &simulated.end_stop_of(40.0)),
+                Brake::new(&simulated.brake_of(40.0), 0.0),
                 Encoder::new(None),
             )
             .with_gear(ElasticGear::new(&gear, 1.0, START[i], 0.0))
@@ -317,7 +317,7 @@ fn swinging_elastic_arm_conserves_energy() {
 fn brakes_hold_the_rotors() {
     let mut config = elastic(CommandKind::Torque, 20_000.0);
     config.simulated.true_over_nominal = parsed("friction = 0.0");
-    let brake = config.simulated.brake.stiffness_nm_per_rad.get();
+    let brake = config.simulated.brake_of(40.0).stiffness_nm_per_rad.get();
     let mut arm = arm(config.clone());
     for _ in 0..600 {
         read(&mut arm);

@@ -72,7 +72,7 @@ fn brakes_hold_a_velocity_robot() {
     const START_NM: f64 = 1e-3;
     const KI: f64 = 900.0;
     let config = velocity_robot(true, KI);
-    let stiffness = config.simulated.brake.stiffness_nm_per_rad.get();
+    let stiffness = config.simulated.brake_of(40.0).stiffness_nm_per_rad.get();
     let mut arm = arm(config.clone());
     let settle = |arm: &mut SimulatedArm| (0..400).for_each(|_| drop(read(arm)));
     settle(&mut arm);

@@ -7,7 +7,7 @@ use crate::messages::{check_error, check_model};
 use crate::{CORPUS, text, texts};
 use opspace_experiment::Source;
 use opspace_experiment::files::robot::load_urdf;
-use opspace_experiment::files::template;
+use opspace_experiment::setup::robot_template::{NewRobot, robot_toml};
 use opspace_model::collision::{
     CollisionData, CollisionError, CollisionModel, collision_distances, generate_capsules,
 };
@@ -62,7 +62,15 @@ fn reads(text: &str, options: UrdfOptions) -> bool {
     assert!(model_warnings(model).iter().all(|warning| !warning.to_string().is_empty()));
     check_quantities(model);
     if options == UrdfOptions::default() {
-        let template = template::robot_toml("robot.urdf", model);
+        let robot = NewRobot {
+            urdf: "robot.urdf",
+            used: None,
+            enforce_mimic: false,
+            locked: &[],
+            model,
+            stated: &[],
+        };
+        let template = robot_toml(&robot);
         assert!(template.parse::<toml::Table>().is_ok(), "the template is not TOML: {template}");
         check_capsules(text, model);
     }

@@ -1,0 +1,194 @@
+//! Robots of which only the URDF is known: `opspace new --assume`, `check` and `run` without a value written by hand.
+
+use crate::cli_common::{opspace, read, read_json, scratch};
+use opspace_experiment::{Files, RobotDefinition};
+use opspace_log::Recording;
+use opspace_model::{Data, forward_kinematics, frame_placement};
+use std::fmt::Write as _;
+use std::fs;
+
+/// Largest error of the tip's displacement, as a fraction of it, and m.
+const TOLERANCE: (f64, f64) = (0.06, 0.003);
+
+/// Numbers from 0 to 1 (splitmix64).
+struct Random(u64);
+
+impl Random {
+    fn next(&mut self) -> f64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        ((z ^ (z >> 31)) >> 11) as f64 / (1_u64 << 53) as f64
+    }
+
+    fn between(&mut self, low: f64, high: f64) -> f64 {
+        low + (high - low) * self.next()
+    }
+
+    fn is(&mut self, probability: f64) -> bool {
+        self.next() < probability
+    }
+}
+
+/// URDF of a random tree of this many joints in its trunk: revolute, continuous, prismatic and fixed joints, with and
+/// without branches, limits of effort and velocity, and friction.
+fn random_urdf(random: &mut Random, joints: usize) -> String {
+    let mut text = "<robot name=\"random\"><link name=\"base\"/>".to_owned();
+    let (mut parent, mut length, mut axis) = ("base".to_owned(), 0.1, 2);
+    for i in 0..joints {
+        axis = (axis + 1 + usize::from(random.is(0.5))) % 3;
+        let name = format!("l{i}");
+        joint(&mut text, random, &format!("j{i}"), [&parent, &name], length, axis);
+        length = random.between(0.08, 0.4);
+        link(&mut text, &name, length, random.between(0.3, 5.0) * (1.0 - i as f64 / (joints as f64 + 1.0)));
+        if random.is(0.25) {
+            joint(&mut text, random, &format!("b{i}"), [&name, &format!("bl{i}")], 0.5 * length, 1);
+            link(&mut text, &format!("bl{i}"), 0.1, 0.3);
+        }
+        if random.is(0.2) {
+            let _ = write!(
+                text,
+                "<joint name=\"f{i}\" type=\"fixed\"><parent link=\"{name}\"/><child link=\"fl{i}\"/></joint>"
+            );
+            link(&mut text, &format!("fl{i}"), 0.05, 0.1);
+        }
+        parent = name;
+    }
+    let _ = write!(
+        text,
+        "<joint name=\"end\" type=\"fixed\"><parent link=\"{parent}\"/><child link=\"tip\"/>\
+         <origin xyz=\"0 0 {length}\"/></joint><link name=\"tip\"/></robot>"
+    );
+    text
+}
+
+fn link(text: &mut String, name: &str, length: f64, mass: f64) {
+    let (across, along) = (mass * (length * length / 12.0 + 0.0005), mass * 0.0008);
+    let _ = write!(
+        text,
+        "<link name=\"{name}\"><inertial><origin xyz=\"0 0 {}\"/><mass value=\"{mass}\"/><inertia ixx=\"{across}\" \
+         iyy=\"{across}\" izz=\"{along}\" ixy=\"0\" ixz=\"0\" iyz=\"0\"/></inertial></link>",
+        0.5 * length
+    );
+}
+
+fn joint(
+    text: &mut String,
+    random: &mut Random,
+    name: &str,
+    [parent, child]: [&str; 2],
+    at: f64,
+    axis: usize,
+) {
+    let kind = match random.next() {
+        x if x < 0.7 => "revolute",
+        x if x < 0.85 => "prismatic",
+        _ => "continuous",
+    };
+    let range = match kind {
+        "revolute" => {
+            format!(" lower=\"{}\" upper=\"{}\"", -random.between(0.5, 3.0), random.between(1.0, 3.1))
+        }
+        "prismatic" => format!(" lower=\"0\" upper=\"{}\"", random.between(0.2, 0.6)),
+        _ => String::new(),
+    };
+    let effort =
+        if random.is(0.5) { format!(" effort=\"{}\"", random.between(20.0, 200.0)) } else { String::new() };
+    let speed =
+        if random.is(0.7) { format!(" velocity=\"{}\"", random.between(0.5, 5.0)) } else { String::new() };
+    let axis = ["1 0 0", "0 1 0", "0 0 1"][axis];
+    let _ = write!(
+        text,
+        "<joint name=\"{name}\" type=\"{kind}\"><parent link=\"{parent}\"/><child link=\"{child}\"/>\
+         <origin xyz=\"0 0 {at}\"/><axis xyz=\"{axis}\"/><limit{range}{effort}{speed}/>"
+    );
+    if random.is(0.4) {
+        let (damping, friction) = (random.between(0.0, 1.0), random.between(0.0, 0.5));
+        let _ = write!(text, "<dynamics damping=\"{damping}\" friction=\"{friction}\"/>");
+    }
+    *text += "</joint>";
+}
+
+/// Makes the files of a robot, checks them, and runs the task. Compared: the displacement of the true tip, from the logged
+/// positions by forward kinematics, and that which `new` announced.
+#[track_caller]
+fn runs_without_a_value(urdf: &str, about: &str) {
+    let folder = scratch();
+    let at = |path: &str| folder.path().join(path);
+    fs::write(at("robot.urdf"), urdf).unwrap();
+    let said = opspace(folder.path(), &["new", "mine", "--urdf", "robot.urdf", "--assume"]).exits(0).stdout;
+    let checked = opspace(folder.path(), &["check", "mine", "mine/first-task.toml"]).exits(0).stdout;
+    assert!(checked.contains("assumed, results rest on them"), "{about}: {checked}");
+    let run = opspace(folder.path(), &["run", "mine/first-task.toml", "--out", "out"]).exits(0);
+    assert!(run.stdout.contains("ASSUMED all results of robot 'mine'"), "{about}: {}", run.stdout);
+    let summary = read_json(at("out/summary.json"));
+    assert!(summary["assumed"].as_array().is_some_and(|keys| !keys.is_empty()), "{about}");
+    assert!(read(at("out/report.html")).contains("rest on assumed values"), "{about}");
+
+    let (_, rest) = said.split_once("moves it by ").unwrap_or_else(|| panic!("{about}: {said}"));
+    let words: Vec<&str> = rest.split([' ', ',']).collect();
+    let (asked_m, axis): (f64, usize) =
+        (words[0].parse().unwrap(), ["x", "y", "z"].iter().position(|name| *name == words[3]).unwrap());
+    let time_s: f64 = words[5].parse().unwrap();
+    let (_, name) = said.split_once("The tip '").unwrap();
+    let name = name.split('\'').next().unwrap();
+    let robot = RobotDefinition::load(Files::Disk, &at("mine"), &[]).unwrap();
+    let log = Recording::read(at("out/run.mcap")).unwrap();
+    let tick = log.channel("tick").unwrap();
+    let q = tick.signal("q").unwrap();
+    let mut data = Data::new(&robot.model);
+    let mut place = |row: usize| {
+        forward_kinematics(&robot.model, &mut data, q.row(row));
+        frame_placement(&robot.model, &data, robot.model.frame_id(name).unwrap()).translation[axis]
+    };
+    // Before control begins, the robot rests for `tare_s`.
+    let (rows, hz) = (tick.len(), 1.0 / robot.profile(None).unwrap().1.period_s());
+    let begin = rows - 1 - ((2.0 * time_s + 1.0) * hz) as usize;
+    let (start, out, end) = (place(begin), place(begin + (time_s * hz) as usize), place(rows - 1));
+    let tolerance_m = TOLERANCE.0 * asked_m.abs() + TOLERANCE.1;
+    assert!((out - start - asked_m).abs() < tolerance_m, "{about}: {} of {asked_m} m", out - start);
+    assert!((end - start).abs() < tolerance_m, "{about}: returned to {} m", end - start);
+}
+
+#[test]
+fn random_robots_run_without_a_value() {
+    let mut random = Random(1);
+    for joints in [1, 3, 5, 7] {
+        let urdf = random_urdf(&mut random, joints);
+        runs_without_a_value(&urdf, &urdf);
+    }
+}
+
+/// `OPSPACE_SEED=7 cargo test --workspace --test all many_random_robots -- --ignored` draws others.
+#[test]
+#[ignore = "some minutes: .ci/run robots"]
+fn many_random_robots_run_without_a_value() {
+    let seed = std::env::var("OPSPACE_SEED").map_or(2, |seed| seed.parse().unwrap());
+    let mut random = Random(seed);
+    for _ in 0..20 {
+        let joints = random.between(1.0, 9.0) as usize;
+        let urdf = random_urdf(&mut random, joints);
+        runs_without_a_value(&urdf, &urdf);
+    }
+}
+
+/// A value that is known is no longer listed once its entry is removed.
+#[test]
+fn removed_entry_is_no_longer_assumed() {
+    let folder = scratch();
+    fs::write(folder.path().join("robot.urdf"), random_urdf(&mut Random(3), 2)).unwrap();
+    opspace(folder.path(), &["new", "mine", "--urdf", "robot.urdf", "--assume"]).exits(0);
+    let path = folder.path().join("mine/robot.toml");
+    let text = read(&path);
+    assert!(text.contains("\"joint.j0.rotor\", "), "{text}");
+    fs::write(&path, text.replace("\"joint.j0.rotor\", ", "")).unwrap();
+    let checked = opspace(folder.path(), &["check", "mine"]).exits(0).stdout;
+    assert!(!checked.contains("rotor of j0") && checked.contains("friction of j0"), "{checked}");
+    fs::write(&path, text.replace("\"joint.j0.rotor\"", "\"joint.j0.rotr\"")).unwrap();
+    opspace(folder.path(), &["check", "mine"]).exits(2).says(&[
+        "`joint.j0.rotr` is marked as assumed",
+        "has no key `rotr`",
+        "did you mean 'rotor'",
+    ]);
+}
