@@ -168,8 +168,8 @@ refused! {
         ["no moving joint 'elbov'", "did you mean 'elbow'?"];
     joint_without_servo_is_refused: "robot.toml", "elbow = { cascaded" => "# elbow = { cascaded",
         Some("[profile.a-med.servo]"), ["joint 'elbow'", "missing"];
-    missing_key_is_refused: "robot.toml", "torque_limit_nm = 40.0" => "", Some("[joint.shoulder_pitch]"),
-        ["missing key `torque_limit_nm`", "N·m"];
+    missing_key_is_refused: "robot.toml", "coulomb_nm = 1.8, " => "", Some("friction = { static_nm"),
+        ["missing key `coulomb_nm` in `joint.shoulder_pitch.friction`", "Nm", "opspace identify"];
     sensor_on_unknown_link_is_refused: "robot.toml", "frame = \"hand\"" => "frame = \"palm\"", Some("palm"),
         ["no link 'palm'", "hand"];
     unknown_transformer_is_refused: "robot.toml", "servo_ticks_per_cycle = 5" => "servo_ticks_per_cycle = 5\ntransformer = \"peper\"", Some("peper"),

@@ -162,7 +162,7 @@ fn random_robots_run_without_a_value() {
 
 /// `OPSPACE_SEED=7 cargo test --workspace --test all many_random_robots -- --ignored` draws others.
 #[test]
-#[ignore = "some minutes: .ci/run robots"]
+#[ignore = "more than ten seconds"]
 fn many_random_robots_run_without_a_value() {
     let seed = std::env::var("OPSPACE_SEED").map_or(2, |seed| seed.parse().unwrap());
     let mut random = Random(seed);

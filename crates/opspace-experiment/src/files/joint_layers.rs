@@ -309,8 +309,11 @@ fn check_names(source: &Source, expanded: &DeTable<'_>, model: &Model) -> Result
         if let Some(unknown) = names.find(|name| model.joint(name).is_err()) {
             let known = model.joints().iter().map(|joint| joint.name.as_str());
             let message = format!("the URDF has no moving joint '{unknown}'");
-            let help = Some(choices(unknown, known));
-            return Err(FileError::at_key(source, [&path[..], &[unknown]].concat(), message, help));
+            let mut help = choices(unknown, known);
+            if expanded.contains_key("use") || expanded.contains_key("locked_joints") {
+                help += "; joints that `use` and `locked_joints` lock have no entries";
+            }
+            return Err(FileError::at_key(source, [&path[..], &[unknown]].concat(), message, Some(help)));
         }
     }
     Ok(())

@@ -158,9 +158,25 @@ pub(crate) fn check_complete(
             let mut help = String::from("the file needs these values:\n");
             missing.iter().for_each(|kind| help += &text_of(kind, model));
             help += "`opspace new DIR --urdf FILE --assume` fills such values in and marks them as assumed";
-            Err(FileError::of_file(source.name(), format!("{values} values are missing"), Some(help)))
+            let message = format!("{values} values are missing");
+            match common_table(&missing) {
+                [] => Err(FileError::of_file(source.name(), message, Some(help))),
+                table => {
+                    let joint = table.last().filter(|name| model.joint(name).is_ok());
+                    let of = joint.map_or_else(String::new, |name| format!("joint '{name}': "));
+                    Err(FileError::at_key(source, table.to_vec(), of + &message, Some(help)))
+                }
+            }
         }
     }
+}
+
+/// Table in which all values are missing.
+fn common_table(missing: &[Missing]) -> &[String] {
+    let mut tables = missing.iter().flat_map(|kind| &kind.tables);
+    let Some(first) = tables.next() else { return &[] };
+    let shared = tables.map(|table| first.iter().zip(table).take_while(|(a, b)| a == b).count()).min();
+    &first[..shared.unwrap_or(first.len())]
 }
 
 fn words(path: &[&str]) -> Vec<String> {
@@ -199,11 +215,16 @@ fn missing(document: &DeTable<'_>, model: &Model) -> Vec<Missing> {
         let tables = lacking.map(|profile| words(&["profile", profile])).collect();
         all.push(Missing { of, tables, defaults: None });
     }
+    let [is_position, is_velocity] = ["position", "velocity"].map(|kind| command == Some(kind));
     for profile in &profiles {
         let has = |table: &str| inner(document, &["profile", profile, table]).is_some();
         let of_tables: [(&str, bool, &'static [Required]); 2] = [
-            ("servo", command != Some("torque") && command != Some("velocity") || has("servo"), &OF_SERVO),
-            ("velocity_servo", command == Some("velocity") || has("velocity_servo"), &OF_VELOCITY_SERVO),
+            (
+                "servo",
+                has("servo") || !has("velocity_servo") && (is_position || command.is_none()),
+                &OF_SERVO,
+            ),
+            ("velocity_servo", has("velocity_servo") || !has("servo") && is_velocity, &OF_VELOCITY_SERVO),
         ];
         for (table, _, kinds) in of_tables.into_iter().filter(|(_, needed, _)| *needed) {
             for of in kinds {

@@ -1,7 +1,7 @@
 //! Identification results in the format of robot.toml: the servo section, and a complete file.
 
 use super::{IdentificationResults, JointIdentification, Structure};
-use crate::files::source::FileError;
+use crate::files::source::{FileError, KeyPath};
 use opspace_identify::TorqueScale;
 use std::fmt::Write as _;
 use std::path::Path;
@@ -98,11 +98,28 @@ impl IdentificationResults {
                 put(drive, "friction", friction);
             }
         }
+        self.keep_assumed(file);
         let head = format!(
             "# Identified by `opspace identify`: {}. The plant of the simulation is the identified one.\n",
             self.joints.iter().map(|j| j.name.as_str()).collect::<Vec<_>>().join(", ")
         );
         Ok(Some(head + &without_schema(&document.to_string())))
+    }
+
+    /// Removes the keys of values that are no longer assumed or no longer in the file from `assumed`.
+    fn keep_assumed(&self, file: &mut Table) {
+        let Some(assumed) = file.get_mut("assumed").and_then(Item::as_array_mut) else { return };
+        assumed.retain(|key| {
+            let path = key.as_str().unwrap_or_default().segments();
+            match path.iter().map(String::as_str).collect::<Vec<&str>>().as_slice() {
+                ["profile", profile, ..] => *profile == self.profile_name,
+                ["joint", name, "friction", ..] => {
+                    let identified = self.joints.iter().find(|joint| joint.name == *name);
+                    identified.is_none_or(|joint| self.friction(joint).is_none())
+                }
+                _ => true,
+            }
+        });
     }
 
     /// File name of the copy of the URDF.

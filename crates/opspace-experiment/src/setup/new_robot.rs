@@ -85,7 +85,7 @@ pub fn new_files(
         urdf: urdf_name,
         used: used.as_ref(),
         enforce_mimic,
-        locked: &locked,
+        locked_joints: &locked,
         model: &model,
         stated: &stated,
     };

@@ -20,7 +20,7 @@ pub struct NewRobot<'a> {
     /// True if mimic joints move with the joints that they mimic.
     pub enforce_mimic: bool,
     /// Joints that are locked, each at a position (rad, m).
-    pub locked: &'a [(String, f64)],
+    pub locked_joints: &'a [(String, f64)],
     /// Joints that move.
     pub model: &'a Model,
     /// Values of the drives that the URDF states.
@@ -34,8 +34,8 @@ impl NewRobot<'_> {
             let (from, to) = (Value::from(from.as_str()), Value::from(to.as_str()));
             let _ = writeln!(text, "use = {{ from = {from}, to = {to} }}   # the other joints do not move");
         }
-        if !self.locked.is_empty() {
-            let joints = self.locked.iter().map(|(name, at)| format!("{} = {at:?}", Key::new(name)));
+        if !self.locked_joints.is_empty() {
+            let joints = self.locked_joints.iter().map(|(name, at)| format!("{} = {at:?}", Key::new(name)));
             let _ = writeln!(text, "locked_joints = {{ {} }}", joints.collect::<Vec<_>>().join(", "));
         }
         if self.enforce_mimic {

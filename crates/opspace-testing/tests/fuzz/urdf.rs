@@ -66,7 +66,7 @@ fn reads(text: &str, options: UrdfOptions) -> bool {
             urdf: "robot.urdf",
             used: None,
             enforce_mimic: false,
-            locked: &[],
+            locked_joints: &[],
             model,
             stated: &[],
         };
