@@ -1,4 +1,5 @@
 //! Robots of which only the URDF is known: `opspace new --assume`, `check` and `run` without a value written by hand.
+#![expect(clippy::unwrap_used, reason = "a test that can't go on has failed")]
 
 use crate::cli_common::{opspace, read, read_json, scratch};
 use opspace_experiment::{Files, RobotDefinition};

@@ -1,4 +1,5 @@
 //! robot.toml with values of all joints, of groups, and of the URDF; parts of a robot.
+#![expect(clippy::unwrap_used, reason = "a test that can't go on has failed")]
 
 use crate::cli_common::{opspace, project, read, scratch};
 use opspace_experiment::{RobotDefinition, Source};

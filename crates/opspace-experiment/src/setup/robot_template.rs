@@ -124,7 +124,7 @@ gears = "elastic"             # between motors and links: "rigid" only if known 
             "torque_limit_nm",
             "# torque_limit_nm =           # torque limit of the drive, at the joint, Nm\n"
         ),
-        speed = if joints.iter().all(|joint| has_speed(joint)) {
+        speed = if joints.iter().all(has_speed) {
             ""
         } else {
             "# velocity_limit_rad_per_s =  # largest speed, rad/s; joints that have a velocity in the URDF need none\n"

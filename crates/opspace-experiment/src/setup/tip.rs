@@ -27,6 +27,7 @@ fn last_frame(model: &Model, body: usize) -> Option<FrameId> {
     let frames =
         || model.frames().iter().filter(|frame| frame.body == Some(body)).map(|frame| frame.name.as_str());
     let named = ["tool0", "tcp", "tool", "tip", "ee_link"];
-    let name = named.iter().find_map(|word| frames().find(|name| name.contains(word))).or(frames().last())?;
+    let name =
+        named.iter().find_map(|word| frames().find(|name| name.contains(word))).or(frames().next_back())?;
     model.frame_id(name).ok()
 }
