@@ -164,7 +164,8 @@ pub(crate) fn check_complete(
                 table => {
                     let joint = table.last().filter(|name| model.joint(name).is_ok());
                     let of = joint.map_or_else(String::new, |name| format!("joint '{name}': "));
-                    Err(FileError::at_key(source, table.to_vec(), of + &message, Some(help)))
+                    let message = format!("{of}{message} in `{}`", dotted(table));
+                    Err(FileError::at_key(source, table.to_vec(), message, Some(help)))
                 }
             }
         }

@@ -272,21 +272,18 @@ fn assumed_joint(robot: &NewRobot<'_>, joint: &Joint, drive: &AssumedDrive) -> (
          rotor = {{ inertia_kg_m2 = {inertia:?}, gear_ratio = {gear:?} }}"
     );
     keys.push(format!("joint.{name}.rotor"));
-    let mut friction = Vec::new();
+    let (mut friction, mut from) = (Vec::new(), Vec::new());
     if !robot.states(joint, "friction.coulomb_nm") {
         friction.push(format!("coulomb_nm = {:?}", drive.coulomb));
+        from.push(format!("Coulomb friction: {} % of the size", 100.0 * COULOMB_SHARE));
     }
     if !robot.states(joint, "friction.viscous_nms_per_rad") {
         friction.push(format!("viscous_nms_per_rad = {:?}", drive.viscous));
+        from.push(format!("viscous friction: {} % of the size at the speed limit", 100.0 * VISCOUS_SHARE));
     }
     friction.push(format!("presliding_rad = {:?}", drive.presliding));
-    let _ = writeln!(
-        text,
-        "# [A] Coulomb friction: {} % of the size; viscous friction: {} % of it at the speed limit\nfriction = {{ {} }}",
-        100.0 * COULOMB_SHARE,
-        100.0 * VISCOUS_SHARE,
-        friction.join(", ")
-    );
+    from.push("presliding displacement: typical of gears".to_owned());
+    let _ = writeln!(text, "# [A] {}\nfriction = {{ {} }}", from.join("; "), friction.join(", "));
     keys.push(format!("joint.{name}.friction"));
     (text, keys)
 }
