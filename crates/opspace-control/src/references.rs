@@ -1,9 +1,14 @@
 //! Reference motions of tasks: position, velocity and acceleration.
 
 pub(crate) mod blend;
+pub(crate) mod cubic_spline;
+pub(crate) mod curve;
 pub mod goal;
 pub mod joint_reference;
 pub mod online;
+pub(crate) mod path_motion;
+pub mod path_reference;
+pub(crate) mod path_shape;
 pub mod ramp;
 pub mod recorded;
 pub mod reference;
@@ -12,4 +17,5 @@ pub mod streamed;
 pub mod streamed_joints;
 pub mod streamed_pose;
 pub mod target;
+pub(crate) mod timing_law;
 pub mod wave;

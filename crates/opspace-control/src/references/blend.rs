@@ -85,3 +85,18 @@ pub(crate) fn moved(from: &Placement, line: [Vector3<f64>; 3], turn: [Vector3<f6
         acceleration: Motion { linear: line[2], angular: alpha },
     }
 }
+
+/// Returns `target` after a rotation by `turn` and a translation by `shift` in the world, and a rotation of its own
+/// axes by `own`.
+pub(crate) fn laid(target: &Target, turn: &Matrix3<f64>, shift: &Vector3<f64>, own: &Matrix3<f64>) -> Target {
+    let Target { placement, velocity, acceleration } = target;
+    let turned = |motion: &Motion| Motion { linear: turn * motion.linear, angular: turn * motion.angular };
+    Target {
+        placement: Placement {
+            translation: shift + turn * placement.translation,
+            rotation: turn * placement.rotation * own,
+        },
+        velocity: turned(velocity),
+        acceleration: turned(acceleration),
+    }
+}

@@ -5,6 +5,7 @@
 
 use crate::orientation;
 use crate::orientation::rotation_vector_rates;
+use crate::references::blend::laid;
 use crate::references::ramp::minimum_jerk;
 use crate::references::target::Target;
 use nalgebra::{Matrix3, Quaternion, SVector, UnitQuaternion, Vector3, Vector4};
@@ -475,21 +476,6 @@ impl RecordedMotion {
                 displaced(&recorded, left.map(|s| line * s), turned.map(|s| turn * s))
             }
         }
-    }
-}
-
-/// Returns `target` after a rotation by `turn` and a translation by `shift` in the world, and a rotation of its own
-/// axes by `own`.
-fn laid(target: &Target, turn: &Matrix3<f64>, shift: &Vector3<f64>, own: &Matrix3<f64>) -> Target {
-    let Target { placement, velocity, acceleration } = target;
-    let turned = |motion: &Motion| Motion { linear: turn * motion.linear, angular: turn * motion.angular };
-    Target {
-        placement: Placement {
-            translation: shift + turn * placement.translation,
-            rotation: turn * placement.rotation * own,
-        },
-        velocity: turned(velocity),
-        acceleration: turned(acceleration),
     }
 }
 

@@ -8,6 +8,8 @@ use crate::orientation;
 use crate::references::blend::{Joining, moved};
 use crate::references::goal::{OrientationGoal, PositionGoal, position, rotation};
 use crate::references::online::{OnlineGoal, OnlineVector};
+use crate::references::path_motion::PathMotion;
+use crate::references::path_reference::PathReference;
 use crate::references::ramp::{minimum_jerk, product};
 use crate::references::recorded::{RecordedMotion, RecordedPath};
 use crate::references::streamed_pose::StreamedReference;
@@ -36,6 +38,8 @@ pub enum CartesianReference {
     Waypoints(Vec<Waypoint>),
     /// Moves to one pose as fast as its limits allow, from any state of motion.
     Goal(OnlineGoal),
+    /// Follows lines, arcs, circles and splines with rounded corners.
+    Path(Box<PathReference>),
     /// Follows a recorded path.
     Recorded(RecordedPath),
     /// Follows streamed targets.
@@ -115,6 +119,7 @@ impl CartesianReference {
             Self::Sinusoid(s) => !(s.rx.is_empty() && s.ry.is_empty() && s.rz.is_empty()),
             Self::Waypoints(list) => list.iter().any(|w| w.orientation.is_some()),
             Self::Goal(goal) => goal.orientation.is_some(),
+            Self::Path(path) => path.turns(),
         }
     }
 }
@@ -135,6 +140,7 @@ enum Path {
     Legs { goals: Vec<Goal>, legs: Vec<Leg> },
     Waves { axes: [Vec<Wave>; 6], ramp_s: f64 },
     Online(Box<OnlinePose>),
+    Along(Box<PathMotion>),
     Recorded(Box<RecordedMotion>),
 }
 
@@ -166,7 +172,8 @@ struct Leg {
 }
 
 impl Trajectory {
-    /// Creates the trajectory. It stays at the world's origin until [`start`](Self::start).
+    /// Creates the trajectory. It stays at the world's origin until [`start`](Self::start), and at its start if the
+    /// reference is not valid.
     #[must_use]
     pub fn new(reference: &CartesianReference) -> Self {
         let goals = |goals: Vec<Goal>| Path::Legs { legs: Vec::with_capacity(goals.len()), goals };
@@ -207,6 +214,10 @@ impl Trajectory {
                 let rest = OnlineVector::rest();
                 Path::Online(Box::new(OnlinePose { goal: goal.clone(), line: rest, turn: rest }))
             }
+            CartesianReference::Path(path) => {
+                let motion = PathMotion::new(path, "path");
+                motion.map_or_else(|_| goals(Vec::new()), |motion| Path::Along(Box::new(motion)))
+            }
             CartesianReference::Recorded(path) => {
                 let motion = RecordedMotion::new(path);
                 motion.map_or_else(|| goals(Vec::new()), |motion| Path::Recorded(Box::new(motion)))
@@ -246,6 +257,7 @@ impl Trajectory {
             }
             Path::Waves { .. } => {}
             Path::Online(online) => online.start(home, from, axes),
+            Path::Along(motion) => motion.start(&from.placement, axes),
             Path::Recorded(motion) => motion.start(&from.placement, axes),
         }
     }
@@ -280,6 +292,7 @@ impl Trajectory {
             },
             Path::Waves { axes, ramp_s } => self.swing(axes, *ramp_s, time_s),
             Path::Online(online) => moved(&self.from, online.line.at(time_s), online.turn.at(time_s)),
+            Path::Along(motion) => motion.at(time_s),
             Path::Recorded(motion) => motion.at(time_s),
         }
     }

@@ -2,6 +2,7 @@
 
 use crate::error::{ControlError, Reason};
 use crate::references::joint_reference::check_times;
+use crate::references::path_motion::PathMotion;
 use crate::references::reference::CartesianReference;
 use crate::tasks::axes::{Axes, AxesFrameParameter, AxisMode, PerAxis};
 use crate::tasks::controlled_frame::ControlledFrame;
@@ -310,6 +311,9 @@ pub(crate) fn check_reference(parameters: &CartesianParameters, key: &str) -> Re
         | CartesianReference::Sinusoid(_)
         | CartesianReference::Goal(_)
         | CartesianReference::Streamed(_) => {}
+        CartesianReference::Path(path) => {
+            PathMotion::new(path, &format!("{key}.path"))?;
+        }
         CartesianReference::Recorded(path) => {
             if !path.is_read() {
                 return Err(ControlError::new(format!("{key}.recorded"), Reason::NotRead));

@@ -19,6 +19,7 @@ mod published_goals;
 mod qp;
 mod qp_allocation;
 mod reference_allocation;
+mod path_reference;
 mod references;
 mod singular_escape;
 mod singularity;

@@ -1,0 +1,122 @@
+//! Motion along a path: its geometry, its timing law, and the approach of a path in world coordinates.
+
+use crate::error::ControlError;
+use crate::orientation;
+use crate::references::blend::{laid, moved};
+use crate::references::path_reference::PathReference;
+use crate::references::path_shape::PathShape;
+use crate::references::ramp::minimum_jerk;
+use crate::references::target::Target;
+use crate::references::timing_law::{PathLimits, TimingLaw};
+use nalgebra::{Matrix3, Vector3};
+use opspace_backend::quantity::Positive;
+use opspace_model::Placement;
+
+/// Minimum-jerk motion to the start of a path in world coordinates.
+#[derive(Clone, Copy, Debug)]
+struct Approach {
+    duration_s: f64,
+    from: Placement,
+    line: Vector3<f64>,
+    turn: Vector3<f64>,
+}
+
+/// Motion along a path. All of it is computed before the run, except its displacement to the start pose.
+#[derive(Clone, Debug)]
+pub(crate) struct PathMotion {
+    shape: PathShape,
+    law: TimingLaw,
+    /// True if the path begins at the start pose.
+    relative: bool,
+    /// True if the path has orientations in world coordinates.
+    oriented: bool,
+    /// Highest speed, acceleration and jerk, and highest angular speed and acceleration.
+    limits: [f64; 5],
+    approach: Approach,
+    /// Rigid displacement of the path: see [`laid`].
+    displacement: (Matrix3<f64>, Vector3<f64>, Matrix3<f64>),
+}
+
+impl PathMotion {
+    /// Creates the motion; `key` is the path of the reference in the file.
+    pub(crate) fn new(path: &PathReference, key: &str) -> Result<Self, ControlError> {
+        let shape = PathShape::new(path, key)?;
+        let limits = PathLimits {
+            acceleration: path.acceleration_m_per_s2.get(),
+            jerk: path.jerk_m_per_s3.get(),
+        };
+        let law = TimingLaw::new(&shape.sections(path), &limits);
+        let angular = |limit: Option<Positive>| limit.map_or(f64::INFINITY, Positive::get);
+        let still = Vector3::zeros();
+        let approach = Approach { duration_s: 0.0, from: Placement::identity(), line: still, turn: still };
+        Ok(Self {
+            shape,
+            law,
+            relative: path.start.is_none(),
+            oriented: path.start.is_some_and(|start| start.absolute_rpy_rad.is_some()),
+            limits: [
+                path.speed_m_per_s.get(),
+                limits.acceleration,
+                limits.jerk,
+                angular(path.angular_speed_rad_per_s),
+                angular(path.angular_acceleration_rad_per_s2),
+            ],
+            approach,
+            displacement: (Matrix3::identity(), still, Matrix3::identity()),
+        })
+    }
+
+    /// Starts at the pose `from`, with the task axes `axes`. Allocates nothing.
+    pub(crate) fn start(&mut self, from: &Placement, axes: &Matrix3<f64>) {
+        let world = Matrix3::identity();
+        self.displacement = if self.relative {
+            (*axes, from.translation, axes.tr_mul(&from.rotation))
+        } else if self.oriented {
+            (world, Vector3::zeros(), world)
+        } else {
+            (world, Vector3::zeros(), from.rotation)
+        };
+        let first = self.along(0.0).placement;
+        let line = first.translation - from.translation;
+        let turn = orientation::log(&(first.rotation * from.rotation.transpose()));
+        let duration_s = if self.relative { 0.0 } else { self.approach_s(line.norm(), turn.norm()) };
+        self.approach = Approach { duration_s, from: *from, line, turn };
+    }
+
+    /// Duration of the minimum-jerk motion over a distance (m) and an angle (rad) that keeps the limits. Its largest
+    /// speed is 15/8, its largest acceleration 10/√3 and its largest jerk 60 of distance and duration 1.
+    fn approach_s(&self, distance: f64, angle: f64) -> f64 {
+        let [speed, acceleration, jerk, angular_speed, angular_acceleration] = self.limits;
+        let peak = 10.0 / 3.0_f64.sqrt();
+        let linear = (1.875 * distance / speed)
+            .max((peak * distance / acceleration).sqrt())
+            .max((60.0 * distance / jerk).cbrt());
+        linear.max(1.875 * angle / angular_speed).max((peak * angle / angular_acceleration).sqrt())
+    }
+
+    /// Duration of the path, without an approach, s.
+    pub(crate) fn duration_s(&self) -> f64 {
+        self.law.duration_s()
+    }
+
+    /// Length of the path, m.
+    pub(crate) fn length_m(&self) -> f64 {
+        self.shape.length_m()
+    }
+
+    /// Target at `time_s` (s) after the start.
+    pub(crate) fn at(&self, time_s: f64) -> Target {
+        let Approach { duration_s, from, line, turn } = &self.approach;
+        if time_s >= *duration_s {
+            return self.along(time_s - duration_s);
+        }
+        let w = minimum_jerk(time_s, *duration_s);
+        moved(from, w.map(|w| line * w), w.map(|w| turn * w))
+    }
+
+    /// Target at `time_s` (s) after the beginning of the path.
+    fn along(&self, time_s: f64) -> Target {
+        let (turn, shift, own) = &self.displacement;
+        laid(&self.shape.at(self.law.at(time_s)), turn, shift, own)
+    }
+}
