@@ -106,6 +106,10 @@ pub use per_joint::PerJoint;
 pub use references::goal::{OrientationGoal, PositionGoal};
 pub use references::joint_reference::JointReference;
 pub use references::online::{MotionLimits, OnlineGoal};
+pub use references::path_motion::PathSummary;
+pub use references::path_reference::{
+    PathArc, PathCircle, PathLine, PathReference, PathSegment, PathSpline, PathStart, Triple,
+};
 pub use references::ramp;
 pub use references::recorded::{self, PoseSample, RecordedError, RecordedPath, RecordedReason};
 pub use references::reference::{CartesianReference, Trajectory};

@@ -6,7 +6,7 @@ pub(crate) mod curve;
 pub mod goal;
 pub mod joint_reference;
 pub mod online;
-pub(crate) mod path_motion;
+pub mod path_motion;
 pub mod path_reference;
 pub(crate) mod path_shape;
 pub mod ramp;

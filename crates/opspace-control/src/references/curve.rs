@@ -9,7 +9,7 @@ use nalgebra::Vector3;
 use std::f64::consts::TAU;
 
 /// Intervals of the table of arc length of a polynomial.
-const INTERVALS: usize = 24;
+const INTERVALS: usize = 32;
 
 /// Nodes and weights of Gauss and Legendre on [-1, 1], for polynomials of degree 9.
 const GAUSS: [(f64, f64); 5] = [
@@ -193,6 +193,12 @@ impl Polynomial {
             length_m += way;
         }
         Self { axes, begins_m, parameters, length_m }
+    }
+
+    /// Arc lengths at which the intervals of the table begin, and their middles, m: close where the curve is sharp.
+    pub(crate) fn knots_m(&self) -> impl Iterator<Item = f64> {
+        let ends = self.begins_m[1..].iter().chain([&self.length_m]);
+        self.begins_m.iter().zip(ends).flat_map(|(begin, end)| [*begin, 0.5 * (begin + end)])
     }
 
     /// Interval of the table and the arc length in it.

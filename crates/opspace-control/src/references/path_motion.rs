@@ -12,6 +12,51 @@ use nalgebra::{Matrix3, Vector3};
 use opspace_backend::quantity::Positive;
 use opspace_model::Placement;
 
+/// Length, duration and largest values of a path, without the approach of a path in world coordinates.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PathSummary {
+    /// Length, m.
+    pub length_m: f64,
+    /// Duration, s.
+    pub duration_s: f64,
+    /// Largest speed, m/s.
+    pub speed_m_per_s: f64,
+    /// Largest acceleration, m/s².
+    pub acceleration_m_per_s2: f64,
+    /// Largest angular speed, rad/s.
+    pub angular_speed_rad_per_s: f64,
+}
+
+/// Instants at which a path is evaluated for its summary.
+const INSTANTS: u32 = 2000;
+
+impl PathReference {
+    /// Computes the motion along the path, and summarises it.
+    ///
+    /// # Errors
+    /// A path that is not valid, with the key in the reference.
+    pub fn summary(&self) -> Result<PathSummary, ControlError> {
+        let motion = PathMotion::new(self, "path")?;
+        let duration_s = motion.law.duration_s();
+        let mut summary = PathSummary {
+            length_m: motion.shape.length_m(),
+            duration_s,
+            speed_m_per_s: 0.0,
+            acceleration_m_per_s2: 0.0,
+            angular_speed_rad_per_s: 0.0,
+        };
+        for instant in 0..=INSTANTS {
+            let at = motion.along(duration_s * f64::from(instant) / f64::from(INSTANTS));
+            let [speed, acceleration] = [at.velocity, at.acceleration].map(|motion| motion.linear.norm());
+            summary.speed_m_per_s = summary.speed_m_per_s.max(speed);
+            summary.acceleration_m_per_s2 = summary.acceleration_m_per_s2.max(acceleration);
+            let angular = at.velocity.angular.norm();
+            summary.angular_speed_rad_per_s = summary.angular_speed_rad_per_s.max(angular);
+        }
+        Ok(summary)
+    }
+}
+
 /// Minimum-jerk motion to the start of a path in world coordinates.
 #[derive(Clone, Copy, Debug)]
 struct Approach {
@@ -92,16 +137,6 @@ impl PathMotion {
             .max((peak * distance / acceleration).sqrt())
             .max((60.0 * distance / jerk).cbrt());
         linear.max(1.875 * angle / angular_speed).max((peak * angle / angular_acceleration).sqrt())
-    }
-
-    /// Duration of the path, without an approach, s.
-    pub(crate) fn duration_s(&self) -> f64 {
-        self.law.duration_s()
-    }
-
-    /// Length of the path, m.
-    pub(crate) fn length_m(&self) -> f64 {
-        self.shape.length_m()
     }
 
     /// Target at `time_s` (s) after the start.

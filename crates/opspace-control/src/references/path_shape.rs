@@ -12,6 +12,7 @@ use crate::references::timing_law::Span;
 use nalgebra::{Matrix3, Vector3};
 use opspace_backend::quantity::Positive;
 use opspace_model::Placement;
+use std::f64::consts::TAU;
 
 /// Largest number of segments, with repetitions.
 const MAX_SEGMENTS: usize = 10_000;
@@ -19,7 +20,7 @@ const MAX_SEGMENTS: usize = 10_000;
 /// Cosine of the angle between the directions before and after a corner, below which the path turns back.
 const TURNS_BACK: f64 = -0.99;
 
-/// Spans of a curve, of a full circle and of a rotation.
+/// Spans of a full circle and of a rotation along a line or an arc.
 const SPANS: f64 = 48.0;
 
 /// Largest number of spans of a piece.
@@ -211,14 +212,19 @@ impl PathShape {
         if piece.curve.is_straight() && !turning {
             return vec![Span { length: piece.length_m, speed: piece.speed, curvature: 0.0, cone: [0.0; 2] }];
         }
-        let full = SPANS * piece.length_m;
-        let count = match &piece.curve {
-            Curve::Arc { radius_m, .. } if !turning => full / (std::f64::consts::TAU * radius_m),
-            curve => full / curve.length_m(),
+        let whole = piece.curve.length_m();
+        let knots: Vec<f64> = match &piece.curve {
+            Curve::Polynomial(polynomial) => polynomial.knots_m().collect(),
+            Curve::Arc { radius_m, .. } if !turning => even(whole, whole / (TAU * radius_m)),
+            _ => even(whole, 1.0),
         };
-        let count = count.clamp(8.0, MAX_SPANS).ceil();
-        let length = piece.length_m / count;
-        (0..count as u32).map(|k| self.span(piece, f64::from(k) * length, length, path)).collect()
+        let end_m = piece.from_m + piece.length_m;
+        let inner = knots.into_iter().filter(|knot| *knot > piece.from_m && *knot < end_m);
+        let bounds: Vec<f64> = std::iter::once(piece.from_m).chain(inner).chain([end_m]).collect();
+        bounds
+            .windows(2)
+            .map(|pair| self.span(piece, pair[0] - piece.from_m, pair[1] - pair[0], path))
+            .collect()
     }
 
     /// Bounds of a part of a piece, which begins at `along_m` and has the length `length` (m).
@@ -259,6 +265,12 @@ impl Piece {
     fn ends(&self) -> [[Vector3<f64>; 3]; 2] {
         [0.0, self.length_m].map(|s| self.curve.at(self.from_m + s))
     }
+}
+
+/// Equal parts of a length, [`SPANS`] for each of a number of turns.
+fn even(length_m: f64, turns: f64) -> Vec<f64> {
+    let count = (SPANS * turns).clamp(8.0, MAX_SPANS).ceil();
+    (0..count as u32).map(|k| length_m * f64::from(k) / count).collect()
 }
 
 /// Curves of a segment that begins at `from`.
