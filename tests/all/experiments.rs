@@ -30,6 +30,16 @@ fn torque_control_and_leading_kinematics_track_to_millimetres() {
     assert!(plain > 5.0 * lead, "without lead the servo lags: {plain} m, with it {lead} m");
 }
 
+/// Compared: the true path of the hand, and a polygon with rounded corners that is passed without stops.
+#[test]
+fn hand_follows_path_with_rounded_corners() {
+    const BOUND_M: f64 = 2e-3;
+    for options in [osc("a-med"), torque("a-med"), ik("a-med", ControllerKind::IkLead)] {
+        let error = present(measure(&load("follow-path", options, &[])).pose.position_rms_m);
+        assert!(error < BOUND_M, "{error} m");
+    }
+}
+
 fn interval_error(task: &str, profile: &str, seed: u64) -> f64 {
     present(measure(&load(task, seeded(osc(profile), seed), &[])).torque_error_interval)
 }

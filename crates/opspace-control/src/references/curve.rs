@@ -9,7 +9,7 @@ use nalgebra::Vector3;
 use std::f64::consts::TAU;
 
 /// Intervals of the table of arc length of a polynomial.
-const INTERVALS: usize = 32;
+const INTERVALS: usize = 64;
 
 /// Nodes and weights of Gauss and Legendre on [-1, 1], for polynomials of degree 9.
 const GAUSS: [(f64, f64); 5] = [
@@ -94,9 +94,8 @@ impl Curve {
             [0, 1, 2].map(|axis| Quintic::between(state(from, axis), state(to, axis), 1.0))
         };
         let candidates = (0..=40).map(|k| candidate(zone_m * (0.8 + 0.05 * f64::from(k))));
-        let sharpness = |axes: &[Quintic; 3]| {
-            (0..=32).map(|k| curvature(axes, f64::from(k) / 32.0)).fold(0.0, f64::max)
-        };
+        let sharpness =
+            |axes: &[Quintic; 3]| (0..=32).map(|k| curvature(axes, f64::from(k) / 32.0)).fold(0.0, f64::max);
         let best = candidates.map(|axes| (sharpness(&axes), axes)).min_by(|a, b| a.0.total_cmp(&b.0));
         Self::polynomial(best.map_or_else(|| candidate(2.0 * zone_m), |(_, axes)| axes))
     }

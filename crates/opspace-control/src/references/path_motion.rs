@@ -27,6 +27,9 @@ pub struct PathSummary {
     pub angular_speed_rad_per_s: f64,
 }
 
+/// Longest duration of a path, s.
+const MAX_DURATION_S: f64 = 1e6;
+
 /// Instants at which a path is evaluated for its summary.
 const INSTANTS: u32 = 2000;
 
@@ -86,11 +89,16 @@ impl PathMotion {
     /// Creates the motion; `key` is the path of the reference in the file.
     pub(crate) fn new(path: &PathReference, key: &str) -> Result<Self, ControlError> {
         let shape = PathShape::new(path, key)?;
-        let limits = PathLimits {
-            acceleration: path.acceleration_m_per_s2.get(),
-            jerk: path.jerk_m_per_s3.get(),
-        };
+        let limits =
+            PathLimits { acceleration: path.acceleration_m_per_s2.get(), jerk: path.jerk_m_per_s3.get() };
         let law = TimingLaw::new(&shape.sections(path), &limits);
+        if !law.duration_s().is_finite() || law.duration_s() > MAX_DURATION_S {
+            let message = format!(
+                "the path takes {} s: expected at most {MAX_DURATION_S} s; check its limits and points",
+                law.duration_s()
+            );
+            return Err(ControlError::value(key, message));
+        }
         let angular = |limit: Option<Positive>| limit.map_or(f64::INFINITY, Positive::get);
         let still = Vector3::zeros();
         let approach = Approach { duration_s: 0.0, from: Placement::identity(), line: still, turn: still };

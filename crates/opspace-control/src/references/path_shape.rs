@@ -18,7 +18,7 @@ use std::f64::consts::TAU;
 const MAX_SEGMENTS: usize = 10_000;
 
 /// Cosine of the angle between the directions before and after a corner, below which the path turns back.
-const TURNS_BACK: f64 = -0.99;
+const TURNS_BACK: f64 = -0.95;
 
 /// Spans of a full circle and of a rotation along a line or an arc.
 const SPANS: f64 = 48.0;
@@ -115,9 +115,9 @@ impl PathShape {
                 }
             }
         }
-        shape.turn(path, &ends_m).map_err(|(inner, message)| {
-            ControlError::value(&format!("{key}.{inner}"), message)
-        })?;
+        shape
+            .turn(path, &ends_m)
+            .map_err(|(inner, message)| ControlError::value(&format!("{key}.{inner}"), message))?;
         Ok(shape)
     }
 
@@ -280,10 +280,9 @@ fn curves(segment: &PathSegment, from: Vector3<f64>) -> Result<Vec<Curve>, Strin
         None => Err(message.to_owned()),
     };
     match segment {
-        PathSegment::Line(line) => one(
-            Curve::line(from, Vector3::from(line.to_m.0)),
-            "the line has no length: `to_m` is its start",
-        ),
+        PathSegment::Line(line) => {
+            one(Curve::line(from, Vector3::from(line.to_m.0)), "the line has no length: `to_m` is its start")
+        }
         PathSegment::Arc(arc) => one(
             Curve::arc(from, Vector3::from(arc.via_m.0), Vector3::from(arc.to_m.0)),
             "the start, `via_m` and `to_m` are on one line: an arc needs three points that are not",
@@ -312,14 +311,13 @@ fn spline_curves(points: &[Vector3<f64>]) -> Result<Vec<Curve>, String> {
     let mut knots = vec![0.0];
     for (index, pair) in points.windows(2).enumerate() {
         let distance = (pair[1] - pair[0]).norm();
-        if !(distance > 1e-9) {
+        if !distance.is_finite() || distance < 1e-9 {
             return Err(format!("point {index} of `through_m` is the same as the one before it"));
         }
         knots.push(knots[index] + distance);
     }
-    let axes = [0, 1, 2].map(|axis| {
-        natural_spline(&knots, &points.iter().map(|point| point[axis]).collect::<Vec<_>>())
-    });
+    let axes = [0, 1, 2]
+        .map(|axis| natural_spline(&knots, &points.iter().map(|point| point[axis]).collect::<Vec<_>>()));
     let interval = |k: usize| {
         let scale = knots[k + 1] - knots[k];
         Curve::polynomial([0, 1, 2].map(|axis: usize| axes[axis][k].stretched(scale)))

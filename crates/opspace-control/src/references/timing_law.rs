@@ -119,7 +119,11 @@ impl TimingLaw {
     fn append(&mut self, next: Self) {
         self.pieces.extend(next.pieces.iter().map(|piece| {
             let [s, v, a] = piece.state;
-            Piece { begin_s: piece.begin_s + self.duration_s, state: [s + self.length, v, a], jerk: piece.jerk }
+            Piece {
+                begin_s: piece.begin_s + self.duration_s,
+                state: [s + self.length, v, a],
+                jerk: piece.jerk,
+            }
         }));
         self.duration_s += next.duration_s;
         self.length += next.length;

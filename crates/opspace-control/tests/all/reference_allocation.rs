@@ -35,6 +35,10 @@ fn cartesian_references_do_not_allocate() {
         "{ goal = { position = { absolute_m = [0.7, 0.0, 0.0] }, velocity_m_per_s = 2.5e-9, \
          acceleration_m_per_s2 = 4e-8, jerk_m_per_s3 = 1e-6 } }"
             .to_owned(),
+        "{ path = { speed_m_per_s = 0.2, acceleration_m_per_s2 = 1.0, jerk_m_per_s3 = 20.0, \
+         corner_radius_m = 0.02, segments = [{ line = { to_m = [0.1, 0.0, 0.0] } }, \
+         { arc = { via_m = [0.1, 0.1, 0.0], to_m = [0.0, 0.1, 0.0] } }] } }"
+            .to_owned(),
         r#"{ recorded = { file = "a.csv" } }"#.to_owned(),
         r#"{ recorded = { file = "a.csv", relative = false } }"#.to_owned(),
     ];

@@ -122,6 +122,11 @@ fn length_s(task: &TaskParameters) -> Option<Length> {
         Reference::Cartesian(CartesianReference::Recorded(path)) => {
             known(path.samples.last()?.time_s - path.samples.first()?.time_s)
         }
+        // The approach of a path in world coordinates takes a time of its own.
+        Reference::Cartesian(CartesianReference::Path(path)) if path.start.is_some() => {
+            Some(Length::AsFastAsItCan)
+        }
+        Reference::Cartesian(CartesianReference::Path(path)) => known(path.summary().ok()?.duration_s),
         Reference::Joint(JointReference::PointToPoint(p)) => known(p.start_s.get() + p.duration_s.get()),
         Reference::Joint(JointReference::Waypoints(list)) => known(list.last()?.time_s.get()),
         Reference::Scalar(ScalarReference::PointToPoint(p)) => known(p.start_s.get() + p.duration_s.get()),
