@@ -4,8 +4,9 @@
 //! so they are compared with the range over ten seeds.
 
 use crate::common::{ik, load, measure, osc, run, torque};
-use opspace_experiment::{ControllerKind, Experiment, Metrics, RunOptions};
+use opspace_experiment::{ControllerKind, Experiment, Files, Metrics, RunOptions};
 use opspace_log::Recording;
+use std::path::Path;
 
 fn seeded(options: RunOptions, seed: u64) -> RunOptions {
     RunOptions { seed: Some(seed), ..options }
@@ -34,8 +35,11 @@ fn torque_control_and_leading_kinematics_track_to_millimetres() {
 #[test]
 fn hand_follows_path_with_rounded_corners() {
     const BOUND_M: f64 = 2e-3;
-    for options in [osc("a-med"), torque("a-med"), ik("a-med", ControllerKind::IkLead)] {
-        let error = present(measure(&load("follow-path", options, &[])).pose.position_rms_m);
+    let path = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../tasks/follow-path.toml"));
+    for options in [RunOptions::default(), torque("a-med"), ik("a-med", ControllerKind::IkLead)] {
+        let experiment =
+            Experiment::load(Files::Disk, path, None, options, &[]).unwrap_or_else(|e| panic!("{e}"));
+        let error = present(measure(&experiment).pose.position_rms_m);
         assert!(error < BOUND_M, "{error} m");
     }
 }
