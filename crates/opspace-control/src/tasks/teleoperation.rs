@@ -52,7 +52,7 @@ pub(crate) struct Teleoperation {
     delay_damping_ratio: f64,
     lag_s: f64,
     delay_damping_at_most: f64,
-    /// What the follower touches, in the leader's coordinates.
+    /// Compliance of what the follower touches, in the leader's coordinates.
     compliance: ContactCompliance,
     clutch_open_s: Vec<[f64; 2]>,
     period_s: f64,
