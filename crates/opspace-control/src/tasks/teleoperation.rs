@@ -251,9 +251,9 @@ impl Teleoperation {
     }
 
     /// Force by which the delay is paid for: a force that arrives the round trip T late lacks K T v of that of the stiffness K
-    /// behind it, and would give this energy away in each push. K is that of the coupling's spring and of what the follower touches,
-    /// in series. It is taken along the force, in the measure of the force, so
-    /// that neither motion without contact nor sliding is braked.
+    /// behind it, and would give this energy away in each push. K is that of the coupling's spring and of what the follower
+    /// touches, in series. The force is taken along the received one, in its measure, so that neither motion without contact nor
+    /// sliding is braked.
     fn delay_damping(&self, packet: &Packet, velocity: &Vector6<f64>, clock_s: f64) -> Vector6<f64> {
         let round_trip_s = clock_s - packet.echo_s;
         let force = packet.force.norm();

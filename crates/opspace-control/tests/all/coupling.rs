@@ -964,6 +964,14 @@ fn lost_waves_do_not_displace_the_follower() {
 
 // --- Compliance of a contact, and latency ---
 
+/// Error of a compliance relative to that of the spring: the variation of the force from which on an estimate counts makes it up to
+/// 3 % too stiff.
+const COMPLIANCE: std::ops::Range<f64> = -0.03..0.01;
+
+/// Steps of a continued position that are left, relative to the motion in a cycle, and the longest continuation, s.
+const STEPS: f64 = 0.05;
+const CONTINUED_AT_MOST_S: f64 = 0.05;
+
 /// A hand presses a spring with a random motion, with noise of force and position; the place of the surface is not known. Compared: the
 /// estimate and the compliance of the spring.
 #[test]
@@ -984,8 +992,7 @@ fn compliance_of_a_spring_is_found() {
             compliance.update(&(direction * (force + dither_n)), &position);
         }
         let error = compliance.get() * stiffness - 1.0;
-        // The variation of the force from which on an estimate counts makes it up to 3 % too stiff.
-        assert!((-0.03..0.01).contains(&error), "seed {seed}: {error} at {stiffness} N/m");
+        assert!(COMPLIANCE.contains(&error), "seed {seed}: {error} at {stiffness} N/m");
         compliance.update(&Vector6::zeros(), &Vector6::zeros());
         assert_eq!(compliance.get(), 0.0, "nothing is known of the next contact");
         compliance.update(&along_x(f64::NAN), &Vector6::zeros());
@@ -1012,7 +1019,7 @@ fn jitter_makes_no_steps() {
         before = position;
     }
     // Without the continuation a packet that comes 10 ms late and then on time is a step of ten cycles.
-    assert!(largest < 0.05 * speed * PERIOD_S, "{largest} m");
+    assert!(largest < STEPS * speed * PERIOD_S, "{largest} m");
     assert_eq!(latency.excess_s(f64::NAN), 0.0);
-    assert_eq!(latency.excess_s(1e3), 0.05, "the motion is not continued for longer");
+    assert_eq!(latency.excess_s(1e3), CONTINUED_AT_MOST_S, "the motion is not continued for longer");
 }
