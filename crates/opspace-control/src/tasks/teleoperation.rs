@@ -63,6 +63,10 @@ pub(crate) struct Teleoperation {
     /// True if the passivity control reduced the leader's force in the last cycle.
     limited: bool,
     latency: SteadyLatency,
+    /// The same of the round trip.
+    round_trip: SteadyLatency,
+    /// Received force, smoothed over the jitter of the channel.
+    received: Vector6<f64>,
     /// Share of the leader's force, or of the follower's motion, from 0 to 1.
     share: f64,
     /// Reference of the follower's rows, m or rad, and its velocity.
@@ -133,6 +137,8 @@ impl Teleoperation {
             passivity: PortPassivity::new(&limits, angular, period_s),
             wave,
             latency: SteadyLatency::new(period_s),
+            round_trip: SteadyLatency::new(period_s),
+            received: zero,
             closed: false,
             limited: false,
             share: 0.0,
@@ -170,19 +176,22 @@ impl Teleoperation {
             &mut self.target,
             &mut self.position,
             &mut self.force,
+            &mut self.received,
         ] {
             vector.fill(0.0);
         }
         (self.closed, self.share) = (false, 0.0);
         self.compliance.restart();
         self.latency.restart();
+        self.round_trip.restart();
         self.passivity.restart();
     }
 
     /// Continues from the coupling of another task set.
     pub(crate) fn inherit_state(&mut self, before: &Self) {
         self.passivity.inherit_state(&before.passivity);
-        (self.compliance, self.latency) = (before.compliance, before.latency);
+        self.compliance = before.compliance;
+        (self.latency, self.round_trip) = (before.latency, before.round_trip);
         (self.closed, self.share) = (before.closed, before.share);
         self.reference = before.reference;
         self.reference_velocity = before.reference_velocity;
@@ -190,6 +199,7 @@ impl Teleoperation {
         self.target = before.target;
         self.position = before.position;
         self.force = before.force;
+        self.received = before.received;
     }
 
     /// Cycle in which the robot is held: the coupling is open, and the reference stays at the robot.
@@ -213,10 +223,14 @@ impl Teleoperation {
         self.restart_wave();
     }
 
-    /// Newest packet, its position continued over the jitter of the channel.
+    /// Newest packet, its position continued and its force smoothed over the jitter of the channel.
     fn continued(&mut self, partner: &ReceivedState, clock_s: f64) -> Option<Packet> {
         let mut packet = *partner.newest()?;
-        packet.position += packet.velocity * self.latency.excess_s(clock_s - packet.sent_s);
+        packet.position += packet.velocity * self.latency.update(clock_s - packet.sent_s);
+        self.round_trip.update(clock_s - packet.echo_s);
+        let share = self.period_s / (self.period_s + self.latency.jitter_s());
+        self.received += (packet.force - self.received) * share;
+        packet.force = self.received;
         Some(packet)
     }
 
@@ -245,7 +259,7 @@ impl Teleoperation {
         self.closed = newest.is_some() && !partner.is_stale(clock_s) && !is_open;
         let packet = newest.as_ref().filter(|packet| self.closed && packet.closed);
         match self.side {
-            CouplingSide::Leader => self.lead(state, &moved, packet, clock_s),
+            CouplingSide::Leader => self.lead(state, &moved, packet),
             CouplingSide::Follower => self.follow(state, &moved, packet, newest.as_ref()),
         }
     }
@@ -254,12 +268,11 @@ impl Teleoperation {
     /// behind it, and would give this energy away in each push. K is that of the coupling's spring and of what the follower
     /// touches, in series. The force is taken along the received one, in its measure, so that neither motion without contact nor
     /// sliding is braked.
-    fn delay_damping(&self, packet: &Packet, velocity: &Vector6<f64>, clock_s: f64) -> Vector6<f64> {
-        let round_trip_s = clock_s - packet.echo_s;
+    fn delay_damping(&self, packet: &Packet, velocity: &Vector6<f64>) -> Vector6<f64> {
         let force = packet.force.norm();
-        if round_trip_s.is_nan() || round_trip_s < 0.0 || force == 0.0 {
+        let Some(round_trip_s) = self.round_trip.mean_s().filter(|_| force > 0.0) else {
             return Vector6::zeros();
-        }
+        };
         let delay_s = self.delay_damping_ratio * (round_trip_s + self.lag_s);
         let direction = packet.force / force;
         let stiffness = self.spring.component_mul(&direction).dot(&direction) * self.position_scale;
@@ -268,13 +281,7 @@ impl Teleoperation {
         direction * (damping * direction.dot(velocity) * (force / CONTACT_N).min(1.0))
     }
 
-    fn lead(
-        &mut self,
-        state: &RowState,
-        moved: &Vector6<f64>,
-        packet: Option<&Packet>,
-        clock_s: f64,
-    ) -> Vector6<f64> {
+    fn lead(&mut self, state: &RowState, moved: &Vector6<f64>, packet: Option<&Packet>) -> Vector6<f64> {
         let wanted = match packet {
             None => {
                 self.share = 0.0;
@@ -300,7 +307,7 @@ impl Teleoperation {
                         }
                         None => {
                             self.compliance.update(&packet.force, &packet.position);
-                            let braked = packet.force - self.delay_damping(packet, &state.velocity, clock_s);
+                            let braked = packet.force - self.delay_damping(packet, &state.velocity);
                             braked * self.force_scale
                         }
                     },
