@@ -22,7 +22,7 @@ const RESULTS: [&str; 8] = [
 ];
 
 /// Runs the teleoperation for half a second, without its expectations, which need more.
-fn run(folder: &Path, more: &[&str]) -> Ran {
+pub fn run(folder: &Path, more: &[&str]) -> Ran {
     let experiment = project("experiments/teleop-wall.toml");
     let short = ["run", &experiment, "--duration-s", "0.5", "--set", "settle_s=0.1", "--set", "expect={}"];
     opspace(folder, &[&short, more].concat())

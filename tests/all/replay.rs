@@ -4,6 +4,7 @@
 #![expect(clippy::unwrap_used, clippy::expect_used, reason = "a test")]
 
 use crate::cli_common::{Ran, opspace, project, run, scratch};
+use crate::coupled;
 use opspace_log::header::{GAPS, LOG};
 use opspace_log::{Channel, ChannelData, Header, Pace, Recording, record};
 use std::fs::{self, File};
@@ -155,6 +156,19 @@ fn changed_command_is_reported_exactly() {
     let first = &json["first_difference"];
     assert_eq!((first["tick"].as_u64(), first["signal"].as_str()), (Some(1234), Some("torque_desired")));
     assert_eq!((first["logged"].as_f64(), first["recomputed"].as_f64()), (Some(was), Some(is)));
+}
+
+/// One changed number in the log of one robot of two: the folder fails, and the other log is equal.
+#[test]
+fn changed_log_of_one_robot_fails_its_folder() {
+    let folder = scratch();
+    coupled::run(folder.path(), &["--out", "out"]).exits(0);
+    let log = folder.path().join("out/follower/run.mcap");
+    let whole = Recording::read(&log).unwrap();
+    rewritten(&whole, log, nudge(523, "torque_desired", "elbow", 1e-9));
+    let said = opspace(folder.path(), &["replay", "out"]).exits(1).stdout;
+    assert!(said.contains("out/leader/run.mcap: all 700 ticks are equal"), "{said}");
+    assert!(said.contains("out/follower/run.mcap: differs in 1 of 700 ticks, first at tick 523"), "{said}");
 }
 
 /// A modified measurement: all values computed from it differ in the replay.

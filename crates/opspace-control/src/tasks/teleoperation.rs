@@ -63,7 +63,7 @@ pub(crate) struct Teleoperation {
     /// True if the passivity control reduced the leader's force in the last cycle.
     limited: bool,
     latency: SteadyLatency,
-    /// The same of the round trip.
+    /// Latency of the round trip, in the same way.
     round_trip: SteadyLatency,
     /// Received force, smoothed over the jitter of the channel.
     received: Vector6<f64>,
