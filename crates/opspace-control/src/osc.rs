@@ -44,6 +44,8 @@ pub struct OperationalSpaceController {
     torque: DVector<f64>,
     joint_torque: DVector<f64>,
     scratch: DVector<f64>,
+    /// Intermediate value (n).
+    added: DVector<f64>,
     /// Compensation torques that are added to the task torques, Nm or N (n).
     compensation_torque: DVector<f64>,
     /// Last commanded torques, Nm or N (n).
@@ -87,6 +89,7 @@ impl OperationalSpaceController {
             torque: zero.clone(),
             joint_torque: zero.clone(),
             scratch: zero.clone(),
+            added: zero.clone(),
             compensation_torque: zero.clone(),
             commanded: zero,
             joint_names: model.joints().iter().map(|j| j.name.clone()).collect(),
@@ -205,7 +208,11 @@ impl OperationalSpaceController {
         let (acceleration, torque) = (self.scratch.as_mut_slice(), self.joint_torque.as_mut_slice());
         let leaves_freedom = hierarchy.leaves_freedom(data.dq.len());
         match &mut hierarchy.joint {
-            Some(task) => task.update(&joint_input, acceleration, torque),
+            Some(task) => {
+                task.update(&joint_input, acceleration, torque);
+                let scratch = self.added.as_mut_slice();
+                hierarchy.restrain_joints(data, self.context.period_s, acceleration, torque, scratch);
+            }
             None if !leaves_freedom => return self.joint_torque.fill(0.0),
             // Without the velocity-dependent torques: they are compensated for the tasks, and motion that keeps them
             // conserves its energy.

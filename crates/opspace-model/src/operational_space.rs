@@ -127,13 +127,21 @@ pub struct OperationalSpace {
     /// Smallest gain over the eigenvectors of Λ⁻¹: the eigenvalue times its (damped) reciprocal. 1 without damping, 0
     /// if a direction is lost.
     pub min_singular_gain: f64,
+    /// Sum of v vᵀ/(λ + t λ_ref) over the damped eigenvectors v of Λ⁻¹ (6 × 6; kg, kg m, kg m²), with t = 0.001: for a joint
+    /// acceleration a, Jᵀ times this times J a is the part of M a from which damping takes. Zero without damping.
+    pub damped_inertia: Matrix6<f64>,
 }
 
 impl OperationalSpace {
     /// Allocates the quantities of a task on a robot with `n` joints.
     #[must_use]
     pub fn new(n: usize) -> Self {
-        Self { task_inertia: Matrix6::zeros(), jbar_transpose: Matrix6xX::zeros(n), min_singular_gain: 1.0 }
+        Self {
+            task_inertia: Matrix6::zeros(),
+            jbar_transpose: Matrix6xX::zeros(n),
+            min_singular_gain: 1.0,
+            damped_inertia: Matrix6::zeros(),
+        }
     }
 
     /// Computes Λ and J̄ for the first `rows` rows of `jacobian` (6 × n), with the factor of the mass matrix at the
@@ -206,6 +214,9 @@ impl OperationalSpace {
         reference: Option<f64>,
         demand: Option<&Vector6<f64>>,
     ) {
+        if self.min_singular_gain < 1.0 {
+            self.damped_inertia = Matrix6::zeros();
+        }
         self.task_inertia = Matrix6::zeros();
         self.min_singular_gain = 0.0;
         let trace = mobility.trace();
@@ -254,7 +265,11 @@ impl OperationalSpace {
             let reciprocal = inversion.reciprocal(value, reference, demand);
             let gain = (reciprocal * value).max(0.0);
             self.min_singular_gain = self.min_singular_gain.min(gain);
-            self.task_inertia += vector * vector.transpose() * reciprocal;
+            let square = vector * vector.transpose();
+            self.task_inertia += square * reciprocal;
+            if gain < 1.0 && value <= 1.5 * trace {
+                self.damped_inertia += square / (value.max(0.0) + LOST * reference);
+            }
         }
     }
 
@@ -339,6 +354,10 @@ fn positive_inverse(a: &Matrix6<f64>) -> Option<Matrix6<f64>> {
 
 /// Largest number of iterations of a decomposition: finite matrices of our sizes need some ten per row.
 const MAX_ITERATIONS: usize = 1000;
+
+/// Eigenvalue, relative to the reference, below which the joint motion of a direction is no longer known: its change with
+/// the joint positions would act as a stiff spring.
+const LOST: f64 = 0.001;
 
 /// Largest relative demand; the force with it is negligible.
 const MAX_DEMAND: f64 = 1e9;

@@ -242,4 +242,17 @@ impl FrictionCompensation {
         };
         joint.coulomb * direction + joint.viscous * dq
     }
+
+    /// Part c q̇ of the friction torque n̂ of one joint that follows the velocity `dq` (rad/s, m/s): c, Nms/rad (Ns/m).
+    #[inline]
+    #[must_use]
+    pub fn damping(&self, joint: usize, dq: f64) -> f64 {
+        let joint = &self.joints[joint];
+        let coulomb = match self.law {
+            FrictionLaw::Velocity if dq.abs() < 1e-6 * self.smoothing => joint.coulomb / self.smoothing,
+            FrictionLaw::Velocity => joint.coulomb * (dq / self.smoothing).tanh() / dq,
+            FrictionLaw::Displacement | FrictionLaw::Reference => 0.0,
+        };
+        coulomb + joint.viscous
+    }
 }

@@ -7,15 +7,19 @@
 //!
 //! τ is the commanded torque in force, g_robot the gravity torque that the robot itself adds, b the Coriolis,
 //! centrifugal and gravity torques, n the modelled friction. d is the acceleration that the prediction does not include,
-//! contact forces for example. A filtered difference of positions lags by the filter's time constant and half a period;
+//! contact forces for example. Friction is that at the beginning of a period, unless it could stop a joint within one: with
+//! its part n ≈ C q̇ that follows the velocity, q̈ = (M + C T)⁻¹ (τ + g_robot − b − n) + d is stable for any C. A filtered difference of positions lags by the filter's time constant and half a period;
 //! this estimate does not, as far as the model is right.
 
 use crate::friction::FrictionCompensation;
 use crate::observer::ObserverGain;
 use crate::transformer::Transformer;
-use nalgebra::DVector;
+use nalgebra::{DMatrix, DVector};
 use opspace_backend::{CommandKind, GravityCompensation, Sample};
-use opspace_model::Data;
+use opspace_model::{Data, MassMatrixFactor, Model};
+
+/// Part of a joint's velocity that friction takes within a period, above which the prediction is implicit.
+const STRONG: f64 = 0.25;
 
 /// Parameters of the observer: joints and timing of a torque robot.
 #[derive(Clone, Debug)]
@@ -50,6 +54,9 @@ pub struct TorqueObserver {
     /// Accelerations under the previous torque and under the last one (n; rad/s², m/s²).
     before: DVector<f64>,
     after: DVector<f64>,
+    /// M + C T, and its factor.
+    mass_matrix: DMatrix<f64>,
+    factor: MassMatrixFactor,
     /// True if the last torque was sent in the cycle of the last sample.
     sent: bool,
     /// True if a torque was sent since the last reset.
@@ -57,9 +64,9 @@ pub struct TorqueObserver {
 }
 
 impl TorqueObserver {
-    /// Returns the observer of a robot at rest.
+    /// Returns the observer of a robot at rest, with the structure of `model`.
     #[must_use]
-    pub fn new(setup: &TorqueObserverSetup) -> Self {
+    pub fn new(setup: &TorqueObserverSetup, model: &Model) -> Self {
         let gain = |&resolution_rad: &f64| ObserverGain::of_torque_drive(resolution_rad, setup.period_s);
         let zero = DVector::zeros(setup.resolution_rad.len());
         Self {
@@ -74,6 +81,8 @@ impl TorqueObserver {
             torque: zero.clone(),
             before: zero.clone(),
             after: zero,
+            mass_matrix: DMatrix::zeros(model.n(), model.n()),
+            factor: MassMatrixFactor::new(model),
             sent: false,
             begun: false,
         }
@@ -88,13 +97,36 @@ impl TorqueObserver {
     }
 
     /// Computes the accelerations under a torque in the present state.
-    fn accelerations(&self, data: &Data, torque: &DVector<f64>, ddq: &mut DVector<f64>) {
+    fn accelerations(&mut self, data: &Data, torque: &[f64], ddq: &mut DVector<f64>) {
         for i in 0..torque.len() {
             let held = self.gravity_of_robot(data, i);
             ddq[i] = torque[i] + held - data.bias[i] - self.friction.torque(i, self.dq[i]);
         }
-        data.mass_matrix_factor.solve(ddq.as_mut_slice());
+        if self.has_strong_friction(data) {
+            self.solve_implicitly(data, ddq);
+        } else {
+            data.mass_matrix_factor.solve(ddq.as_mut_slice());
+        }
         *ddq += &self.disturbance;
+    }
+
+    /// Returns true if friction takes a large part of a joint's velocity within a period.
+    fn has_strong_friction(&self, data: &Data) -> bool {
+        let diagonal = data.mass_matrix.as_slice().iter().step_by(self.dq.len() + 1);
+        let mut joints = diagonal.zip(&self.dq).enumerate();
+        joints.any(|(i, (inertia, dq))| self.friction.damping(i, *dq) * self.period_s > STRONG * inertia)
+    }
+
+    /// Replaces the torques x by (M + C T)⁻¹ x.
+    fn solve_implicitly(&mut self, data: &Data, x: &mut DVector<f64>) {
+        self.mass_matrix.copy_from(&data.mass_matrix);
+        for (i, dq) in self.dq.iter().enumerate() {
+            self.mass_matrix[(i, i)] += self.period_s * self.friction.damping(i, *dq);
+        }
+        // M with non-negative terms added to its diagonal is positive definite if M is.
+        if self.factor.update(&self.mass_matrix) {
+            self.factor.solve(x.as_mut_slice());
+        }
     }
 
     /// Gravity torque of a joint that the robot itself compensates, Nm or N.
@@ -145,13 +177,13 @@ impl Transformer for TorqueObserver {
             }
         }
         if self.delay_s > 0.0 {
-            let mut ddq = std::mem::take(&mut self.before);
-            self.accelerations(data, &self.torque, &mut ddq);
-            self.before = ddq;
+            let (mut ddq, before) = (std::mem::take(&mut self.before), std::mem::take(&mut self.torque));
+            self.accelerations(data, before.as_slice(), &mut ddq);
+            (self.before, self.torque) = (ddq, before);
         }
         self.torque.copy_from_slice(torque);
         let mut ddq = std::mem::take(&mut self.after);
-        self.accelerations(data, &self.torque, &mut ddq);
+        self.accelerations(data, torque, &mut ddq);
         self.after = ddq;
         let Self { q, dq, before, after, delay_s, period_s, .. } = self;
         Self::advance(q, dq, before, *delay_s);

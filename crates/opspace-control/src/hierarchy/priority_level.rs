@@ -221,6 +221,30 @@ impl PriorityLevel {
         self.projected.space.min_singular_gain < WHOLE && self.task.inversion().is_for_control()
     }
 
+    /// Replaces the part of the joint accelerations `acceleration` (n) of a task below, and of its torques `torque` (n), that
+    /// the damping of this level leaves to it: there, motion is braked (deceleration per velocity `damping_per_s`, 1/s). `scratch` (n) is
+    /// overwritten.
+    /// Otherwise, a task below would draw the arm away from the pose closest to a goal out of reach.
+    pub(crate) fn brake_damped(
+        &self,
+        data: &Data,
+        damping_per_s: f64,
+        acceleration: &mut [f64],
+        torque: &mut [f64],
+        scratch: &mut [f64],
+    ) {
+        let mut change = Vector6::zeros();
+        for ((column, a), v) in self.projected.jacobian.column_iter().zip(&*acceleration).zip(&data.dq) {
+            change -= column * (damping_per_s * v + a);
+        }
+        let force = self.projected.space.damped_inertia * change;
+        scratch.fill(0.0);
+        add_transposed(&self.projected.jacobian, &force, scratch);
+        torque.iter_mut().zip(&*scratch).for_each(|(t, x)| *t += x);
+        data.mass_matrix_factor.solve(scratch);
+        acceleration.iter_mut().zip(&*scratch).for_each(|(a, x)| *a += x);
+    }
+
     /// Computes the task force, given the joint accelerations `above` (n; `None` for zero) that the levels above cause,
     /// and adds its joint torques to `torque` (n).
     pub(crate) fn add_torque(&mut self, above: Option<&[f64]>, torque: &mut [f64]) {

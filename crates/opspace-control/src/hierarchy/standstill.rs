@@ -15,7 +15,8 @@
 //! - its reference and those of the tasks above do not move;
 //! - on the average, less than half of the acceleration that it demands is commanded; what an obstacle holds, or friction, is
 //!   commanded and does not count;
-//! - for 0.7 s its error has not become smaller than before by more than a stated speed.
+//! - for 0.7 s its error has not become smaller than before by more than a stated speed, or by two hundredths per second if
+//!   the motion fades.
 //!
 //! While s rises, a_lost follows a* with a lag of 0.1 s: the task is a damper, and the arm loses its energy. Then a_lost is
 //! constant, and the task is as stiff as at a goal that it reaches. The demand returns when the reference moves, or when the
@@ -25,6 +26,13 @@ use nalgebra::Vector6;
 
 /// Time without progress after which the task is brought to a standstill, s.
 const STALL_S: f64 = 0.7;
+
+/// Decrease of the error, relative to the error, that is progress of an arm whose motion fades, 1/s: what it could still
+/// gain is a few hundredths of the error.
+const MIN_PROGRESS_PER_S: f64 = 0.02;
+
+/// Speed of the joints below which the motion fades, relative to the highest one: an arm that limits slow down does not.
+const FADED: f64 = 0.05;
 
 /// Time over which the average demand and the average commanded acceleration are taken, s.
 const AVERAGE_S: f64 = 0.2;
@@ -86,8 +94,9 @@ pub(crate) struct Standstill {
     /// Smoothed size of the error, and its size at the last progress, m.
     size: f64,
     mark: f64,
-    /// Average norm of the joint velocities, rad/s.
+    /// Average norm of the joint velocities, and the highest one, rad/s.
     speed: f64,
+    fastest: f64,
     /// Time since the last progress, s.
     since_s: f64,
     /// Time since the standstill began; `None` if the task is not at a standstill.
@@ -111,6 +120,7 @@ impl Standstill {
             size: f64::INFINITY,
             mark: f64::INFINITY,
             speed: 0.0,
+            fastest: 0.0,
             since_s: 0.0,
             standing_s: None,
             share: 0.0,
@@ -127,6 +137,11 @@ impl Standstill {
     /// Share s of the lost demand that is taken off, from 0 to 1.
     pub(crate) fn share(&self) -> f64 {
         self.share
+    }
+
+    /// Returns true while the arm is braked and a_lost follows the demand.
+    pub(crate) fn is_braking(&self) -> bool {
+        self.standing_s.is_some_and(|standing_s| standing_s < BRAKING_S)
     }
 
     /// Returns true if part of the demand is taken off.
@@ -186,6 +201,9 @@ impl Standstill {
         self.size += (period_s / SMOOTHING_S).min(1.0) * (size - self.size);
         self.speed += (cycle.speed - self.speed) * average;
         self.since_s += period_s;
+        self.fastest = self.fastest.max(self.speed);
+        let fades = self.speed < FADED * self.fastest;
+        let least_m_per_s = least_m_per_s.max(if fades { MIN_PROGRESS_PER_S * self.mark } else { 0.0 });
         if self.size < self.mark - least_m_per_s * STALL_S {
             (self.mark, self.since_s) = (self.size, 0.0);
         }

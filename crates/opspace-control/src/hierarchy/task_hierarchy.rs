@@ -1,8 +1,10 @@
 //! The tasks of a robot in the order of their priority.
 
 use crate::controller::{ControlInput, StaleTarget};
+use crate::hierarchy::joint_standstill::JointStandstill;
 use crate::hierarchy::nullspace::Nullspace;
 use crate::hierarchy::priority_level::PriorityLevel;
+use crate::hierarchy::products::multiply;
 use crate::hierarchy::task_parameters::UNUSED_DAMPING_PER_S;
 use crate::qp::level_cost::Reducible;
 use crate::qp::lexicographic::Residual;
@@ -19,6 +21,8 @@ pub(crate) struct TaskHierarchy {
     pub levels: Vec<PriorityLevel>,
     pub joint: Option<Box<dyn JointTask>>,
     pub nullspace: Nullspace,
+    /// Standstill of the task of all joints.
+    pub joint_standstill: JointStandstill,
     /// Damping of the motion that the tasks leave, if there is no task of all joints (deceleration per velocity), 1/s.
     pub unused_damping_per_s: f64,
     /// Joint accelerations that limits took from the task of all joints (n).
@@ -38,6 +42,7 @@ impl TaskHierarchy {
             levels: Vec::new(),
             joint: None,
             nullspace: Nullspace::new(n, 0),
+            joint_standstill: JointStandstill::new(n),
             unused_damping_per_s: UNUSED_DAMPING_PER_S.get(),
             joint_slack: vec![0.0; n],
             joint_names: model.joints().iter().map(|joint| joint.name.clone()).collect(),
@@ -61,6 +66,28 @@ impl TaskHierarchy {
     pub(crate) fn leaves_freedom(&self, n: usize) -> bool {
         let rows: usize = self.levels.iter().map(|level| level.task.rows()).sum();
         rows < n || self.levels.iter().any(PriorityLevel::is_damped)
+    }
+
+    /// Restrains the joint accelerations `acceleration` (n) and the torques `torque` (n) of the task of all joints where the
+    /// tasks above cannot reach their goals, as otherwise they would draw the arm away from there: at a standstill, and
+    /// along damped directions. `scratch` (n) is overwritten.
+    pub(crate) fn restrain_joints(
+        &mut self,
+        data: &Data,
+        period_s: f64,
+        acceleration: &mut [f64],
+        torque: &mut [f64],
+        scratch: &mut [f64],
+    ) {
+        let standstills = self.levels.iter().map(|level| &level.standstill);
+        if self.joint_standstill.take(standstills, acceleration, period_s) {
+            multiply(&data.mass_matrix, acceleration, torque);
+        }
+        for level in &self.levels {
+            if level.is_damped() {
+                level.brake_damped(data, self.unused_damping_per_s, acceleration, torque, scratch);
+            }
+        }
     }
 
     /// Residual of the last level, given the joint accelerations `ddq` (n) that all levels demand. `velocity` (n) is

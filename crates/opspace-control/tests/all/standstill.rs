@@ -120,6 +120,23 @@ fn slow_arm_does_not_stop_before_its_goal() {
     assert!(left(&motion) < 1e-4, "{} m away", left(&motion));
 }
 
+/// An arm whose speed limits let it approach its goal by less than two hundredths of the distance per second arrives there.
+#[test]
+fn very_slow_arm_does_not_stop_before_its_goal() {
+    let model = ur10_like();
+    let limits = JointLimits { velocity: vec![0.008; 6], ..JointLimits::none(6) };
+    let reference = "point-to-point = { position = { offset_m = [-0.2, 0.1, 0.15] }, duration_s = 1.0 }";
+    let mut controller = controller(&model, limits, &task(reference, ""));
+    let (mut motion, mut tau) = (Motion::new(&model, &START), [0.0; 6]);
+    motion.period_s = 1e-2;
+    let goal = hand(&model, &START) + Vector3::new(-0.2, 0.1, 0.15);
+    while motion.time_s < 150.0 {
+        assert!(motion.cycle(&model, &mut controller, &mut tau));
+    }
+    let left = (hand(&model, &motion.q) - goal).norm();
+    assert!(left < 1e-4, "{left} m away");
+}
+
 /// An obstacle that is not in the model holds the hand 5 cm before its goal. It presses for six seconds with the force of
 /// its stiffness, and does not stand still.
 #[test]

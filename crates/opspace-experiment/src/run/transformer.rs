@@ -122,13 +122,14 @@ impl Experiment {
     }
 
     fn torque_observer(&self) -> TorqueObserver {
-        TorqueObserver::new(&TorqueObserverSetup {
+        let setup = TorqueObserverSetup {
             friction: self.whole_friction(),
             resolution_rad: self.robot.joints().iter().map(|j| j.rotor.resolution_rad()).collect(),
             period_s: self.profile.period_s(),
             delay_s: f64::from(self.profile.delay()) * self.profile.servo_period_s(),
             gravity_compensated_by: self.gravity_compensated_by(),
-        })
+        };
+        TorqueObserver::new(&setup, &self.robot.model)
     }
 
     /// Modelled friction of the joints, all of it, at the motion that they have and not at that of the references.

@@ -2,7 +2,9 @@
 
 use nalgebra::{DMatrix, DVector, Matrix6xX, Rotation3, UnitQuaternion, Vector3, Vector6};
 use opspace_backend::CommandKind;
+use opspace_control::CollisionLimits;
 use opspace_experiment::{Experiment, Files, RunOptions, TaskDefinition};
+use opspace_model::collision::{CollisionData, collision_distances, distance_gradient};
 use opspace_model::{Data, Model, frame_jacobian, update};
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -58,6 +60,7 @@ pub struct Kind {
 
 /// A case with its goals, relative to the start pose.
 pub struct Case {
+    pub number: usize,
     pub kind: Kind,
     arm: Arm,
     pub model: Model,
@@ -106,7 +109,7 @@ impl Case {
         let unreachable = search.unreachable(&start, &mut random);
         let rotors: Vec<f64> = robot.joints().iter().map(|joint| joint.rotor.inertia_kg_m2.get()).collect();
         let (task, settings) = text(&kind, &arm, &model, &start, &rotors);
-        Self { kind, arm, model, start, unreachable, reachable, task, settings }
+        Self { number, kind, arm, model, start, unreachable, reachable, task, settings }
     }
 
     /// Experiment whose goal is beyond reach, or within reach.
@@ -150,18 +153,48 @@ impl Case {
     }
 
     /// Error of the task at a posture with the unreachable goal, and the least error that a local descent from there
-    /// finds, m.
-    pub fn residual(&self, q: &[f64]) -> (f64, f64) {
+    /// finds that keeps the distances of `collision` or those at `q`, m.
+    pub fn residual(&self, q: &[f64], collision: Option<&CollisionLimits>) -> (f64, f64) {
         let axes = self.arm.axes[usize::from(self.kind.pose)];
         let mut search = Search::new(&self.model, self.arm.frame, axes, self.arm.reach_m);
         let target = search.target(&self.start, self.unreachable);
         let own = search.error(q, &target).norm();
+        search.collision = collision.map(Kept::new);
         (own, search.descend(q.to_vec(), &target).1)
     }
 }
 
+/// Distances that a search keeps.
+struct Kept<'a> {
+    limits: &'a CollisionLimits,
+    data: CollisionData,
+}
+
+impl<'a> Kept<'a> {
+    fn new(limits: &'a CollisionLimits) -> Self {
+        Self { limits, data: CollisionData::new(&limits.geometry) }
+    }
+
+    /// Pairs closer than the margin in the state of `data`: by how much (m), and the gradient of the distance.
+    fn violated(&mut self, model: &Model, data: &Data) -> Vec<(f64, DVector<f64>)> {
+        let Self { limits, data: distances } = self;
+        let margin_m = limits.margin_m;
+        collision_distances(&limits.geometry, model, data, margin_m, distances);
+        let pairs = distances.near().map(|(pair, proximity)| {
+            let mut gradient = DVector::zeros(model.n());
+            distance_gradient(&limits.geometry, model, data, pair, proximity, gradient.as_mut_slice());
+            (margin_m - proximity.distance_m, gradient)
+        });
+        pairs.collect()
+    }
+}
+
+/// Weight of the distances that a search keeps, relative to the error of the task.
+const KEPT: f64 = 30.0;
+
 /// Search for postures at a goal, within the position limits.
 struct Search<'a> {
+    collision: Option<Kept<'a>>,
     model: &'a Model,
     data: Data,
     frame: opspace_model::FrameId,
@@ -173,6 +206,7 @@ impl<'a> Search<'a> {
     fn new(model: &'a Model, frame: &str, axes: &[&str], length_m: f64) -> Self {
         let all = ["x", "y", "z", "rx", "ry", "rz"];
         Self {
+            collision: None,
             model,
             data: Data::new(model),
             frame: model.frame_id(frame).expect("a frame"),
@@ -223,20 +257,36 @@ impl<'a> Search<'a> {
         error
     }
 
+    /// Error and kept distances at a posture: the error of the rows, then by how much each pair is too close, weighted;
+    /// with the derivatives (one row each).
+    fn residuals(&mut self, q: &[f64], target: &Goal) -> (DVector<f64>, DMatrix<f64>) {
+        let (n, error) = (q.len(), self.error(q, target));
+        let mut jacobian = Matrix6xX::zeros(n);
+        frame_jacobian(self.model, &self.data, self.frame, &mut jacobian);
+        let violated =
+            self.collision.as_mut().map(|kept| kept.violated(self.model, &self.data)).unwrap_or_default();
+        let count = self.rows.len();
+        let mut values = DVector::zeros(count + violated.len());
+        let mut rows = DMatrix::zeros(values.len(), n);
+        for (r, &row) in self.rows.iter().enumerate() {
+            values[r] = error[r];
+            rows.row_mut(r).copy_from(&(jacobian.row(row) * if row < 3 { 1.0 } else { self.length_m }));
+        }
+        for (k, (depth, gradient)) in violated.iter().enumerate() {
+            values[count + k] = KEPT * depth;
+            rows.row_mut(count + k).copy_from(&(gradient.transpose() * KEPT));
+        }
+        (values, rows)
+    }
+
     /// Levenberg-Marquardt steps with clamped joints; returns the posture and the norm of its error.
     fn descend(&mut self, mut q: Vec<f64>, target: &Goal) -> (Vec<f64>, f64) {
         let n = q.len();
-        let mut jacobian = Matrix6xX::zeros(n);
-        let mut best = self.error(&q, target).norm();
+        let (mut values, mut rows) = self.residuals(&q, target);
+        let mut best = values.norm();
         let mut damping = 1e-3;
         for _ in 0..300 {
-            let error = self.error(&q, target);
-            frame_jacobian(self.model, &self.data, self.frame, &mut jacobian);
-            let rows = DMatrix::from_fn(self.rows.len(), n, |r, c| {
-                let row = self.rows[r];
-                jacobian[(row, c)] * if row < 3 { 1.0 } else { self.length_m }
-            });
-            let gradient = rows.transpose() * error.rows(0, self.rows.len());
+            let gradient = rows.transpose() * &values;
             let held: Vec<bool> = (0..n)
                 .map(|i| {
                     let (lower, upper) = self.range(i);
@@ -244,7 +294,7 @@ impl<'a> Search<'a> {
                 })
                 .collect();
             let free = DMatrix::from_fn(rows.nrows(), n, |r, c| if held[c] { 0.0 } else { rows[(r, c)] });
-            let right: DVector<f64> = free.transpose() * error.rows(0, self.rows.len());
+            let right: DVector<f64> = free.transpose() * &values;
             let normal = free.transpose() * &free + DMatrix::identity(n, n) * damping;
             let step = normal.cholesky().expect("positive definite").solve(&right);
             let next: Vec<f64> = (0..n)
@@ -253,10 +303,12 @@ impl<'a> Search<'a> {
                     (q[i] + step[i].clamp(-0.3, 0.3)).clamp(lower, upper)
                 })
                 .collect();
-            let reached = self.error(&next, target).norm();
+            let there = self.residuals(&next, target);
+            let reached = there.0.norm();
             if reached < best {
                 let small = best - reached < 1e-12;
                 (q, best, damping) = (next, reached, (damping * 0.3).max(1e-9));
+                (values, rows) = there;
                 if small {
                     break;
                 }
@@ -267,7 +319,8 @@ impl<'a> Search<'a> {
                 }
             }
         }
-        (q, best)
+        let error = self.error(&q, target).norm();
+        (q, error)
     }
 
     /// Offset of a goal that is reached by a posture near the start.

@@ -1,10 +1,10 @@
 //! Motion of arms at goals that they cannot reach, after they had time to come to rest.
 //!
 //! ```text
-//! cargo run --release -p opspace-testing --example rest -- [CASES [SEED [ALLOWED]]]
+//! cargo run --release -p opspace-testing --example rest -- [CASES [SEED [ALLOWED [CASE ...]]]]
 //! ```
 //!
-//! (the seed is drawn and printed if it is absent) prints a line per case: true speed and mean torque rate at the end at an unreachable goal, the remaining error with
+//! (the seed is drawn and printed if it is absent; with numbers of cases, only these run) prints a line per case: true speed and mean torque rate at the end at an unreachable goal, the remaining error with
 //! what a descent from there still gains, and speed and torque rate of the same arm at a reachable goal. A case counts
 //! as restless if its speed is above 1e-3 rad/s and above twice that at the reachable goal, or likewise for the torque
 //! rate and 1 % of the torque limit per second. If more than ALLOWED cases are restless, or one stops with a fault, the
@@ -25,15 +25,12 @@ use std::time::{SystemTime, UNIX_EPOCH};
 /// A case by its number, and its outcomes at an unreachable and a reachable goal.
 type Line = (usize, String, Outcome, Outcome);
 
-fn outcomes(cases: usize, seed: u64) -> Vec<Line> {
+fn outcomes(cases: &[usize], seed: u64) -> Vec<Line> {
     let next = AtomicUsize::new(0);
     let work = || {
         let mut found = Vec::new();
         loop {
-            let number = next.fetch_add(1, Ordering::Relaxed);
-            if number >= cases {
-                return found;
-            }
+            let Some(&number) = cases.get(next.fetch_add(1, Ordering::Relaxed)) else { return found };
             let case = Case::new(number, seed);
             found.push((number, case.describe(), Outcome::of(&case, false), Outcome::of(&case, true)));
         }
@@ -55,7 +52,9 @@ fn main() -> ExitCode {
     });
     let allowed = arguments.next().map_or(cases, |allowed| allowed as usize);
     println!("seed {seed}");
-    let lines = outcomes(cases, seed);
+    let chosen: Vec<usize> = arguments.map(|number| number as usize).collect();
+    let all: Vec<usize> = (0..cases).collect();
+    let lines = outcomes(if chosen.is_empty() { &all } else { &chosen }, seed);
     let (mut restless, mut faults) = (0, 0);
     for (number, name, far, near) in &lines {
         let rests = far.rests(near);

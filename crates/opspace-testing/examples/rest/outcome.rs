@@ -25,6 +25,10 @@ impl Outcome {
     pub fn of(case: &Case, reachable: bool) -> Self {
         let experiment = case.experiment(reachable);
         let finished = experiment.run(Cursor::new(Vec::new()), &Progress::default()).expect("a run");
+        if let (Ok(folder), false) = (std::env::var("REST_LOG"), reachable) {
+            std::fs::write(format!("{folder}/{}.mcap", case.number), finished.sink.get_ref())
+                .expect("written");
+        }
         let log = Recording::from_bytes(finished.sink.get_ref()).expect("a log");
         let truth = log.channel("truth").expect("the true state");
         let tick = log.tick().expect("rows");
@@ -45,7 +49,8 @@ impl Outcome {
         let q = truth.signal(Q).expect("true positions");
         let end = q.row(q.len() - 1).to_vec();
         let fault = finished.record.fault.clone();
-        let residual = if reachable { (0.0, 0.0) } else { case.residual(&end) };
+        let collision = experiment.kept_distances().map(|kept| &kept.limits);
+        let residual = if reachable { (0.0, 0.0) } else { case.residual(&end, collision) };
         Self { speed, torque_rate, fault, residual }
     }
 

@@ -4,8 +4,8 @@ use nalgebra::{Matrix3, Rotation3, Vector3};
 use opspace_backend::{Capabilities, CommandKind, GravityCompensation, Sample};
 use opspace_model::{Data, Inertia, Joint, JointKind, Limits, Model, Placement, aba, kinematics, update};
 use opspace_transformer::{
-    EstimatorParameters, FrictionCompensation, TorqueObserver, TorqueObserverSetup, Transformer,
-    VelocityEstimator,
+    EstimatorParameters, FrictionCompensation, FrictionCompensationParameters, FrictionParameters,
+    TorqueObserver, TorqueObserverSetup, Transformer, VelocityEstimator,
 };
 use std::f64::consts::TAU;
 
@@ -35,13 +35,14 @@ fn double_pendulum() -> Model {
 }
 
 fn observer(model: &Model, delay_s: f64) -> TorqueObserver {
-    TorqueObserver::new(&TorqueObserverSetup {
+    let setup = TorqueObserverSetup {
         friction: FrictionCompensation::none(model.n()),
         resolution_rad: vec![RESOLUTION_RAD; model.n()],
         period_s: PERIOD_S,
         delay_s,
         gravity_compensated_by: GravityCompensation::Controller,
-    })
+    };
+    TorqueObserver::new(&setup, model)
 }
 
 /// Commanded torques at a cycle, Nm.
@@ -151,4 +152,39 @@ fn observer_begins_with_a_command() {
     observer.sent(&data, held.as_slice());
     let resting = observer.observe(&sample).expect("an estimate").to_vec();
     assert!(resting.iter().all(|dq| dq.abs() < 1e-6), "{resting:?}");
+}
+
+/// Friction that stops a joint within less than half a period does not make the estimate oscillate. Compared: estimates of
+/// a joint that its static friction holds, under a constant torque, with that friction as a velocity. With the friction at
+/// the beginning of each period, the estimate alternated.
+#[test]
+fn strong_friction_is_no_oscillation() {
+    let model = double_pendulum();
+    let joint = "coulomb_nm = 4.0\nstatic_nm = 4.0\nviscous_nms_per_rad = 2000.0\n";
+    let friction: FrictionParameters = toml::from_str(joint).expect("friction");
+    let whole: FrictionCompensationParameters =
+        toml::from_str("gain = 1.0\nfollows = \"velocity\"").expect("compensation");
+    let setup = TorqueObserverSetup {
+        friction: FrictionCompensation::new([&friction, &friction].into_iter(), &whole),
+        resolution_rad: vec![RESOLUTION_RAD; 2],
+        period_s: PERIOD_S,
+        delay_s: 0.0,
+        gravity_compensated_by: GravityCompensation::Controller,
+    };
+    let mut observer = TorqueObserver::new(&setup, &model);
+    let mut data = Data::new(&model);
+    assert!(update(&model, &mut data, &[0.0; 2], &[0.0; 2]));
+    assert!(2000.0 * PERIOD_S > 2.0 * data.mass_matrix[(1, 1)], "the friction is strong");
+    let capabilities = Capabilities::new(["first", "second"], CommandKind::Torque, PERIOD_S);
+    let sample = Sample::new(&capabilities);
+    let pushed = [data.gravity[0], data.gravity[1] + 1.0];
+    let mut before = None;
+    for cycle in 0..200 {
+        if let Some(dq) = observer.observe(&sample) {
+            let step = (dq[1] - before.unwrap_or(dq[1])).abs();
+            assert!(cycle < 100 || step < 1e-5, "cycle {cycle}: a step of {step} rad/s");
+            before = Some(dq[1]);
+        }
+        observer.sent(&data, &pushed);
+    }
 }
