@@ -163,7 +163,12 @@ The new robot.toml lists every required value as a comment with its meaning; no 
 `opspace check DIR` lists all missing values. The folder also contains a first task, first-task.toml: the tip moves some \
 centimetres and returns.
 
-Example: opspace new left-arm --urdf robot.urdf --from torso --to left_gripper --assume")]
+A template has the values of a common arm, each with its source; joints that it does not have, those of a gripper for example, \
+are locked. `opspace new --like` lists the templates.
+
+Examples:
+  opspace new my-ur5 --urdf ur5.urdf --like ur5
+  opspace new left-arm --urdf robot.urdf --from torso --to left_gripper --assume")]
     New(NewArgs),
 
     /// Print the JSON Schema of a kind of file, for editors.
@@ -523,11 +528,17 @@ pub struct ModelArgs {
 #[derive(Debug, Args)]
 pub struct NewArgs {
     /// The folder to create.
-    pub dir: PathBuf,
+    #[arg(required_unless_present = "like", requires = "urdf")]
+    pub dir: Option<PathBuf>,
 
     /// The robot's URDF; it is copied into the folder.
-    #[arg(long, value_name = "FILE")]
-    pub urdf: PathBuf,
+    #[arg(long, value_name = "FILE", requires = "dir")]
+    pub urdf: Option<PathBuf>,
+
+    /// Fill in the values of a common arm, each with its source: the robot can be simulated at once. Without a name, list the
+    /// templates.
+    #[arg(long, value_name = "ARM", num_args = 0..=1, conflicts_with = "assume")]
+    pub like: Option<Option<String>>,
 
     /// Fill in assumed values of the drives, computed from the URDF and marked as assumed: the robot can be simulated at once.
     #[arg(long)]

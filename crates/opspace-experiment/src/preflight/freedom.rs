@@ -2,6 +2,7 @@
 
 use super::case::PreflightCase;
 use super::diagnostic::{Diagnostic, short};
+use crate::codes::Code;
 use crate::evaluate::direction::direction;
 use nalgebra::{DMatrix, Matrix6xX, SymmetricEigen, Vector6};
 use opspace_control::SingularEscape;
@@ -36,7 +37,7 @@ pub(crate) fn uncontrolled(case: &PreflightCase<'_>) -> Option<Diagnostic> {
             0 => vec!["priority".to_owned()],
             event => vec!["event".to_owned(), (event - 1).to_string(), "set".to_owned()],
         };
-        Some(Diagnostic::new(&key, message, help.to_owned()))
+        Some(Diagnostic::new(Code::UncontrolledFreedom, &key, message, help.to_owned()))
     })
 }
 
@@ -120,7 +121,7 @@ pub(crate) fn singular_start(case: &PreflightCase<'_>) -> Vec<Diagnostic> {
                 "; or set {key} = \"nullspace-step\": the arm then leaves by motion in the null space"
             );
         }
-        Diagnostic::new(&["start_rad"], message, help)
+        Diagnostic::new(Code::SingularStart, &["start_rad"], message, help)
     })
     .collect()
 }
