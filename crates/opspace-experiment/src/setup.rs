@@ -6,4 +6,4 @@ pub mod first_motion;
 pub mod first_task;
 pub mod new_robot;
 pub mod robot_template;
-mod tip;
+pub mod tip;

@@ -28,7 +28,8 @@ pub fn new(args: &NewArgs, console: Console) -> Outcome {
 fn list_templates() -> Outcome {
     let mut text = String::new();
     for template in ArmTemplate::all()? {
-        text += &format!("{:<10} {}, joints: {}\n", template.name, template.about, template.joints.join(", "));
+        text +=
+            &format!("{:<10} {}, joints: {}\n", template.name, template.about, template.joints.join(", "));
     }
     print(&text)?;
     Ok(Exit::Done)
@@ -51,9 +52,12 @@ fn create(
     };
     let NewFiles { robot_toml, task_toml, motion, warnings, command, locked, .. } =
         new_files(&source, &urdf, part, values)?;
-    warnings.iter().for_each(|w| console.note(&format!("{}: {w}", source.name())));
+    warnings.iter().for_each(|w| console.note(&format!("{}: {w} [{}]", source.name(), w.kind().code())));
     if !locked.is_empty() {
-        console.note(&format!("locked, since the template has no values of these joints: {}", locked.join(", ")));
+        console.note(&format!(
+            "locked, since the template has no values of these joints: {}",
+            locked.join(", ")
+        ));
     }
     if robot.exists() {
         let text = format!("{}: already exists; choose another folder", robot.display());
@@ -81,7 +85,10 @@ fn create(
     let (task, dir) = (task.display(), dir.display());
     let fill = match command {
         Some(_) => format!("Values marked [A] in {} are assumed: results rest on them.\n", robot.display()),
-        None => format!("Write the missing values into {}; `opspace check {dir}` lists them all.\n", robot.display()),
+        None => format!(
+            "Write the missing values into {}; `opspace check {dir}` lists them all.\n",
+            robot.display()
+        ),
     };
     let command = command.unwrap_or(CommandKind::Position).name();
     let name = robot.parent().and_then(|dir| dir.file_name()).unwrap_or_default().to_string_lossy();

@@ -3,7 +3,9 @@
 use crate::codes::Code;
 use crate::files::source::{FileError, Source};
 use crate::files::suggest::choices;
-use opspace_model::{Limits, Model, ParsedUrdf, UrdfError, UrdfErrorKind, UrdfJoint, UrdfOptions, urdf_joints};
+use opspace_model::{
+    Limits, Model, ParsedUrdf, UrdfError, UrdfErrorKind, UrdfJoint, UrdfOptions, urdf_joints,
+};
 #[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::Deserialize;

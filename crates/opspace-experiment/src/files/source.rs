@@ -13,7 +13,7 @@ use std::sync::Arc;
 use serde::de::DeserializeOwned;
 use toml::de::{DeTable, DeValue};
 
-use crate::codes::Code;
+use crate::codes::{Code, Effect};
 use crate::files::explain::{list, syntax_words, words};
 use crate::files::layered_path::stated_path;
 use crate::files::suggest::nearest;
@@ -113,8 +113,10 @@ impl Source {
 ///
 /// Displays as one line, `tasks/reach.toml:7: unknown key ...`, with the code of its kind, if it has one, at the end. Use [`excerpt`](Self::excerpt) to show and underline
 /// the text, and [`help`](Self::help) for the suggested correction.
+#[derive(Clone)]
 pub struct FileError(Box<Inner>);
 
+#[derive(Clone)]
 struct Inner {
     path: String,
     text: Arc<str>,
@@ -145,6 +147,18 @@ impl FileError {
     pub fn coded(mut self, code: Code) -> Self {
         self.0.code = Some(code);
         self
+    }
+
+    /// Returns the error as a refusal of this kind; the help says whether it can be allowed.
+    #[must_use]
+    pub fn refused(mut self, code: Code) -> Self {
+        let note = match code.effect() {
+            Effect::Refused => Some(format!("--allow {code} runs it nevertheless; results carry a warning")),
+            Effect::Never(reason) => Some(format!("this cannot be allowed: {reason}")),
+            Effect::Reported => None,
+        };
+        self.0.help = join(self.0.help.take(), note);
+        self.coded(code)
     }
 
     /// Creates an error at a line (from 1) of a text that is not TOML, or about the whole text if `line` is `None`.

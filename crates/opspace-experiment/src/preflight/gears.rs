@@ -92,7 +92,10 @@ impl GearMargin {
             }
         };
         let profile = experiment.profile().0;
-        Some(Diagnostic::new(Code::GearOscillation, &["profile", profile, "transformer"], message, help).of_robot())
+        Some(
+            Diagnostic::new(Code::GearOscillation, &["profile", profile, "transformer"], message, help)
+                .of_robot(),
+        )
     }
 }
 

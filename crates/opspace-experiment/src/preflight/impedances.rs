@@ -116,6 +116,9 @@ impl JointImpedance {
         );
         let help = "use 'extrapolation' or 'extrapolation+current'".to_owned();
         let profile = experiment.profile().0;
-        Some(Diagnostic::new(Code::ActiveImpedance, &["profile", profile, "transformer"], message, help).of_robot())
+        Some(
+            Diagnostic::new(Code::ActiveImpedance, &["profile", profile, "transformer"], message, help)
+                .of_robot(),
+        )
     }
 }

@@ -106,7 +106,10 @@ fn weight(case: &PreflightCase<'_>, joint: usize, gravity: f64, time_s: Option<f
     }
     let help = "choose a posture with less gravity torque on this joint, or check the limit and the masses"
         .to_owned();
-    Some(Diagnostic::new(Code::WeightAboveLimit, &["joint", name, "torque_limit_nm"], message, help).of_robot())
+    Some(
+        Diagnostic::new(Code::WeightAboveLimit, &["joint", name, "torque_limit_nm"], message, help)
+            .of_robot(),
+    )
 }
 
 /// Finds an acceleration limit so low that braking from the velocity limit requires more than the joint range.
@@ -130,8 +133,13 @@ fn braking(case: &PreflightCase<'_>, joint: usize) -> Option<Diagnostic> {
     let least = short(limits.velocity * limits.velocity / (2.0 * width));
     let help = format!("give it in rad/s² (m/s²); at least {least} lets the joint reach its velocity limit");
     Some(
-        Diagnostic::new(Code::UnreachableSpeed, &["joint", case.joint(joint), "acceleration_limit_rad_per_s2"], message, help)
-            .of_robot(),
+        Diagnostic::new(
+            Code::UnreachableSpeed,
+            &["joint", case.joint(joint), "acceleration_limit_rad_per_s2"],
+            message,
+            help,
+        )
+        .of_robot(),
     )
 }
 
@@ -260,8 +268,13 @@ fn torque_rate(case: &PreflightCase<'_>, followed: &Rollout, joint: usize) -> Op
         short(change(fastest) / rate)
     );
     Some(
-        Diagnostic::new(Code::WeightAboveRate, &["joint", case.joint(joint), "torque_rate_limit_nm_per_s"], message, help)
-            .of_robot(),
+        Diagnostic::new(
+            Code::WeightAboveRate,
+            &["joint", case.joint(joint), "torque_rate_limit_nm_per_s"],
+            message,
+            help,
+        )
+        .of_robot(),
     )
 }
 

@@ -182,6 +182,9 @@ impl GainMargin {
         let help = format!(
             "{current}{relief}, or raise the nominal gains: overestimated gains only make the response slower",
         );
-        Some(Diagnostic::new(Code::SmallGainMargin, &["profile", profile, "transformer"], message, help).of_robot())
+        Some(
+            Diagnostic::new(Code::SmallGainMargin, &["profile", profile, "transformer"], message, help)
+                .of_robot(),
+        )
     }
 }

@@ -48,7 +48,12 @@ fn settling(case: &PreflightCase<'_>) -> Option<Diagnostic> {
         short(settle_s),
         short(ramp_s)
     );
-    Some(Diagnostic::new(Code::EarlyStatistics, &["settle_s"], message, format!("settle_s = {}", short(ramp_s))))
+    Some(Diagnostic::new(
+        Code::EarlyStatistics,
+        &["settle_s"],
+        message,
+        format!("settle_s = {}", short(ramp_s)),
+    ))
 }
 
 /// Finds references that still move at the end of the run.

@@ -104,5 +104,8 @@ pub(crate) fn feed_forward_impulses(experiment: &Experiment) -> Option<Diagnosti
     let help = "let the drives interpolate (setpoints = \"interpolated\"), or set velocity_feed_forward = 0 in drives and \
                 file"
         .to_owned();
-    Some(Diagnostic::new(Code::FeedForwardImpulse, &["profile", profile_name, "servo", joint], message, help).of_robot())
+    Some(
+        Diagnostic::new(Code::FeedForwardImpulse, &["profile", profile_name, "servo", joint], message, help)
+            .of_robot(),
+    )
 }

@@ -100,9 +100,9 @@ impl ArmTemplate {
             velocity_filter_hz,
             assumed,
         } = parse::<Head>(&source)?.template;
-        let mut values: DocumentMut = text
-            .parse()
-            .map_err(|error: toml_edit::TomlError| FileError::of_file(source.name(), error.to_string(), None))?;
+        let mut values: DocumentMut = text.parse().map_err(|error: toml_edit::TomlError| {
+            FileError::of_file(source.name(), error.to_string(), None)
+        })?;
         values.remove("template");
         Ok(Self {
             name,
@@ -137,7 +137,10 @@ impl ArmTemplate {
                 chain.len(),
                 names().collect::<Vec<_>>().join(", ")
             );
-            return wrong(message, "choose the arm by --from LINK and --to LINK, or use --assume for another arm");
+            return wrong(
+                message,
+                "choose the arm by --from LINK and --to LINK, or use --assume for another arm",
+            );
         }
         if let Some(&slides) = chain.iter().find(|body| model.bodies()[**body].kind == JointKind::Prismatic) {
             let message = format!(
@@ -221,7 +224,8 @@ impl ArmTemplate {
             let _ = write!(text, ".\n[profile.{profile}.velocity_servo]\n");
             for (joint, kv) in joints.iter().zip(kv) {
                 let name = Key::new(joint);
-                let _ = writeln!(text, "{name} = {{ kv_nms_per_rad = {kv:?}, velocity_filter_hz = {filter:?} }}");
+                let _ =
+                    writeln!(text, "{name} = {{ kv_nms_per_rad = {kv:?}, velocity_filter_hz = {filter:?} }}");
             }
             return text;
         }

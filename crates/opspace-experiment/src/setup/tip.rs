@@ -6,7 +6,8 @@ use opspace_model::{FrameId, Model};
 const LEAST_ARM_JOINTS: usize = 3;
 
 /// Returns the frame at the end of the longest chain of joints, without the fingers of a hand; `None` if nothing moves.
-pub(super) fn tip(model: &Model) -> Option<FrameId> {
+#[must_use]
+pub fn tip(model: &Model) -> Option<FrameId> {
     let parents: Vec<Option<usize>> = model.bodies().iter().map(|body| body.parent).collect();
     let chain = |leaf: usize| -> Vec<usize> {
         let mut bodies: Vec<usize> = std::iter::successors(Some(leaf), |&body| parents[body]).collect();
