@@ -83,7 +83,7 @@ fn codes_that_refuse_nothing_or_falsify_cannot_be_allowed() {
         ("singular-start", "'singular-start' is only reported: it refuses no run"),
         ("massless-link", "'massless-link' cannot be allowed: it falsifies masses and torques"),
         ("comparison-only", "can damage a real robot"),
-        ("gears-too-hig", "did you mean 'gears-too-high'?"),
+        ("gains-to-high", "did you mean 'gains-too-high'?"),
     ] {
         for command in ["run", "check"] {
             opspace(folder.path(), &[command, "circle.toml", "--allow", code]).exits(2).says(&[words]);

@@ -99,7 +99,7 @@ fn posture_is_that_of_the_first_task_or_named() {
     opspace(folder.path(), &["new", "mine", "--urdf", &urdf, "--assume"]).exits(0);
     let text = opspace(folder.path(), &["model", "mine"]).exits(0).stdout;
     assert!(text.contains("posture: start of mine/first-task.toml"), "{text}");
-    for words in ["effective mass", "condition of the Jacobian", "of limit", "roll"] {
+    for words in ["effective mass", "condition of the Jacobian", "weight", "roll"] {
         assert!(text.contains(words), "{words} in {text}");
     }
     let task = folder.path().join("mine/first-task.toml");

@@ -3,7 +3,7 @@
 //! A code names a kind of problem and remains the same when its text changes. A mistake in a file, an unknown key for example,
 //! has none: its message says all. The pages are in `codes.md`, one section for each code.
 
-use crate::files::suggest::choices;
+use crate::files::suggest::nearest;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::str::FromStr;
@@ -160,8 +160,9 @@ impl FromStr for Code {
     fn from_str(name: &str) -> Result<Self, String> {
         let found = Self::ALL.iter().find(|code| code.name() == name);
         found.copied().ok_or_else(|| {
-            let help = choices(name, Self::ALL.iter().map(|code| code.name()));
-            format!("there is no code '{name}': {help}")
+            let near = nearest(name, Self::ALL.iter().map(|code| code.name()));
+            let near = near.map_or_else(String::new, |near| format!(": did you mean '{near}'?"));
+            format!("there is no code '{name}'{near}; `opspace explain` lists all codes")
         })
     }
 }

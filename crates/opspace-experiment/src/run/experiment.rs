@@ -515,6 +515,7 @@ impl Experiment {
             friction_observer: friction.observer_rad_per_s.map(|corner_rad_per_s| {
                 FrictionObserver::new(joints.len(), corner_rad_per_s, friction.observer_limit_nm)
             }),
+            unsensed_contact: self.options.allow.contains(&Code::FrictionObserverWithoutSensor),
             command_delay_s: f64::from(self.profile.delay()) * self.profile.servo_period_s(),
             friction: FrictionCompensation::new(joints.iter().map(|j| &j.friction), friction),
             torque_limits: self.robot.torque_limits(),

@@ -27,7 +27,7 @@ pub fn tip(model: &Model) -> Option<FrameId> {
 fn last_frame(model: &Model, body: usize) -> Option<FrameId> {
     let frames =
         || model.frames().iter().filter(|frame| frame.body == Some(body)).map(|frame| frame.name.as_str());
-    let named = ["tool0", "tcp", "tool", "tip", "ee_link"];
+    let named = ["tool0", "tcp", "end_effector", "ee_link", "eef", "tool", "tip"];
     let name =
         named.iter().find_map(|word| frames().find(|name| name.contains(word))).or(frames().next_back())?;
     model.frame_id(name).ok()
