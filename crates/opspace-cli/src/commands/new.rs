@@ -50,13 +50,13 @@ fn create(
         (None, true) => DriveValues::Assumed,
         (None, false) => DriveValues::Missing,
     };
-    let NewFiles { robot_toml, task_toml, motion, warnings, command, locked, .. } =
+    let NewFiles { robot_toml, task_toml, motion, warnings, command, unmatched_joints, .. } =
         new_files(&source, &urdf, part, values)?;
     warnings.iter().for_each(|w| console.note(&format!("{}: {w} [{}]", source.name(), w.kind().code())));
-    if !locked.is_empty() {
+    if !unmatched_joints.is_empty() {
         console.note(&format!(
             "locked, since the template has no values of these joints: {}",
-            locked.join(", ")
+            unmatched_joints.join(", ")
         ));
     }
     if robot.exists() {

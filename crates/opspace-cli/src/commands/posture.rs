@@ -23,7 +23,7 @@ const AXES: [&str; 6] = ["x", "y", "z", "rx", "ry", "rz"];
 pub struct Posture {
     /// Positions (nq; rad or m).
     q: Vec<f64>,
-    /// Where the positions come from.
+    /// Source of the positions, in words.
     source: String,
     report: PostureReport,
     /// Torque limits (n; Nm or N); infinite where there are none.

@@ -75,7 +75,7 @@ pub(crate) fn drifting(case: &PreflightCase<'_>) -> Vec<Diagnostic> {
                 _ => format!("impedance = {{ stiffness_nm_per_rad = {{ {} = 10.0, ... }} }}", axes[0]),
             };
             let help = format!(
-                "for an axis that gives way and comes back, use \"motion\" with a spring: {spring}; for a hand that is led, nothing"
+                "for an axis that yields and comes back, use \"motion\" with a spring: {spring}; for a hand that is led, nothing"
             );
             let kind = stack.task.get(motion.name).map_or("", TaskParameters::kind);
             let key = case.key(number, motion.name, &[kind, "axes"]);

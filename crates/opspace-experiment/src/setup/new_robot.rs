@@ -47,7 +47,7 @@ pub struct NewFiles {
     /// Commands that the robot accepts according to robot.toml; `None` if it does not say so yet.
     pub command: Option<CommandKind>,
     /// Joints that do not move, because the template has no values of them.
-    pub locked: Vec<String>,
+    pub unmatched_joints: Vec<String>,
     /// Warnings about the URDF.
     pub warnings: Vec<UrdfWarning>,
 }
@@ -58,7 +58,7 @@ struct Loaded<'a> {
     urdf_name: &'a str,
     used: Option<UsedPart>,
     /// Joints that are locked, each at a position (rad, m).
-    locked: BTreeMap<String, f64>,
+    locked_joints: BTreeMap<String, f64>,
     enforce_mimic: bool,
     parsed: ParsedUrdf,
 }
@@ -98,7 +98,7 @@ fn load<'a>(urdf: &'a Source, urdf_name: &'a str, part: Part<'_>) -> Result<Load
     if parsed.model.n() == 0 {
         return Err(FileError::of_file(urdf.name(), "the robot has no joints that can move", None));
     }
-    Ok(Loaded { urdf, urdf_name, used, locked, enforce_mimic, parsed })
+    Ok(Loaded { urdf, urdf_name, used, locked_joints: locked, enforce_mimic, parsed })
 }
 
 /// Returns a first motion; `torque_limits` (n; Nm, N) are infinite where they are unknown.
@@ -126,7 +126,7 @@ fn computed(loaded: Loaded<'_>, assume: bool) -> Result<NewFiles, FileError> {
     }
     let motion = motion_of(&loaded, &limited, &limits)?;
     let stated = urdf_values(model, dynamics);
-    let locked: Vec<(String, f64)> = loaded.locked.clone().into_iter().collect();
+    let locked: Vec<(String, f64)> = loaded.locked_joints.clone().into_iter().collect();
     let robot = NewRobot {
         urdf: loaded.urdf_name,
         used: loaded.used.as_ref(),
@@ -144,7 +144,7 @@ fn computed(loaded: Loaded<'_>, assume: bool) -> Result<NewFiles, FileError> {
         task_toml: first_task_toml(model, &motion),
         motion: description(&motion),
         command: assume.then_some(CommandKind::Position),
-        locked: Vec::new(),
+        unmatched_joints: Vec::new(),
         warnings: loaded.parsed.warnings,
     })
 }
@@ -156,10 +156,10 @@ fn like_template(mut loaded: Loaded<'_>, template: &ArmTemplate) -> Result<NewFi
     let mut others = Vec::new();
     for joint in loaded.parsed.model.joints().iter().filter(|joint| !joints.contains(&joint.name)) {
         let at = 0.0_f64.clamp(joint.limits.lower, joint.limits.upper);
-        loaded.locked.insert(joint.name.clone(), at);
+        loaded.locked_joints.insert(joint.name.clone(), at);
         others.push(joint.name.clone());
     }
-    let locked: Vec<(String, f64)> = loaded.locked.clone().into_iter().collect();
+    let locked: Vec<(String, f64)> = loaded.locked_joints.clone().into_iter().collect();
     let head = NewRobot {
         urdf: loaded.urdf_name,
         used: loaded.used.as_ref(),
@@ -184,7 +184,7 @@ fn like_template(mut loaded: Loaded<'_>, template: &ArmTemplate) -> Result<NewFi
         task_toml: first_task_toml(&robot.model, &motion),
         motion: description(&motion),
         command: Some(robot.file.interface.command),
-        locked: others,
+        unmatched_joints: others,
         warnings: robot.warnings,
     })
 }

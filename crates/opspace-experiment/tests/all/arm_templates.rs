@@ -54,7 +54,7 @@ fn every_template_completes_a_chain_with_other_names() {
             chain(template.joints.len(), template.axis_distances_m, |i| names[i].replace('"', "&quot;"));
         let files = made(&urdf, &template).unwrap_or_else(|error| panic!("{}: {error}", template.name));
         let robot = robot(&urdf, &files);
-        assert!(files.locked.is_empty() && !robot.file.assumed.is_empty(), "{}", template.name);
+        assert!(files.unmatched_joints.is_empty() && !robot.file.assumed.is_empty(), "{}", template.name);
         let limits: Vec<f64> = robot.model.joints().iter().map(|joint| joint.limits.velocity).collect();
         assert!(
             robot.torque_limits().iter().chain(&limits).all(|limit| *limit != 1.0),
@@ -81,7 +81,7 @@ fn joints_are_matched_by_name_and_others_are_locked() {
                   ixy=\"0\" ixz=\"0\" iyz=\"0\"/></inertial></link></robot>";
     let urdf = urdf.replace("</robot>", finger);
     let files = made(&urdf, &template).unwrap();
-    assert_eq!(files.locked, ["finger"]);
+    assert_eq!(files.unmatched_joints, ["finger"]);
     assert!(files.robot_toml.contains("locked_joints = { finger = 0.01 }"), "{}", files.robot_toml);
     let robot = robot(&urdf, &files);
     assert_eq!(robot.model.n(), 7);
