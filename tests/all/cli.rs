@@ -722,10 +722,17 @@ fn run_refuses_real_robot_with_small_margins() {
     opspace(folder.path(), &run).exits(2).says(&[
         "on elastic gears oscillates at antiresonances of 20 Hz",
         "use 'extrapolation+current'",
-        "--accept-margins runs it nevertheless",
+        "[gear-oscillation]",
+        "--allow gear-oscillation runs it nevertheless",
     ]);
-    let accepted = [run.as_slice(), &["--accept-margins"]].concat();
-    opspace(folder.path(), &accepted).exits(2).says(&["no driver"]);
+    let other = [run.as_slice(), &["--allow", "small-gain-margin"]].concat();
+    opspace(folder.path(), &other).exits(2).says(&["[gear-oscillation]"]);
+    let accepted = [run.as_slice(), &["--allow", "gear-oscillation"]].concat();
+    opspace(folder.path(), &accepted).exits(2).says(&[
+        "[gear-oscillation, allowed]",
+        "no driver",
+        "[missing-driver]",
+    ]);
     let default = &run[..2];
     opspace(folder.path(), default).exits(2).says(&["no driver"]);
     let simulated = [run.as_slice(), &["--simulate", "--duration-s", "1.6"]].concat();

@@ -2,6 +2,7 @@
 
 mod acceptance;
 mod allocation;
+mod allow;
 mod cli;
 mod cli_common;
 mod collision_cases;
@@ -23,7 +24,9 @@ mod identified_without_current;
 mod logs;
 mod model_samples;
 mod new_robot;
+mod open;
 mod plants;
+mod posture;
 mod replay;
 mod report_browser;
 mod result_files;

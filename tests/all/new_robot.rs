@@ -7,6 +7,7 @@ use opspace_log::Recording;
 use opspace_model::{Data, forward_kinematics, frame_placement};
 use std::fmt::Write as _;
 use std::fs;
+use std::time::{SystemTime, UNIX_EPOCH};
 
 /// Largest error of the tip's displacement, as a fraction of it, and m.
 const TOLERANCE: (f64, f64) = (0.06, 0.003);
@@ -159,6 +160,73 @@ fn random_robots_run_without_a_value() {
         let urdf = random_urdf(&mut random, joints);
         runs_without_a_value(&urdf, &urdf);
     }
+}
+
+/// Three robots that no run has had before: the seed is that of the clock, and is printed.
+#[test]
+#[expect(clippy::print_stderr, reason = "the seed of a failed run is shown")]
+fn robots_of_a_fresh_seed_run_without_a_value() {
+    let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap();
+    let seed = std::env::var("OPSPACE_SEED").map_or(now.as_secs(), |seed| seed.parse().unwrap());
+    eprintln!("OPSPACE_SEED={seed}");
+    let mut random = Random(seed);
+    for _ in 0..3 {
+        let joints = random.between(1.0, 8.0) as usize;
+        let urdf = random_urdf(&mut random, joints);
+        runs_without_a_value(&urdf, &format!("OPSPACE_SEED={seed}: {urdf}"));
+    }
+}
+
+/// A template brings an arm to a running task: values of a URDF with other names of joints, in the order of its chain.
+#[test]
+fn robot_with_the_values_of_a_template_runs() {
+    let folder = scratch();
+    let at = |path: &str| folder.path().join(path);
+    // The UR5 of its manual: offsets and lengths by Denavit and Hartenberg, masses and centres of the links.
+    let links: [([f64; 3], &str, f64); 6] = [
+        ([0.0, 0.0, 0.089_159], "0 0 1", 3.7),
+        ([0.0, 0.135_85, 0.0], "0 1 0", 8.393),
+        ([0.0, -0.119_7, 0.425], "0 1 0", 2.275),
+        ([0.0, 0.0, 0.392_25], "0 1 0", 1.219),
+        ([0.0, 0.093, 0.0], "0 0 1", 1.219),
+        ([0.0, 0.0, 0.094_65], "0 1 0", 0.187_9),
+    ];
+    let mut urdf = "<robot name=\"arm\"><link name=\"l0\"/>".to_owned();
+    for (i, ([x, y, z], axis, mass)) in links.into_iter().enumerate() {
+        let child = i + 1;
+        let _ = write!(
+            urdf,
+            "<joint name=\"q{child}\" type=\"revolute\"><parent link=\"l{i}\"/><child link=\"l{child}\"/>\
+             <origin xyz=\"{x} {y} {z}\"/><axis xyz=\"{axis}\"/>\
+             <limit lower=\"-6.28\" upper=\"6.28\" effort=\"1\" velocity=\"1\"/></joint>"
+        );
+        link(&mut urdf, &format!("l{child}"), if i == 1 { 0.4 } else { 0.1 }, mass);
+    }
+    fs::write(at("arm.urdf"), urdf + "</robot>").unwrap();
+    let wrong = opspace(folder.path(), &["new", "mine", "--urdf", "arm.urdf", "--like", "ur10"]).exits(2);
+    wrong.says(&["1.184 m apart in all", "0.817 m", "template 'ur5' fits"]);
+    let listed = opspace(folder.path(), &["new", "--like"]).exits(0).stdout;
+    for name in ["ur3", "ur5", "ur10", "xarm7", "panda", "so101", "j2s6s200"] {
+        assert!(listed.lines().any(|line| line.starts_with(&format!("{name} "))), "{listed}");
+    }
+    opspace(folder.path(), &["new", "mine", "--urdf", "arm.urdf", "--like", "ur6"])
+        .exits(2)
+        .says(&["did you mean"]);
+    opspace(folder.path(), &["new", "mine", "--like", "ur5"]).exits(2).says(&["--urdf"]);
+
+    let said =
+        opspace(folder.path(), &["new", "mine", "--urdf", "arm.urdf", "--like", "ur5"]).exits(0).stdout;
+    assert!(
+        said.contains("first-task.toml moves it by ") && said.contains("keeps its orientation"),
+        "{said}"
+    );
+    let checked = opspace(folder.path(), &["check", "mine", "mine/first-task.toml"]).exits(0);
+    assert_eq!(checked.stderr, "", "no finding");
+    assert!(checked.stdout.contains("assumed, results rest on them: interface.gears"), "{}", checked.stdout);
+    opspace(folder.path(), &["run", "mine/first-task.toml", "--out", "out"]).exits(0);
+    let summary = read_json(at("out/summary.json"));
+    let error_m = summary["metrics"]["position_rms_m"].as_f64().unwrap();
+    assert!(error_m < 0.005, "{error_m} m");
 }
 
 /// `OPSPACE_SEED=7 cargo test --workspace --test all many_random_robots -- --ignored` draws others.

@@ -1,15 +1,19 @@
 //! Command-line arguments.
 
+use crate::browser;
+use crate::console::Console;
 use crate::plant::{PlantChoice, plant_choice};
 use crate::shard::{ShardChoice, shard_choice};
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use clap_complete::Shell;
 use opspace_backend::CommandKind;
+use opspace_experiment::codes::allowed_code;
 use opspace_experiment::run::physics::OWN_PLANT;
-use opspace_experiment::{ControllerKind, RunOptions};
+use opspace_experiment::{Code, ControllerKind, RunOptions};
 use opspace_transformer::TransformerKind;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
 
 /// Operational-space control for robots that accept torques, and for robots that accept only positions.
 #[derive(Debug, Parser)]
@@ -61,6 +65,7 @@ Examples:
   opspace run tasks/compliant-x.toml --set task.hand.cartesian.gains.damping_ratio=0.7
   opspace run tasks/compliant-x.toml --set robot.simulated.true_over_nominal.kp=1.02
   opspace run tasks/panda-reach.toml --plant mujoco
+  opspace run tasks/panda-reach.toml --open
   opspace run experiments/teleop-wall.toml --set leader.task.hand.coupled.damping_ns_per_m=8
 
 Writes run.mcap (all signals; opens in Foxglove and PlotJuggler), report.html and summary.json into \
@@ -126,10 +131,17 @@ In the folder of an experiment with several robots, makes the page about all of 
 A mistake in a file is an error (exit code 2). Predicted problems of a run are diagnostics, not errors; each has \
 its place, numbers and a remedy: goals out of reach, speeds beyond the joint limits, gains too high for the rate and the \
 servo, contradictory limits, a singular start, degrees of freedom without a task, a run that is too short. --json lists \
-them as `findings`.
+them as `findings`. The code in brackets has a page: `opspace explain CODE`.
 
 The file of an experiment with several robots is checked with all files that it names.")]
     Check(CheckArgs),
+
+    /// Explain a code that `check`, `run` or a warning prints.
+    #[command(after_help = "\
+The page of a code says what it means, why it matters and what to do, with an example. Without CODE, lists all codes.
+
+Example: opspace explain singular-start")]
+    Explain(ExplainArgs),
 
     /// Identify a robot's servos by moving its joints: gains, filter, delay, inertia, friction.
     #[command(after_help = "\
@@ -148,13 +160,21 @@ Examples:
 
     /// Print a robot's joints and frames, or compute its kinematics and dynamics at given states.
     #[command(after_help = "\
+Prints joints, bodies and frames, and for one posture: the poses of all frames, the condition of the Jacobian of a frame, \
+the torques that hold the weight, and the effective masses of the frame.
+
 Each line of the samples is one state:
   {\"q\":[..],\"dq\":[..],\"ddq\":[..],\"tau_in\":[..],\"f_tip\":[fx,fy,fz,mx,my,mz]}
 
 Each line of the output holds tip_R, tip_p, tip_vel, J, Jdot_dq, M, g, nle, C, tau_rnea, ddq_aba, \
 tau_rnea_fext, ddq_aba_fext, com, kinetic_energy, potential_energy, Lambda, Jbar, N: in world axes at the tip, \
 linear rows first; matrices row by row; joints in the order of the table. With \"task_rows\":[0,1,2], Lambda, \
-Jbar and N are those of these rows; they are null if the task is rank-deficient.")]
+Jbar and N are those of these rows; they are null if the task is rank-deficient.
+
+Examples:
+  opspace model robots/panda
+  opspace model robots/panda --q joint4=-1.2 --frame flange
+  opspace model robots/planar-2-link --q 0.6,1.2")]
     Model(ModelArgs),
 
     /// Make a robot folder for your own robot from its URDF.
@@ -163,7 +183,12 @@ The new robot.toml lists every required value as a comment with its meaning; no 
 `opspace check DIR` lists all missing values. The folder also contains a first task, first-task.toml: the tip moves some \
 centimetres and returns.
 
-Example: opspace new left-arm --urdf robot.urdf --from torso --to left_gripper --assume")]
+A template has the values of a common arm, each with its source; joints that it does not have, those of a gripper for example, \
+are locked. `opspace new --like` lists the templates.
+
+Examples:
+  opspace new my-ur5 --urdf ur5.urdf --like ur5
+  opspace new left-arm --urdf robot.urdf --from torso --to left_gripper --assume")]
     New(NewArgs),
 
     /// Print the JSON Schema of a kind of file, for editors.
@@ -265,6 +290,32 @@ pub struct JsonArgs {
     pub json: Option<PathBuf>,
 }
 
+/// Display of the report.
+#[derive(Debug, Args)]
+pub struct OpenArgs {
+    /// Open the report in a browser when it is written.
+    #[arg(long)]
+    pub open: bool,
+}
+
+impl OpenArgs {
+    /// Opens the page, if requested and written.
+    pub fn show(&self, page: &Path, console: Console) {
+        if self.open && page.is_file() {
+            browser::open(page, console);
+        }
+    }
+}
+
+/// Refusals that the user allows.
+#[derive(Debug, Args)]
+pub struct AllowArgs {
+    /// Turn a refusal with this code into a warning, which all results carry. Can be repeated. `opspace explain` lists the
+    /// codes.
+    #[arg(long, value_name = "CODE", value_parser = allowed_code)]
+    pub allow: Vec<Code>,
+}
+
 /// Output folder of results, and their JSON.
 #[derive(Debug, Args)]
 pub struct OutputArgs {
@@ -327,10 +378,11 @@ pub struct RunArgs {
     #[arg(long, value_name = "PLANT", value_parser = plant_choice, default_value = OWN_PLANT, conflicts_with = "move_to_start")]
     pub plant: PlantChoice,
 
-    /// Run a real robot although `opspace check` finds its margins too small: unstable with gains 1 % above nominal, or on
-    /// elastic gears that it may have.
-    #[arg(long, conflicts_with = "simulate")]
-    pub accept_margins: bool,
+    #[command(flatten)]
+    pub allow: AllowArgs,
+
+    #[command(flatten)]
+    pub open: OpenArgs,
 
     /// First move a real robot to the task's start_rad, along a straight line in joint space at up to 0.2 rad/s.
     /// Obstacles are not avoided: keep the workspace clear.
@@ -351,6 +403,7 @@ impl RunArgs {
             seed: self.seed,
             duration_s: self.duration_s,
             label: None,
+            allow: self.allow.allow.clone(),
         }
     }
 }
@@ -379,6 +432,12 @@ pub struct BenchArgs {
     /// Run only one part of the suite: I/N, `auto` or `auto/N`.
     #[arg(long, value_name = "I/N", value_parser = shard_choice)]
     pub shard: Option<ShardChoice>,
+
+    #[command(flatten)]
+    pub allow: AllowArgs,
+
+    #[command(flatten)]
+    pub open: OpenArgs,
 
     #[command(flatten)]
     pub results: SuiteOutputArgs,
@@ -441,6 +500,9 @@ pub struct ReportArgs {
     pub out: Option<PathBuf>,
 
     #[command(flatten)]
+    pub open: OpenArgs,
+
+    #[command(flatten)]
     pub json: JsonArgs,
 }
 
@@ -451,7 +513,17 @@ pub struct CheckArgs {
     pub files: Vec<PathBuf>,
 
     #[command(flatten)]
+    pub allow: AllowArgs,
+
+    #[command(flatten)]
     pub json: JsonArgs,
+}
+
+#[derive(Debug, Args)]
+pub struct ExplainArgs {
+    /// The code, as printed in brackets.
+    #[arg(value_parser = Code::from_str)]
+    pub code: Option<Code>,
 }
 
 #[derive(Debug, Args)]
@@ -508,6 +580,16 @@ pub struct ModelArgs {
     #[arg(long, conflicts_with_all = ["samples", "json"])]
     pub capsules: bool,
 
+    /// Joint positions, rad or m, of the posture for which frames, Jacobian, weight and effective masses are printed: all in the
+    /// order of the table, or by name (`elbow=1.2`) [default: the start of first-task.toml beside robot.toml, or the middle of
+    /// each range].
+    #[arg(long, value_name = "VALUES", value_delimiter = ',', allow_hyphen_values = true, conflicts_with_all = ["samples", "capsules"])]
+    pub q: Vec<String>,
+
+    /// Frame for which Jacobian and effective masses are printed [default: the tip].
+    #[arg(long, value_name = "FRAME", conflicts_with_all = ["samples", "capsules"])]
+    pub frame: Option<String>,
+
     /// Add a floating base: q begins with its position and quaternion x, y, z, w. Only for a URDF.
     #[arg(long)]
     pub floating: bool,
@@ -523,11 +605,17 @@ pub struct ModelArgs {
 #[derive(Debug, Args)]
 pub struct NewArgs {
     /// The folder to create.
-    pub dir: PathBuf,
+    #[arg(required_unless_present = "like", requires = "urdf")]
+    pub dir: Option<PathBuf>,
 
     /// The robot's URDF; it is copied into the folder.
-    #[arg(long, value_name = "FILE")]
-    pub urdf: PathBuf,
+    #[arg(long, value_name = "FILE", requires = "dir")]
+    pub urdf: Option<PathBuf>,
+
+    /// Fill in the values of a common arm, each with its source: the robot can be simulated at once. Without a name, list the
+    /// templates.
+    #[arg(long, value_name = "ARM", num_args = 0..=1, conflicts_with = "assume")]
+    pub like: Option<Option<String>>,
 
     /// Fill in assumed values of the drives, computed from the URDF and marked as assumed: the robot can be simulated at once.
     #[arg(long)]

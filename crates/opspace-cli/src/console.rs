@@ -3,7 +3,7 @@
 use annotate_snippets::renderer::DecorStyle;
 use annotate_snippets::{AnnotationKind, Group, Level, Renderer, Snippet};
 use comfy_table::{CellAlignment, ContentArrangement, LineStyle, TableStyle};
-use opspace_experiment::evaluate::notes::{assumed_notes, joint_notes, notes, task_notes};
+use opspace_experiment::evaluate::notes::{allowed_notes, assumed_notes, joint_notes, notes, task_notes};
 use opspace_experiment::evaluate::results::{Measure, failures, joint_table, table, task_table};
 use opspace_experiment::evaluate::table::{Cell, Table};
 use opspace_experiment::{FileError, RunError, Summary};
@@ -145,6 +145,7 @@ pub fn results(console: Console, summaries: &[Summary], measures: &[Measure]) ->
         return "no runs\n".to_owned();
     }
     let mut text: String = assumed_notes(summaries).iter().map(|note| format!("ASSUMED {note}\n")).collect();
+    allowed_notes(summaries).iter().for_each(|note| text += &format!("ALLOWED {note}\n"));
     failures(summaries).iter().for_each(|failure| text += &format!("FAILED {failure}\n"));
     if let [one] = summaries {
         one.unreached_goals.iter().for_each(|goal| text += &format!("NOTE {goal}\n"));
@@ -299,6 +300,11 @@ fn colours(stream: &impl IsTerminal) -> bool {
 /// Width of the terminal in columns; `None` without a terminal.
 fn width() -> Option<u16> {
     io::stdout().is_terminal().then(|| terminal_size::terminal_size().map(|(width, _)| width.0)).flatten()
+}
+
+/// Wraps a paragraph to the width of the terminal, with a line end.
+pub fn wrapped(text: &str) -> String {
+    wrap(text, usize::from(width().unwrap_or(100))) + "\n"
 }
 
 /// Wraps text into lines no longer than `width`.

@@ -8,7 +8,7 @@ use crate::result_folder::{LOGS, ROWS};
 use crate::suite_results::{is_stdout, worst};
 use crate::sweep::Executed;
 use opspace_experiment::evaluate::csv::coupled_csv;
-use opspace_experiment::evaluate::notes::assumed_notes;
+use opspace_experiment::evaluate::notes::{allowed_notes, assumed_notes};
 use opspace_experiment::report::coupled_suite_page::coupled_suite_page;
 use opspace_experiment::report::coupled_table::{coupling_notes, coupling_table};
 use opspace_experiment::run::coupled_summary::CoupledSummary;
@@ -67,7 +67,9 @@ pub fn write_coupled(done: &Executed<CoupledSummary>, args: &SuiteOutputArgs, co
 /// Text of the results: failures, table and notes.
 fn results(console: Console, summaries: &[CoupledSummary]) -> String {
     let robots = summaries.iter().flat_map(|summary| summary.robots.values());
-    let mut text: String = assumed_notes(robots).iter().map(|note| format!("ASSUMED {note}\n")).collect();
+    let mut text: String =
+        assumed_notes(robots.clone()).iter().map(|note| format!("ASSUMED {note}\n")).collect();
+    allowed_notes(robots).iter().for_each(|note| text += &format!("ALLOWED {note}\n"));
     for summary in summaries {
         for failure in summary.failures() {
             text += &format!("FAILED {}: {failure}\n", summary.title());

@@ -12,6 +12,7 @@
 
 #![forbid(unsafe_code)]
 
+mod browser;
 mod cli;
 mod commands;
 mod console;
@@ -45,6 +46,7 @@ pub fn main_with(extensions: &Extensions) -> ExitCode {
         Command::Report(args) => commands::report::report(args, extensions, console),
         Command::Log(command) => commands::log::log(command, console),
         Command::Check(args) => commands::check::check(args, extensions, console),
+        Command::Explain(args) => commands::explain::explain(args.code),
         Command::Identify(args) => commands::identify::identify(args, console),
         Command::Model(args) => commands::model::model(args, console),
         Command::New(args) => commands::new::new(args, console),

@@ -12,6 +12,7 @@ pub(crate) mod harmonics;
 pub(crate) mod metric_tables;
 pub mod metrics;
 pub mod notes;
+pub mod posture;
 pub mod results;
 pub(crate) mod spectrum;
 pub mod spread;

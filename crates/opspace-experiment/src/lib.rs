@@ -26,6 +26,7 @@
 
 #![forbid(unsafe_code)]
 
+pub mod codes;
 pub mod evaluate;
 pub mod extensions;
 pub mod files;
@@ -35,6 +36,7 @@ pub mod report;
 pub mod run;
 pub mod setup;
 
+pub use codes::Code;
 pub use evaluate::metrics::{Metrics, Timing};
 pub use extensions::Extensions;
 pub use files::origin::Files;

@@ -10,7 +10,7 @@
 //! | `stability` | gains too high for the rate, the delay and the servo |
 //! | `admittance` | force axes of inverse kinematics that oscillate on the objects of the environment |
 //! | `limits` | limits that contradict each other, the start posture or the arm's weight |
-//! | `freedom` | a start at a singularity; degrees of freedom without a task |
+//! | `freedom` | a start at a singularity; degrees of freedom without a task; compliant axes that nothing brings back |
 //! | `servo_gain` | position or velocity loops with a small gain margin |
 //! | `margins` | ranges of true over nominal values in which the arm is stable |
 //! | `refusal` | margins too small for a real robot |
@@ -63,7 +63,7 @@ pub use gear_resonance::GearResonance;
 pub use gears::{GearMargin, GearScale, gear_margin};
 pub use impedances::{JointImpedance, impedances};
 pub use margins::{Margins, Quantity, RangeEnd, StableRange, margins, margins_with};
-pub use refusal::{LEAST_EXCESS, refusal};
+pub use refusal::{LEAST_EXCESS, checked_for_real_robot, refusals};
 use rollout::Rollout;
 pub use servo_gain::{GainMargin, ServoLoop, gain_margin};
 pub use torque_floor::{JointFloor, TORQUE_HZ, floors};
@@ -81,6 +81,7 @@ pub fn diagnostics(experiment: &Experiment) -> Vec<Diagnostic> {
     found.extend(freedom::singular_start(&case));
     if experiment.options().controller == ControllerKind::Osc {
         found.extend(freedom::uncontrolled(&case));
+        found.extend(freedom::drifting(&case));
         found.extend(stability::stiff_gains(&case));
         found.extend(contact::contacts(&case));
     }

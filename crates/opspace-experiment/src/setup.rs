@@ -1,8 +1,9 @@
-//! Files of a new robot: its robot.toml, with assumed values if requested, and a first task.
+//! Files of a new robot: its robot.toml, with the values of a template or assumed ones if requested, and a first task.
 
+pub mod arm_template;
 pub mod assumed_drives;
 pub mod first_motion;
 pub mod first_task;
 pub mod new_robot;
 pub mod robot_template;
-mod tip;
+pub mod tip;

@@ -32,6 +32,8 @@ pub struct LoopConfig {
     /// Observer of the friction that the compensation leaves, if any. It needs a force sensor: otherwise it would oppose all
     /// contact.
     pub friction_observer: Option<FrictionObserver>,
+    /// True if the observer is accepted without a force sensor. It then takes all contact for friction.
+    pub unsensed_contact: bool,
     /// Compensation of the bias of each force sensor, and of the load beyond it.
     pub sensors: Vec<SensorCompensation>,
     /// Estimated forces, which follow those of the force sensors in the measurement. Without measured motor torque they need
@@ -60,6 +62,7 @@ impl LoopConfig {
             torque_limits: model.joints().iter().map(|joint| joint.limits.effort).collect(),
             friction: FrictionCompensation::none(model.n()),
             friction_observer: None,
+            unsensed_contact: false,
             sensors: vec![
                 SensorCompensation::new(None, None, capabilities.period_s);
                 capabilities.force_sensors.len()
@@ -119,7 +122,8 @@ impl LoopConfig {
         {
             return value("a servo gain", "finite and not below 0", gain);
         }
-        if self.friction_observer.is_some() && capabilities.force_sensors.is_empty() {
+        let is_sensed = !capabilities.force_sensors.is_empty() || self.unsensed_contact;
+        if self.friction_observer.is_some() && !is_sensed {
             return Err(LoopError::NoForceSensor);
         }
         let gives = controller.command_kind();

@@ -137,6 +137,26 @@ pub enum ModelWarning {
     },
 }
 
+impl ModelWarning {
+    /// Codes of all kinds.
+    pub const CODES: [&'static str; 6] =
+        ["far-centre", "small-inertia", "large-inertia", "unequal-masses", "no-limit", "wide-range"];
+
+    /// Returns the code of the kind, which remains the same when its text changes.
+    #[must_use]
+    pub fn code(&self) -> &'static str {
+        let [far, small, large, unequal, none, wide] = Self::CODES;
+        match self {
+            Self::FarCentre { .. } => far,
+            Self::SmallInertia { .. } => small,
+            Self::LargeInertia { .. } => large,
+            Self::UnequalMasses { .. } => unequal,
+            Self::NoLimit { .. } => none,
+            Self::WideRange { .. } => wide,
+        }
+    }
+}
+
 /// Rules for a single body with mass.
 const OF_BODIES: [fn(&Part<'_>) -> Option<ModelWarning>; 4] =
     [far_centre, small_inertia, large_inertia, unequal_masses];

@@ -28,7 +28,7 @@ pub fn bench(args: &BenchArgs, extensions: &Extensions, console: Console) -> Out
     let (suite, name) = match &args.suite {
         Some(path) => {
             let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-            (Suite::load_with(extensions, Files::Disk, path)?, format!("bench-{stem}"))
+            (Suite::load_allowing(extensions, Files::Disk, path, &args.allow.allow)?, format!("bench-{stem}"))
         }
         None => (Suite::load(Files::Embedded, Path::new(PAPER_SUITE))?, "bench".to_owned()),
     };
@@ -39,7 +39,9 @@ pub fn bench(args: &BenchArgs, extensions: &Extensions, console: Console) -> Out
         refuse_options_of_tasks(args)?;
         args.results.check()?;
         let done = execute(&suite, &suite.coupled, header, args, console)?;
-        return done.ended(write_coupled(&done, &args.results, console)?, console);
+        let exit = write_coupled(&done, &args.results, console)?;
+        args.open.show(&done.folder.path().join(REPORT), console);
+        return done.ended(exit, console);
     }
     let baseline = args.results.check()?;
     let keys: Vec<RunKey> =
@@ -50,7 +52,9 @@ pub fn bench(args: &BenchArgs, extensions: &Extensions, console: Console) -> Out
     let done = execute(&suite, &suite.experiments, header, args, console)?;
     let (rows, summaries, folder) = (&done.rows, done.summaries.as_slice(), done.folder.path());
     let results = SuiteResults { rows, summaries, partial: false, folder };
-    done.ended(results.write(&args.results, baseline.as_ref(), extensions, console)?, console)
+    let exit = results.write(&args.results, baseline.as_ref(), extensions, console)?;
+    args.open.show(&folder.join(REPORT), console);
+    done.ended(exit, console)
 }
 
 /// Refuses options that a suite of experiments with several robots does not have.

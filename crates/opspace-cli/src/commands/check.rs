@@ -7,6 +7,7 @@ use crate::commands::own_backend;
 use crate::console::{Console, Exit, Outcome, report};
 use crate::output::pretty;
 use crate::outputs::check_outputs;
+use opspace_experiment::codes::AllowedRefusal;
 use opspace_experiment::evaluate::notes::assumed_text;
 use opspace_experiment::files::joint_layers::urdf_values_text;
 use opspace_experiment::files::origin::Kind;
@@ -17,8 +18,8 @@ use opspace_experiment::preflight::{
 };
 use opspace_experiment::run::collision::KeptDistances;
 use opspace_experiment::{
-    CoupledExperiment, Diagnostic, Experiment, Extensions, FileError, Files, RobotDefinition, RunOptions,
-    Source, Suite, diagnostics,
+    Code, CoupledExperiment, Diagnostic, Experiment, Extensions, FileError, Files, RobotDefinition,
+    RunOptions, Source, Suite, diagnostics,
 };
 use opspace_model::collision::DropReason;
 use opspace_model::{Model, UrdfOptions, UrdfWarning, model_warnings};
@@ -32,7 +33,7 @@ pub fn check(args: &CheckArgs, extensions: &Extensions, console: Console) -> Out
     let mut exit = Exit::Done;
     let (mut text, mut files) = (String::new(), Vec::new());
     for path in &args.files {
-        let checked = check_one(path, extensions, console);
+        let checked = check_one(path, &args.allow.allow, extensions, console);
         files.push(as_json(path, &checked));
         match checked {
             Ok(checked) => {
@@ -45,6 +46,7 @@ pub fn check(args: &CheckArgs, extensions: &Extensions, console: Console) -> Out
                 checked.strength.iter().for_each(|strength| text += &strength.text());
                 checked.singular.iter().for_each(|singular| text += &format!("  {singular}\n"));
                 checked.distances.iter().for_each(|distances| text += &pairs_text(distances));
+                checked.allowed.iter().for_each(|refusal| text += &format!("  allowed: {refusal}\n"));
                 checked.found.iter().for_each(|found| note(console, found));
                 checked
                     .skipped
@@ -79,6 +81,8 @@ struct Checked {
     /// Pairs of links and obstacles that the controller keeps apart.
     distances: Option<KeptDistances>,
     found: Vec<Found>,
+    /// Refusals that the user has allowed.
+    allowed: Vec<AllowedRefusal>,
     /// Parts that could not be checked.
     skipped: Vec<Found>,
 }
@@ -96,6 +100,7 @@ impl Checked {
             singular: Vec::new(),
             distances: None,
             found: Vec::new(),
+            allowed: Vec::new(),
             skipped: Vec::new(),
         }
     }
@@ -156,17 +161,33 @@ fn find_in_couplings<'a>(experiments: impl IntoIterator<Item = &'a CoupledExperi
     found
 }
 
+/// Refusals of these experiments that the user has allowed, each once.
+fn allowed_in<'a>(experiments: impl Iterator<Item = &'a Experiment>) -> Vec<AllowedRefusal> {
+    let mut all: Vec<AllowedRefusal> = Vec::new();
+    for refusal in experiments.flat_map(Experiment::allowed) {
+        if !all.contains(refusal) {
+            all.push(refusal.clone());
+        }
+    }
+    all
+}
+
 fn note(console: Console, found: &Found) {
     console.note(&format!("{}\n  help: {}", found.place, found.finding.help));
 }
 
 /// Prints warnings about a URDF and about the model built from it.
 fn warn(console: Console, urdf: &str, warnings: &[UrdfWarning], model: &Model) {
-    warnings.iter().for_each(|w| console.note(&format!("{urdf}: {w}")));
-    model_warnings(model).iter().for_each(|s| console.note(&format!("{urdf}: {s}")));
+    warnings.iter().for_each(|w| console.note(&format!("{urdf}: {w} [{}]", w.kind().code())));
+    model_warnings(model).iter().for_each(|w| console.note(&format!("{urdf}: {w} [{}]", w.code())));
 }
 
-fn check_one(path: &Path, extensions: &Extensions, console: Console) -> Result<Checked, FileError> {
+fn check_one(
+    path: &Path,
+    allow: &[Code],
+    extensions: &Extensions,
+    console: Console,
+) -> Result<Checked, FileError> {
     if path.extension().is_some_and(|e| e == "urdf") {
         let source = Source::read(path)?;
         let loaded = load_urdf(&source, UrdfOptions::default())?;
@@ -178,31 +199,35 @@ fn check_one(path: &Path, extensions: &Extensions, console: Console) -> Result<C
     let robot = || {
         let robot = RobotDefinition::load(Files::Disk, path, &[])?;
         warn(console, robot.urdf.name(), &robot.warnings, &robot.model);
-        robot.capsule_warnings().iter().for_each(|w| console.note(&format!("{}: {w}", robot.urdf.name())));
+        for warning in robot.capsule_warnings() {
+            console.note(&format!("{}: {warning} [{}]", robot.urdf.name(), warning.code()));
+        }
         let values = values_text(&robot);
         robot.defaults().iter().for_each(|default| console.detail(&format!("  {default}")));
         Ok(Checked { values, ..Checked::clean(format!("a robot of {} joints", robot.model.n())) })
     };
     match Kind::of(source.text()) {
         Some(Kind::Suite) => {
-            let suite = Suite::load_with(extensions, Files::Disk, path)?;
+            let suite = Suite::load_allowing(extensions, Files::Disk, path, allow)?;
             let what = format!("a suite of {} runs", suite.runs());
             let (mut found, skipped) =
                 (find(suite.of_robots(), diagnostics), find(suite.of_robots(), not_checked));
             found.extend(find_in_couplings(&suite.coupled));
-            Ok(Checked { found, skipped, ..Checked::clean(what) })
+            let allowed = allowed_in(suite.of_robots());
+            Ok(Checked { found, skipped, allowed, ..Checked::clean(what) })
         }
         Some(Kind::Experiment) => {
-            let coupled = CoupledExperiment::load(extensions, Files::Disk, path, &[])?;
+            let coupled = CoupledExperiment::load_allowing(extensions, Files::Disk, path, &[], allow)?;
             let what = format!("an experiment with {} robots", coupled.members.len());
             let members = || coupled.members.iter().map(|member| &member.experiment);
             let (mut found, skipped) = (find(members(), diagnostics), find(members(), not_checked));
             found.extend(find_in_couplings([&coupled]));
-            Ok(Checked { found, skipped, ..Checked::clean(what) })
+            let allowed = allowed_in(members());
+            Ok(Checked { found, skipped, allowed, ..Checked::clean(what) })
         }
         Some(Kind::Task) => {
-            let options =
-                RunOptions { backend: own_backend(path, None, &[], extensions), ..RunOptions::default() };
+            let backend = own_backend(path, None, &[], extensions);
+            let options = RunOptions { backend, allow: allow.to_vec(), ..RunOptions::default() };
             let experiment = Experiment::load_with(extensions, Files::Disk, path, None, options, &[])?;
             let what = format!("a task for the robot '{}'", experiment.robot().name());
             console.detail(&format!("{}: {}", path.display(), experiment.start_text()?));
@@ -229,6 +254,7 @@ fn check_one(path: &Path, extensions: &Extensions, console: Console) -> Result<C
                 singular,
                 distances,
                 found,
+                allowed: experiment.allowed().to_vec(),
                 skipped,
             })
         }
@@ -321,6 +347,7 @@ fn pairs_json(distances: &KeptDistances) -> Value {
 fn as_json(path: &Path, checked: &Result<Checked, FileError>) -> Value {
     let told = |found: &Found| {
         json!({
+            "code": found.finding.code.name(),
             "at": found.place.path(),
             "line": found.place.line(),
             "key": found.finding.key,
@@ -351,12 +378,14 @@ fn as_json(path: &Path, checked: &Result<Checked, FileError>) -> Value {
                 "singular_postures": checked.singular.iter().map(singular_as_json).collect::<Vec<Value>>(),
                 "kept_distances": checked.distances.as_ref().map(pairs_json),
                 "findings": findings,
+                "allowed": checked.allowed,
                 "not_checked": not_checked,
             })
         }
         Err(error) => json!({
             "file": path,
             "ok": false,
+            "code": error.code().map(Code::name),
             // The mistake may be in a file to which this file refers.
             "at": error.path(),
             "line": error.line(),

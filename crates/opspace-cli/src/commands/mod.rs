@@ -3,12 +3,14 @@
 pub mod bench;
 pub mod check;
 pub mod completion;
+pub mod explain;
 pub mod identify;
 pub mod log;
 pub mod margins;
 pub mod merge;
 pub mod model;
 pub mod new;
+pub mod posture;
 pub mod replay;
 pub mod report;
 pub mod report_coupled;

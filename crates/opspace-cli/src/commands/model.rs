@@ -2,6 +2,7 @@
 
 use crate::cli::ModelArgs;
 use crate::commands::check::values_text;
+use crate::commands::posture::Posture;
 use crate::console::{Console, Exit, Failure, Outcome, print_exactly, render};
 use crate::output::{Format, pretty, write_named};
 use crate::outputs::check_outputs;
@@ -22,11 +23,12 @@ pub fn model(args: &ModelArgs, console: Console) -> Outcome {
     if args.capsules {
         return capsules(args, console);
     }
-    let shown = load(args)?;
+    let mut shown = load(args)?;
     if let (Some(tip), Some(samples)) = (&args.tip, &args.samples) {
         return evaluate_samples(&shown.model, tip, samples, args.json.json.as_deref());
     }
     check_outputs(&[shown.file.clone().into()], &Vec::from_iter(args.json.path().map(Path::to_owned)))?;
+    shown.posture = Posture::new(args, &shown.model, shown.robot.as_ref())?;
     args.json.print(|| pretty(&as_json(&shown)), || describe(&shown))?;
     shown.warnings.iter().for_each(|w| console.note(&format!("{}: {w}", shown.file)));
     Ok(Exit::Done)
@@ -47,7 +49,7 @@ fn capsules(args: &ModelArgs, console: Console) -> Outcome {
         }
     };
     print_exactly(&capsules_as_toml(&capsules))?;
-    warnings.iter().for_each(|warning| console.note(&warning.to_string()));
+    warnings.iter().for_each(|warning| console.note(&format!("{warning} [{}]", warning.code())));
     Ok(Exit::Done)
 }
 
@@ -60,15 +62,21 @@ struct ModelView {
     standing_kg: f64,
     /// Values of a robot that are those of the URDF, and those that are assumed.
     values: String,
+    /// Robot, unless the model is that of a URDF alone.
+    robot: Option<RobotDefinition>,
+    /// Posture that is described; `None` if nothing moves.
+    posture: Option<Posture>,
     /// Warnings of the URDF parser, then warnings about the whole model.
     warnings: Vec<String>,
 }
 
 impl ModelView {
     fn new(urdf: &Source, model: Model, standing_kg: f64, warnings: &[UrdfWarning]) -> Self {
-        let warnings = warnings.iter().map(ToString::to_string);
-        let warnings = warnings.chain(model_warnings(&model).iter().map(ToString::to_string)).collect();
-        Self { file: urdf.name().to_owned(), model, standing_kg, values: String::new(), warnings }
+        let warnings = warnings.iter().map(|w| format!("{w} [{}]", w.kind().code()));
+        let of_model = model_warnings(&model).into_iter().map(|w| format!("{w} [{}]", w.code()));
+        let warnings = warnings.chain(of_model).collect();
+        let (file, values) = (urdf.name().to_owned(), String::new());
+        Self { file, model, standing_kg, values, robot: None, posture: None, warnings }
     }
 }
 
@@ -87,7 +95,8 @@ fn load(args: &ModelArgs) -> Result<ModelView, Failure> {
         return Err(Failure::Other(text, Exit::Bad));
     }
     let values = values_text(&robot);
-    Ok(ModelView { values, ..ModelView::new(&robot.urdf, robot.model, robot.standing_kg, &robot.warnings) })
+    let view = ModelView::new(&robot.urdf, robot.model.clone(), robot.standing_kg, &robot.warnings);
+    Ok(ModelView { values, robot: Some(robot), ..view })
 }
 
 fn describe(shown: &ModelView) -> String {
@@ -97,14 +106,15 @@ fn describe(shown: &ModelView) -> String {
         false => (model.n(), "fixed"),
     };
     format!(
-        "{}: {joints} moving joints on a {base} base, {:.3} kg moving, {:.3} kg in total\n{}\n{}\n{}\n{}",
+        "{}: {joints} moving joints on a {base} base, {:.3} kg moving, {:.3} kg in total\n{}\n{}\n{}\n{}{}",
         model.name(),
         model.total_mass(),
         model.total_mass() + shown.standing_kg,
         shown.values,
         render(&joint_table(model)),
         render(&body_table(model)),
-        render(&frame_table(model))
+        render(&frame_table(model)),
+        shown.posture.as_ref().map_or_else(String::new, |posture| posture.text(model))
     )
 }
 
@@ -316,6 +326,7 @@ fn as_json(shown: &ModelView) -> Value {
         "joints": joints,
         "bodies": bodies,
         "frames": frames,
+        "posture": shown.posture.as_ref().map(|posture| posture.json(model)),
         "warnings": shown.warnings,
     })
 }

@@ -4,24 +4,67 @@ use crate::cli::{NewArgs, SchemaKind};
 use crate::commands::schema::text as schema_text;
 use crate::console::{Console, Exit, Failure, Outcome, print};
 use crate::output::write;
+use opspace_backend::CommandKind;
 use opspace_experiment::Source;
-use opspace_experiment::setup::new_robot::{NewFiles, Part, new_files};
+use opspace_experiment::setup::arm_template::ArmTemplate;
+use opspace_experiment::setup::new_robot::{DriveValues, NewFiles, Part, new_files};
 use std::fs;
+use std::path::Path;
 
 pub fn new(args: &NewArgs, console: Console) -> Outcome {
-    let source = Source::read(&args.urdf)?;
-    let robot = args.dir.join("robot.toml");
-    let urdf = args.urdf.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let template = match &args.like {
+        Some(None) => return list_templates(),
+        Some(Some(name)) => Some(ArmTemplate::named(name)?),
+        None => None,
+    };
+    let (Some(dir), Some(urdf)) = (&args.dir, &args.urdf) else {
+        let text = "a new robot needs a folder and a URDF: opspace new DIR --urdf FILE --like ARM".to_owned();
+        return Err(Failure::Other(text, Exit::Bad));
+    };
+    create(args, (dir, urdf), template.as_ref(), console)
+}
+
+/// Prints the names of the templates.
+fn list_templates() -> Outcome {
+    let mut text = String::new();
+    for template in ArmTemplate::all()? {
+        text +=
+            &format!("{:<10} {}, joints: {}\n", template.name, template.about, template.joints.join(", "));
+    }
+    print(&text)?;
+    Ok(Exit::Done)
+}
+
+fn create(
+    args: &NewArgs,
+    (dir, file): (&Path, &Path),
+    template: Option<&ArmTemplate>,
+    console: Console,
+) -> Outcome {
+    let source = Source::read(file)?;
+    let robot = dir.join("robot.toml");
+    let urdf = file.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let part = Part { from: args.from.as_deref(), to: args.to.as_deref() };
-    let NewFiles { robot_toml, task_toml, motion, warnings, .. } =
-        new_files(&source, &urdf, part, args.assume)?;
-    warnings.iter().for_each(|w| console.note(&format!("{}: {w}", source.name())));
+    let values = match (template, args.assume) {
+        (Some(template), _) => DriveValues::Template(template),
+        (None, true) => DriveValues::Assumed,
+        (None, false) => DriveValues::Missing,
+    };
+    let NewFiles { robot_toml, task_toml, motion, warnings, command, unmatched_joints, .. } =
+        new_files(&source, &urdf, part, values)?;
+    warnings.iter().for_each(|w| console.note(&format!("{}: {w} [{}]", source.name(), w.kind().code())));
+    if !unmatched_joints.is_empty() {
+        console.note(&format!(
+            "locked, since the template has no values of these joints: {}",
+            unmatched_joints.join(", ")
+        ));
+    }
     if robot.exists() {
         let text = format!("{}: already exists; choose another folder", robot.display());
         return Err(Failure::Other(text, Exit::Bad));
     }
-    fs::create_dir_all(&args.dir).map_err(|e| Failure::io("cannot be created", &args.dir, &e))?;
-    let copy = args.dir.join(&urdf);
+    fs::create_dir_all(dir).map_err(|e| Failure::io("cannot be created", dir, &e))?;
+    let copy = dir.join(&urdf);
     match fs::read_to_string(&copy) {
         // The copy already exists, or is the same file.
         Ok(text) if text == source.text() => {}
@@ -32,23 +75,26 @@ pub fn new(args: &NewArgs, console: Console) -> Outcome {
         Err(_) => write(&copy, source.text())?,
     }
     for (name, schema) in [("robot.schema.json", SchemaKind::Robot), ("task.schema.json", SchemaKind::Task)] {
-        write(&args.dir.join(name), &schema_text(schema))?;
+        write(&dir.join(name), &schema_text(schema))?;
     }
     write(&robot, &robot_toml)?;
-    let task = args.dir.join("first-task.toml");
+    let task = dir.join("first-task.toml");
     if !task.exists() {
         write(&task, &task_toml)?;
     }
-    let (task, dir) = (task.display(), args.dir.display());
-    let fill = if args.assume {
-        format!("Values marked [A] in {} are assumed: results rest on them.\n", robot.display())
-    } else {
-        format!("Write the missing values into {}; `opspace check {dir}` lists them all.\n", robot.display())
+    let (task, dir) = (task.display(), dir.display());
+    let fill = match command {
+        Some(_) => format!("Values marked [A] in {} are assumed: results rest on them.\n", robot.display()),
+        None => format!(
+            "Write the missing values into {}; `opspace check {dir}` lists them all.\n",
+            robot.display()
+        ),
     };
+    let command = command.unwrap_or(CommandKind::Position).name();
     let name = robot.parent().and_then(|dir| dir.file_name()).unwrap_or_default().to_string_lossy();
     print(&format!(
         "{}\n{}\n{task}\n{motion}\n{fill}Next:\n  opspace check {task}\n  opspace run {task}\n  \
-         opspace report runs/first-task-{name}-position\n  opspace model {dir}\n",
+         opspace report runs/first-task-{name}-{command}\n  opspace model {dir}\n",
         robot.display(),
         copy.display(),
     ))?;

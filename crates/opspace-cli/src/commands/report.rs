@@ -47,5 +47,6 @@ pub fn report(args: &ReportArgs, extensions: &Extensions, console: Console) -> O
     let lead = "Desired and actual behaviour of the robot, from its log.";
     write_named(&out, &page(&title, lead, &summaries, MEASURES, &shown), Format::Html)?;
     args.json.print(|| pretty(&summaries), || format!("{}\n", out.display()))?;
+    args.open.show(&out, console);
     Ok(exit)
 }

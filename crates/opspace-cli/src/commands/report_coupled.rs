@@ -55,6 +55,7 @@ pub fn report_coupled(
     let (summary, page) = experiment.summary_and_page(&logs, summaries).map_err(bad)?;
     write_named(&out, &page, Format::Html)?;
     args.json.print(|| pretty(&summary), || format!("{}\n", out.display()))?;
+    args.open.show(&out, console);
     Ok(exit)
 }
 

@@ -11,7 +11,7 @@ use crate::plant::PlantChoice;
 use crate::result_folder::{MOVE_TO_START, prepare};
 use opspace_experiment::evaluate::results::MEASURES;
 use opspace_experiment::files::origin::Kind;
-use opspace_experiment::preflight::refusal;
+use opspace_experiment::preflight::checked_for_real_robot;
 use opspace_experiment::run::folder::{LOG, REPORT, SUMMARY};
 use opspace_experiment::{Experiment, Extensions, Files, Summary};
 use std::path::PathBuf;
@@ -34,7 +34,8 @@ pub fn run(args: &RunArgs, extensions: &Extensions, console: Console) -> Outcome
         Some(engine) => experiment.on_engine(engine)?,
     };
     for warning in &experiment.robot().warnings {
-        console.detail(&format!("{}: {warning}", experiment.robot().urdf.name()));
+        let code = warning.kind().code();
+        console.detail(&format!("{}: {warning} [{code}]", experiment.robot().urdf.name()));
     }
     let (task, robot) = (experiment.task().name(), experiment.robot().name());
     let plant = if args.plant == PlantChoice::Own { "" } else { "-mujoco" };
@@ -43,9 +44,8 @@ pub fn run(args: &RunArgs, extensions: &Extensions, console: Console) -> Outcome
     if let (Some(kind), Some(reason)) = (experiment.transformer_kind(), experiment.transformer_reason()) {
         console.detail(&format!("transformer '{}': {reason}", kind.name()));
     }
-    if on_driver && !args.accept_margins {
-        refuse_margins(&experiment)?;
-    }
+    let experiment = if on_driver { checked_for_real_robot(experiment)? } else { experiment };
+    experiment.allowed().iter().for_each(|refusal| console.note(&format!("warning: {refusal}")));
     let files = [LOG, REPORT, SUMMARY].map(str::to_owned);
     let results = prepare(&args.output, &default, &files, &experiment.input_paths(), console)?;
     let folder = results.path();
@@ -81,14 +81,8 @@ pub fn run(args: &RunArgs, extensions: &Extensions, console: Console) -> Outcome
     if summary.not_saved.is_empty() {
         console.note(&format!("wrote {}, {REPORT} and {SUMMARY}", folder.join(LOG).display()));
     }
+    args.open.show(&folder.join(REPORT), console);
     Ok(exit_code(&summary))
-}
-
-/// Refuses a run on a real robot whose margins are too small.
-fn refuse_margins(experiment: &Experiment) -> Result<(), Failure> {
-    let Some(mut refused) = refusal(experiment) else { return Ok(()) };
-    refused.help += "; --accept-margins runs it nevertheless";
-    Err(refused.placed(experiment).into())
 }
 
 /// Prints the reason why a run ended early.

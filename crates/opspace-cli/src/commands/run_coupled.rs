@@ -18,7 +18,9 @@ pub fn run_coupled(args: &RunArgs, extensions: &Extensions, console: Console) ->
     let mut settings = args.set.clone();
     settings.extend(args.seed.map(|seed| format!("seed={seed}")));
     settings.extend(args.duration_s.map(|duration_s| format!("duration_s={duration_s}")));
-    let mut experiment = CoupledExperiment::load(extensions, Files::Disk, &args.task, &settings)?;
+    let allow = &args.allow.allow;
+    let mut experiment =
+        CoupledExperiment::load_allowing(extensions, Files::Disk, &args.task, &settings, allow)?;
     if let Some(engine) = args.plant.open()? {
         experiment = experiment.on_engine(&engine)?;
     }
@@ -38,6 +40,9 @@ pub fn run_coupled(args: &RunArgs, extensions: &Extensions, console: Console) ->
         .map(|member| format!("{} ({} robot)", member.name, member.experiment.options().backend.name()))
         .collect();
     console.note(&format!("{name}: {}", robots.join(", ")));
+    for refusal in experiment.allowed() {
+        console.note(&format!("warning: {refusal}"));
+    }
     let summary = with_bar((&name, experiment.ticks()), &progress, console, || {
         experiment.run_in_folder(&results, &progress)
     })?;
@@ -54,6 +59,7 @@ pub fn run_coupled(args: &RunArgs, extensions: &Extensions, console: Console) ->
         console
             .note(&format!("wrote {}, and a folder for each robot", results.path().join(REPORT).display()));
     }
+    args.open.show(&results.path().join(REPORT), console);
     Ok(coupled_exit_code(&summary))
 }
 

@@ -37,7 +37,8 @@ enum Axis {
 pub enum AxisMode {
     /// Follows the reference.
     Motion,
-    /// Compliant: a force (zero, if none is set) is commanded instead of a position; tasks below cannot use the axis.
+    /// Compliant: a force (zero, if none is set) is commanded instead of a position; tasks below cannot use the axis. It stays
+    /// where it is pushed to: for an axis that yields and comes back, use `motion` with a spring (`impedance`).
     Compliant,
     /// Force control: as `compliant`, with an integral of the force error that removes the error caused by friction and
     /// by an inertia that differs from the model.

@@ -4,7 +4,7 @@ use crate::evaluate::metric_tables::{JointMetrics, PoseErrors, TaskMetrics};
 use crate::evaluate::results::{Measure, error_of_desired, group, task_table};
 use crate::files::source::KeyPath;
 use crate::run::summary::Summary;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// Note under tables of simulated runs.
 const OF_SIMULATION: &str =
@@ -49,6 +49,13 @@ pub fn assumed_notes<'a>(summaries: impl IntoIterator<Item = &'a Summary>) -> Ve
         format!("all results of robot '{robot}' rest on assumed values (`assumed` in its robot.toml): {keys}")
     };
     robots.into_iter().map(note).collect()
+}
+
+/// Notes above tables of results: refusals that the user has allowed, each once.
+#[must_use]
+pub fn allowed_notes<'a>(summaries: impl IntoIterator<Item = &'a Summary>) -> Vec<String> {
+    let all = summaries.into_iter().flat_map(|summary| &summary.allowed).map(ToString::to_string);
+    all.collect::<BTreeSet<String>>().into_iter().collect()
 }
 
 /// Lists assumed keys; those of joints are sorted by their kind.

@@ -537,6 +537,7 @@ pub(crate) mod tests {
             simulated: true,
             plant: Some(OWN_PLANT.to_owned()),
             assumed: Vec::new(),
+            allowed: Vec::new(),
             duration_s: 1.0,
             overrides: Vec::new(),
             label: None,

@@ -1,5 +1,6 @@
 //! Values that a robot file lacks, all at once: each with its unit, its typical range, and where one finds it.
 
+use crate::codes::Code;
 use crate::files::explain::list;
 use crate::files::layered_path::inner;
 use crate::files::source::{FileError, Source};
@@ -152,20 +153,22 @@ pub(crate) fn check_complete(
             let keys = [path.as_slice(), &words(only.of.path)].concat();
             let (within, key) = keys.split_at(keys.len() - 1);
             let message = format!("missing key `{}` in `{}`", dotted(key), dotted(within));
-            Err(FileError::at_key(source, keys, message, Some(text_of(only, model))))
+            Err(FileError::at_key(source, keys, message, Some(text_of(only, model)))
+                .coded(Code::MissingValues))
         }
         _ => {
             let mut help = String::from("the file needs these values:\n");
             missing.iter().for_each(|kind| help += &text_of(kind, model));
-            help += "`opspace new DIR --urdf FILE --assume` fills such values in and marks them as assumed";
+            help += "`opspace new DIR --urdf FILE --like ARM` fills in those of a common arm, and `--assume` assumed ones, marked as such";
             let message = format!("{values} values are missing");
             match common_table(&missing) {
-                [] => Err(FileError::of_file(source.name(), message, Some(help))),
+                [] => Err(FileError::of_file(source.name(), message, Some(help)).coded(Code::MissingValues)),
                 table => {
                     let joint = table.last().filter(|name| model.joint(name).is_ok());
                     let of = joint.map_or_else(String::new, |name| format!("joint '{name}': "));
                     let message = format!("{of}{message} in `{}`", dotted(table));
-                    Err(FileError::at_key(source, table.to_vec(), message, Some(help)))
+                    Err(FileError::at_key(source, table.to_vec(), message, Some(help))
+                        .coded(Code::MissingValues))
                 }
             }
         }

@@ -1,8 +1,11 @@
 //! Part of a robot that is used: locked joints, mimic joints, and one chain of a larger robot.
 
+use crate::codes::Code;
 use crate::files::source::{FileError, Source};
 use crate::files::suggest::choices;
-use opspace_model::{Limits, Model, ParsedUrdf, UrdfError, UrdfJoint, UrdfOptions, urdf_joints};
+use opspace_model::{
+    Limits, Model, ParsedUrdf, UrdfError, UrdfErrorKind, UrdfJoint, UrdfOptions, urdf_joints,
+};
 #[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::Deserialize;
@@ -64,7 +67,12 @@ pub(crate) fn load_part_of(
 /// Error in a URDF, at its line.
 pub(crate) fn urdf_error(urdf: &Source, error: &UrdfError) -> FileError {
     let line = error.line().and_then(|line| usize::try_from(line).ok());
-    FileError::at_line(urdf, line, error.kind().to_string(), None)
+    let found = FileError::at_line(urdf, line, error.kind().to_string(), None);
+    match error.kind() {
+        UrdfErrorKind::NegativeInertia { .. } => found.coded(Code::NegativeInertia),
+        UrdfErrorKind::Massless { .. } => found.coded(Code::MasslessLink),
+        _ => found,
+    }
 }
 
 /// Returns all joints that do not move, each with its position.

@@ -13,6 +13,7 @@ use std::sync::Arc;
 use serde::de::DeserializeOwned;
 use toml::de::{DeTable, DeValue};
 
+use crate::codes::{Code, Effect};
 use crate::files::explain::{list, syntax_words, words};
 use crate::files::layered_path::stated_path;
 use crate::files::suggest::nearest;
@@ -110,10 +111,12 @@ impl Source {
 
 /// Mistake in a file or a setting: its place, the text at this place, and the suggested correction.
 ///
-/// Displays as one line, `tasks/reach.toml:7: unknown key ...`. Use [`excerpt`](Self::excerpt) to show and underline
+/// Displays as one line, `tasks/reach.toml:7: unknown key ...`, with the code of its kind, if it has one, at the end. Use [`excerpt`](Self::excerpt) to show and underline
 /// the text, and [`help`](Self::help) for the suggested correction.
+#[derive(Clone)]
 pub struct FileError(Box<Inner>);
 
+#[derive(Clone)]
 struct Inner {
     path: String,
     text: Arc<str>,
@@ -121,6 +124,7 @@ struct Inner {
     line: Option<usize>,
     message: String,
     help: Option<String>,
+    code: Option<Code>,
 }
 
 impl FileError {
@@ -134,7 +138,27 @@ impl FileError {
             line: None,
             message: message.into(),
             help,
+            code: None,
         }))
+    }
+
+    /// Returns the error with the code of its kind.
+    #[must_use]
+    pub fn coded(mut self, code: Code) -> Self {
+        self.0.code = Some(code);
+        self
+    }
+
+    /// Returns the error as a refusal of this kind; the help says whether it can be allowed.
+    #[must_use]
+    pub fn refused(mut self, code: Code) -> Self {
+        let note = match code.effect() {
+            Effect::Refused => Some(format!("--allow {code} runs it nevertheless; results carry a warning")),
+            Effect::Never(reason) => Some(format!("this cannot be allowed: {reason}")),
+            Effect::Reported => None,
+        };
+        self.0.help = join(self.0.help.take(), note);
+        self.coded(code)
     }
 
     /// Creates an error at a line (from 1) of a text that is not TOML, or about the whole text if `line` is `None`.
@@ -156,7 +180,7 @@ impl FileError {
         });
         let path = source.name.clone();
         let text = Arc::clone(&source.text);
-        Self(Box::new(Inner { path, text, span, line, message: message.into(), help }))
+        Self(Box::new(Inner { path, text, span, line, message: message.into(), help, code: None }))
     }
 
     /// Creates an error at a key after parsing. The key is a dotted string (`"task.hand.cartesian.frame"`) or a list
@@ -200,6 +224,7 @@ impl FileError {
             line: Some(line),
             message,
             help,
+            code: None,
         };
         Self(Box::new(inner))
     }
@@ -225,6 +250,7 @@ impl FileError {
             line: None,
             message,
             help,
+            code: None,
         };
         Self(Box::new(inner))
     }
@@ -253,6 +279,12 @@ impl FileError {
         self.0.help.as_deref()
     }
 
+    /// Code of the kind of problem; a mistake in a file has none.
+    #[must_use]
+    pub fn code(&self) -> Option<Code> {
+        self.0.code
+    }
+
     /// Text that contains the mistake, and the byte range of the mistake; `None` for a whole file.
     #[must_use]
     pub fn excerpt(&self) -> Option<(&str, Range<usize>)> {
@@ -262,12 +294,13 @@ impl FileError {
 
 impl fmt::Display for FileError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Inner { path, line, message, span, text, .. } = &*self.0;
+        let Inner { path, line, message, span, text, code, .. } = &*self.0;
         match (line, span) {
-            (Some(line), _) => write!(f, "{path}:{line}: {message}"),
-            (None, Some(_)) => write!(f, "{path} {text}: {message}"),
-            (None, None) => write!(f, "{path}: {message}"),
+            (Some(line), _) => write!(f, "{path}:{line}: {message}")?,
+            (None, Some(_)) => write!(f, "{path} {text}: {message}")?,
+            (None, None) => write!(f, "{path}: {message}")?,
         }
+        code.map_or(Ok(()), |code| write!(f, " [{code}]"))
     }
 }
 

@@ -1,5 +1,6 @@
 //! Suites: lists of tasks with the robots and controllers that execute them, or of experiments with several robots.
 
+use crate::codes::Code;
 use crate::evaluate::results::{MEASURES, Measure};
 use crate::extensions::Extensions;
 use crate::files::grid::{Grid, GridMode, GridPoint};
@@ -145,6 +146,19 @@ impl Suite {
     /// # Errors
     /// As [`load`](Self::load).
     pub fn load_with(extensions: &Extensions, files: Files, path: &Path) -> Result<Self, FileError> {
+        Self::load_allowing(extensions, files, path, &[])
+    }
+
+    /// Reads a suite like [`load_with`](Self::load_with), and allows refusals with these codes in all runs.
+    ///
+    /// # Errors
+    /// As [`load`](Self::load).
+    pub fn load_allowing(
+        extensions: &Extensions,
+        files: Files,
+        path: &Path,
+        allow: &[Code],
+    ) -> Result<Self, FileError> {
         let source = files.read(path)?;
         Kind::Suite.require(&source)?;
         let file: SuiteFile = parse(&source)?;
@@ -159,7 +173,8 @@ impl Suite {
         }
         let (mut experiments, mut coupled) = (Vec::new(), Vec::new());
         let mut read = HashSet::new();
-        for run in runs {
+        for mut run in runs {
+            run.options.allow = allow.to_vec();
             let entry = &file.run[run.number];
             let (kind, files_of_run) = entry.files();
             let named = beside(path, &files_of_run[run.file]);
@@ -240,6 +255,9 @@ impl Suite {
             if let Some(scene) = experiment.scene() {
                 add(&scene.text);
             }
+        }
+        for refusal in self.of_robots().flat_map(Experiment::allowed) {
+            add(&refusal.to_string());
         }
         let plants: Vec<String> = self.of_robots().map(Experiment::plant).collect();
         if plants.iter().any(|plant| plant != OWN_PLANT) {
@@ -394,7 +412,8 @@ impl SingleRun {
         }
         set.extend(self.settings.iter().map(|(set, _)| set.clone()));
         set.extend(seed.map(|seed| format!("seed={seed}")));
-        let experiment = CoupledExperiment::load(extensions, files, path, &set)?;
+        let experiment =
+            CoupledExperiment::load_allowing(extensions, files, path, &set, &self.options.allow)?;
         Ok(CoupledExperiment { label: label.clone(), ..experiment })
     }
 

@@ -16,6 +16,7 @@ use super::case::PreflightCase;
 use super::diagnostic::{Diagnostic, short};
 use super::phase_margin::{Margin, hold, least_margin, rounded_down};
 use super::surfaces::{Surface, surfaces};
+use crate::codes::Code;
 use crate::run::experiment::ControllerKind;
 use nalgebra::{Complex, DMatrix, DVector, Matrix6xX, RowDVector, Vector3};
 use opspace_backend::Setpoints;
@@ -84,7 +85,7 @@ pub(super) fn unknown_contacts(case: &PreflightCase<'_>) -> Vec<Diagnostic> {
             rounded_down(stiffness),
         );
         let help = "raise admittance_ns_per_m for stiffer objects".to_owned();
-        found.push(Diagnostic::new(&key(case, stack, name), message, help));
+        found.push(Diagnostic::new(Code::UnknownContact, &key(case, stack, name), message, help));
     });
     found
 }
@@ -245,7 +246,7 @@ impl ForceLoop {
             }
             None => "the object is too stiff for this robot".to_owned(),
         };
-        Diagnostic::new(&key(case, stack, name), message, help)
+        Diagnostic::new(Code::UnstableAdmittance, &key(case, stack, name), message, help)
     }
 }
 

@@ -3,6 +3,7 @@
 use super::case::PreflightCase;
 use super::diagnostic::{Diagnostic, short};
 use super::rollout::{Instant, Rollout};
+use crate::codes::Code;
 use crate::run::collision::KeptDistances;
 use opspace_model::collision::{CollisionData, collision_distances};
 use opspace_model::{Data, Model, forward_kinematics};
@@ -22,7 +23,7 @@ pub(crate) fn collisions(case: &PreflightCase<'_>, followed: &Rollout) -> Vec<Di
         let message = format!("in the start posture, {found}: they move apart as soon as control starts");
         let help =
             "choose another start, or correct the capsules (`opspace model ROBOT --capsules`)".to_owned();
-        return vec![Diagnostic::new(&["start_rad"], message, help)];
+        return vec![Diagnostic::new(Code::StartInCollision, &["start_rad"], message, help)];
     }
     let near = |instant: &Instant, closest: &mut Closest<'_>| closest.within_margin(&instant.q);
     let last = followed.instants.last().filter(|_| followed.to_the_end);
@@ -46,7 +47,7 @@ pub(crate) fn collisions(case: &PreflightCase<'_>, followed: &Rollout) -> Vec<Di
     } else {
         "the arm passes the place if it can, with errors of its tasks: give the path more distance"
     };
-    vec![Diagnostic::new(&key, message, help.to_owned())]
+    vec![Diagnostic::new(Code::ReferenceInCollision, &key, message, help.to_owned())]
 }
 
 /// Search for the closest pair of a posture.

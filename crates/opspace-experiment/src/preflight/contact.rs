@@ -13,6 +13,7 @@
 use super::case::PreflightCase;
 use super::diagnostic::{Diagnostic, short};
 use super::surfaces::{Surface, surfaces};
+use crate::codes::Code;
 use nalgebra::{DVector, Matrix6xX};
 use opspace_control::{AXIS_NAMES, AxisMode, CartesianParameters, ForceParameters, Task, TaskParameters};
 use opspace_model::OperationalSpace;
@@ -147,7 +148,7 @@ impl PressingAxis<'_> {
             short(0.9 * largest),
             short(needed)
         );
-        Some(Diagnostic::new(&self.key("gain"), message, help))
+        Some(Diagnostic::new(Code::ContactOscillation, &self.key("gain"), message, help))
     }
 
     fn impact(&self) -> Option<Diagnostic> {
@@ -185,6 +186,6 @@ impl PressingAxis<'_> {
         } else {
             format!("reduce the target, to at most {} N", short(largest / 1.5))
         };
-        Some(Diagnostic::new(&self.key("contact"), message, help))
+        Some(Diagnostic::new(Code::ContactImpact, &self.key("contact"), message, help))
     }
 }

@@ -1,5 +1,6 @@
 //! Diagnostics of the couplings of an experiment with several robots.
 
+use crate::codes::Code;
 use crate::preflight::diagnostic::Diagnostic;
 use crate::run::coupled_experiment::{CoupledExperiment, Coupling};
 use opspace_control::{Passivity, Reflected};
@@ -15,6 +16,7 @@ pub fn coupling_diagnostics(experiment: &CoupledExperiment) -> Vec<Diagnostic> {
     };
     let without_limit = experiment.couplings.iter().filter(is_off).map(|coupling| {
         Diagnostic::new(
+            Code::NoPassivityControl,
             &["couplings", &coupling.name, "teleoperation", "passivity"],
             "passivity control is off: with a delay, or at a stiff surface, the robots can give more energy to the operator and \
              the environment than they received, without a bound"

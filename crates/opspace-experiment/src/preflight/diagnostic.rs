@@ -1,5 +1,6 @@
 //! Diagnostics: predicted failures of a run, with their place and a remedy.
 
+use crate::codes::Code;
 pub(super) use crate::evaluate::table::format_short as short;
 use crate::files::source::{FileError, Source};
 use crate::files::toml_path::dotted;
@@ -9,6 +10,8 @@ use crate::run::experiment::Experiment;
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Diagnostic {
+    /// Kind of the failure.
+    pub code: Code,
     /// Key of the value at fault, as a dotted path into its file: `task.hand.cartesian.gains`.
     pub key: String,
     /// Description of the failure, with the numbers.
@@ -26,9 +29,9 @@ enum File {
 }
 
 impl Diagnostic {
-    pub(super) fn new<S: AsRef<str>>(key: &[S], message: String, help: String) -> Self {
+    pub(super) fn new<S: AsRef<str>>(code: Code, key: &[S], message: String, help: String) -> Self {
         let key = dotted(&key.iter().map(|part| part.as_ref().to_owned()).collect::<Vec<_>>());
-        Self { key, message, help, file: File::Task }
+        Self { code, key, message, help, file: File::Task }
     }
 
     pub(super) fn of_robot(self) -> Self {
@@ -48,6 +51,6 @@ impl Diagnostic {
     /// Returns the diagnostic with its place in a file that has its key.
     #[must_use]
     pub fn placed_in(&self, source: &Source) -> FileError {
-        FileError::at_key(source, self.key.as_str(), &self.message, Some(self.help.clone()))
+        FileError::at_key(source, self.key.as_str(), &self.message, Some(self.help.clone())).coded(self.code)
     }
 }

@@ -2,11 +2,13 @@
 
 use super::case::PreflightCase;
 use super::diagnostic::{Diagnostic, short};
+use crate::codes::Code;
 use crate::evaluate::direction::direction;
 use nalgebra::{DMatrix, Matrix6xX, SymmetricEigen, Vector6};
-use opspace_control::SingularEscape;
 use opspace_control::tasks::task::DEFAULT_INVERSION;
+use opspace_control::{AXIS_NAMES, AxisMode, SingularEscape, TaskParameters};
 use opspace_model::{Data, OperationalSpace, Postures, update};
+use opspace_sim::EnvironmentObjectParameters;
 use std::fmt;
 
 /// Step (rad or m) and maximum number of steps by which a joint is displaced in the search for a better start.
@@ -36,8 +38,51 @@ pub(crate) fn uncontrolled(case: &PreflightCase<'_>) -> Option<Diagnostic> {
             0 => vec!["priority".to_owned()],
             event => vec!["event".to_owned(), (event - 1).to_string(), "set".to_owned()],
         };
-        Some(Diagnostic::new(&key, message, help.to_owned()))
+        Some(Diagnostic::new(Code::UncontrolledFreedom, &key, message, help.to_owned()))
     })
+}
+
+/// Finds tasks with compliant axes that nothing brings back after a push: no force is regulated, and no object of the
+/// environment holds the frame.
+pub(crate) fn drifting(case: &PreflightCase<'_>) -> Vec<Diagnostic> {
+    let mut found: Vec<Diagnostic> = Vec::new();
+    let mut named: Vec<&str> = Vec::new();
+    for (number, stack) in case.task_sets.iter().enumerate() {
+        for motion in &stack.motions {
+            let parameters = &motion.parameters;
+            let compliant = parameters.axes.with_mode(AxisMode::Compliant);
+            let axes: Vec<&str> =
+                AXIS_NAMES.into_iter().zip(compliant).filter(|(_, is)| *is).map(|(axis, _)| axis).collect();
+            if axes.is_empty() || parameters.force.is_some() || named.contains(&motion.name) {
+                continue;
+            }
+            let holds = |object: &EnvironmentObjectParameters| {
+                object.frame() == parameters.frame
+                    && !matches!(object, EnvironmentObjectParameters::Pushes(_))
+            };
+            if case.experiment.task().file.environment.values().any(holds) {
+                continue;
+            }
+            named.push(motion.name);
+            let message = format!(
+                "task '{}': nothing brings {} back along {}: a compliant axis stays where it is pushed to",
+                motion.name,
+                motion.controlled_name(),
+                axes.join(", "),
+            );
+            let spring = match axes[0].len() {
+                1 => format!("impedance = {{ stiffness_n_per_m = {{ {} = 100.0, ... }} }}", axes[0]),
+                _ => format!("impedance = {{ stiffness_nm_per_rad = {{ {} = 10.0, ... }} }}", axes[0]),
+            };
+            let help = format!(
+                "for an axis that yields and comes back, use \"motion\" with a spring: {spring}; for a hand that is led, nothing"
+            );
+            let kind = stack.task.get(motion.name).map_or("", TaskParameters::kind);
+            let key = case.key(number, motion.name, &[kind, "axes"]);
+            found.push(Diagnostic::new(Code::CompliantDrift, &key, message, help));
+        }
+    }
+    found
 }
 
 /// Number of sampled postures.
@@ -120,7 +165,7 @@ pub(crate) fn singular_start(case: &PreflightCase<'_>) -> Vec<Diagnostic> {
                 "; or set {key} = \"nullspace-step\": the arm then leaves by motion in the null space"
             );
         }
-        Diagnostic::new(&["start_rad"], message, help)
+        Diagnostic::new(Code::SingularStart, &["start_rad"], message, help)
     })
     .collect()
 }

@@ -14,6 +14,7 @@
 use super::diagnostic::{Diagnostic, short};
 use super::nudge::{Nudge, NudgedArm};
 use super::variation::Variation;
+use crate::codes::Code;
 use crate::run::experiment::Experiment;
 use opspace_backend::quantity::Positive;
 use opspace_model::{Data, update};
@@ -91,7 +92,10 @@ impl GearMargin {
             }
         };
         let profile = experiment.profile().0;
-        Some(Diagnostic::new(&["profile", profile, "transformer"], message, help).of_robot())
+        Some(
+            Diagnostic::new(Code::GearOscillation, &["profile", profile, "transformer"], message, help)
+                .of_robot(),
+        )
     }
 }
 

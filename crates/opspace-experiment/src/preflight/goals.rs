@@ -4,6 +4,7 @@ use super::case::PreflightCase;
 use super::diagnostic::{Diagnostic, short};
 use super::motion::Motion;
 use super::rollout::{Instant, Rollout, error};
+use crate::codes::Code;
 use nalgebra::{DVector, Matrix6, Matrix6xX, Vector6};
 use opspace_control::rank::reach;
 use opspace_control::{AXIS_NAMES, CartesianReference, ControlledFrame, Task, TaskParameters};
@@ -102,7 +103,7 @@ fn too_far(case: &PreflightCase<'_>, asked: &[Asked<'_>]) -> Option<Diagnostic> 
         short(reach_m)
     );
     let help = format!("move it {} m closer, or reduce the motion", short(distance_m - reach_m));
-    Some(Diagnostic::new(&asked.key(case), message, help))
+    Some(Diagnostic::new(Code::GoalOutOfReach, &asked.key(case), message, help))
 }
 
 /// First joint that moves a frame, and the distance of the target from this joint, m. Only the motion axes count,
@@ -187,7 +188,7 @@ fn unattainable(case: &PreflightCase<'_>, nearest: Vec<(Asked<'_>, Nearest)>) ->
     } else {
         "choose a closer goal, or free an axis that the task does not need".to_owned()
     };
-    Some(Diagnostic::new(&asked.key(case), message, help))
+    Some(Diagnostic::new(Code::GoalOutOfReach, &asked.key(case), message, help))
 }
 
 /// Returns the item with the largest number, or an earlier one whose number is at most 1 % smaller.

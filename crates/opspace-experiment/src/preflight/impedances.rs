@@ -5,6 +5,7 @@
 //! to less than zero, a resonance of gear, link or contact at that frequency may grow.
 
 use super::diagnostic::{Diagnostic, short};
+use crate::codes::Code;
 use crate::run::experiment::Experiment;
 use opspace_backend::Sample;
 use opspace_model::{Data, update};
@@ -115,6 +116,9 @@ impl JointImpedance {
         );
         let help = "use 'extrapolation' or 'extrapolation+current'".to_owned();
         let profile = experiment.profile().0;
-        Some(Diagnostic::new(&["profile", profile, "transformer"], message, help).of_robot())
+        Some(
+            Diagnostic::new(Code::ActiveImpedance, &["profile", profile, "transformer"], message, help)
+                .of_robot(),
+        )
     }
 }

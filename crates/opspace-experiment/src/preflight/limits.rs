@@ -3,6 +3,7 @@
 use super::case::PreflightCase;
 use super::diagnostic::{Diagnostic, short};
 use super::rollout::Rollout;
+use crate::codes::Code;
 use opspace_backend::GravityCompensation;
 use opspace_control::TaskParameters;
 use opspace_model::JointKind;
@@ -29,7 +30,7 @@ fn shares(case: &PreflightCase<'_>) -> Vec<Diagnostic> {
         .map(|(key, share)| {
             let message = format!("{key} is {}, above 1: 1 is used", short(share.get()));
             let help = format!("give a fraction from 0 to 1: {key} = 0.9");
-            Diagnostic::new(&["limits", key], message, help)
+            Diagnostic::new(Code::FractionAboveOne, &["limits", key], message, help)
         })
         .collect()
 }
@@ -48,7 +49,7 @@ fn range(case: &PreflightCase<'_>, joint: usize) -> Option<Diagnostic> {
         short(width),
     );
     let help = format!("give a margin well below {}", short(0.5 * width));
-    Some(Diagnostic::new(&["limits", "position_margin_rad"], message, help))
+    Some(Diagnostic::new(Code::MarginAboveRange, &["limits", "position_margin_rad"], message, help))
 }
 
 /// Finds a start position within the margin; the joint moves away from there immediately.
@@ -68,7 +69,7 @@ fn start_in_margin(case: &PreflightCase<'_>, joint: usize) -> Option<Diagnostic>
         short(case.margin()),
     );
     let help = format!("start it at {} or further inside, or give a smaller margin", short(inside));
-    Some(Diagnostic::new(&["start_rad", case.joint(joint)], message, help))
+    Some(Diagnostic::new(Code::StartInMargin, &["start_rad", case.joint(joint)], message, help))
 }
 
 /// Finds a joint whose torque limit is too low for the weight of the arm: at the start, or at a time on the
@@ -101,11 +102,14 @@ fn weight(case: &PreflightCase<'_>, joint: usize, gravity: f64, time_s: Option<f
     let name = case.joint(joint);
     if gravity.abs() <= limit {
         let help = format!("set torque_fraction to at least {}", short(gravity.abs() / limit));
-        return Some(Diagnostic::new(&["limits", "torque_fraction"], message, help));
+        return Some(Diagnostic::new(Code::WeightAboveLimit, &["limits", "torque_fraction"], message, help));
     }
     let help = "choose a posture with less gravity torque on this joint, or check the limit and the masses"
         .to_owned();
-    Some(Diagnostic::new(&["joint", name, "torque_limit_nm"], message, help).of_robot())
+    Some(
+        Diagnostic::new(Code::WeightAboveLimit, &["joint", name, "torque_limit_nm"], message, help)
+            .of_robot(),
+    )
 }
 
 /// Finds an acceleration limit so low that braking from the velocity limit requires more than the joint range.
@@ -129,8 +133,13 @@ fn braking(case: &PreflightCase<'_>, joint: usize) -> Option<Diagnostic> {
     let least = short(limits.velocity * limits.velocity / (2.0 * width));
     let help = format!("give it in rad/s² (m/s²); at least {least} lets the joint reach its velocity limit");
     Some(
-        Diagnostic::new(&["joint", case.joint(joint), "acceleration_limit_rad_per_s2"], message, help)
-            .of_robot(),
+        Diagnostic::new(
+            Code::UnreachableSpeed,
+            &["joint", case.joint(joint), "acceleration_limit_rad_per_s2"],
+            message,
+            help,
+        )
+        .of_robot(),
     )
 }
 
@@ -210,7 +219,7 @@ fn beyond(
     } else {
         format!("give a target of at least {}", short(lower))
     };
-    Diagnostic::new(&key, message, help)
+    Diagnostic::new(Code::TargetBeyondLimits, &key, message, help)
 }
 
 /// Diagnostics along the references: weight above the torque limit of a joint, or changing faster than its torque
@@ -259,8 +268,13 @@ fn torque_rate(case: &PreflightCase<'_>, followed: &Rollout, joint: usize) -> Op
         short(change(fastest) / rate)
     );
     Some(
-        Diagnostic::new(&["joint", case.joint(joint), "torque_rate_limit_nm_per_s"], message, help)
-            .of_robot(),
+        Diagnostic::new(
+            Code::WeightAboveRate,
+            &["joint", case.joint(joint), "torque_rate_limit_nm_per_s"],
+            message,
+            help,
+        )
+        .of_robot(),
     )
 }
 

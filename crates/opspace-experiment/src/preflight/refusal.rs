@@ -15,29 +15,49 @@ use super::gears::first_oscillation;
 use super::nudge::{Nudge, NudgedArm};
 use super::servo_gain::{ServoLoop, gain_margin};
 use super::torque_floor::feed_forward_impulses;
+use crate::files::source::FileError;
 use crate::run::experiment::Experiment;
 use opspace_transformer::Gears;
 
 /// Excess of the servos' gains over their nominal values at which a real robot must be stable.
 pub const LEAST_EXCESS: f64 = 0.01;
 
-/// Returns the reason why an experiment should not run on a real robot: a margin that is too small; `None` if there is
-/// none, or if commands pass without a transformer.
+/// Returns the reasons why an experiment should not run on a real robot: margins that are too small. Empty if there is none, or
+/// if commands pass without a transformer.
 #[must_use]
-pub fn refusal(experiment: &Experiment) -> Option<Diagnostic> {
-    if let Some(found) = feed_forward_impulses(experiment) {
-        return Some(found);
+pub fn refusals(experiment: &Experiment) -> Vec<Diagnostic> {
+    let found = [feed_forward_impulses(experiment), small_gain_margin(experiment), oscillation(experiment)];
+    found.into_iter().flatten().collect()
+}
+
+/// Returns an experiment that may run on a real robot.
+///
+/// # Errors
+/// The first refusal that the user has not allowed; those that are allowed are recorded.
+pub fn checked_for_real_robot(mut experiment: Experiment) -> Result<Experiment, FileError> {
+    for refusal in refusals(&experiment) {
+        let placed = refusal.placed(&experiment).refused(refusal.code);
+        experiment.refuse(placed)?;
     }
-    let nudged = NudgedArm::new(experiment, experiment.transformer_kind()?)?;
-    let servo_loop = ServoLoop::of(experiment.command_kind())?;
+    Ok(experiment)
+}
+
+fn nudged(experiment: &Experiment) -> Option<NudgedArm> {
+    NudgedArm::new(experiment, experiment.transformer_kind()?)
+}
+
+fn small_gain_margin(experiment: &Experiment) -> Option<Diagnostic> {
+    let (nudged, servo_loop) = (nudged(experiment)?, ServoLoop::of(experiment.command_kind())?);
     let varied = servo_loop.varied().of(nudged.nominal(), 1.0 + LEAST_EXCESS)?;
-    if let Nudge::Grows(_) = nudged.nudge(&varied)? {
-        let mut found = gain_margin(experiment)?.finding(experiment)?;
-        found.message += &format!("; a real robot must tolerate {} %", 100.0 * LEAST_EXCESS);
-        return Some(found);
-    }
+    let Nudge::Grows(_) = nudged.nudge(&varied)? else { return None };
+    let mut found = gain_margin(experiment)?.finding(experiment)?;
+    found.message += &format!("; a real robot must tolerate {} %", 100.0 * LEAST_EXCESS);
+    Some(found)
+}
+
+fn oscillation(experiment: &Experiment) -> Option<Diagnostic> {
     if experiment.robot().gears() == Gears::Rigid {
         return None;
     }
-    first_oscillation(&nudged)?.finding(experiment)
+    first_oscillation(&nudged(experiment)?)?.finding(experiment)
 }

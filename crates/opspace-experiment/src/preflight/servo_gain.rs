@@ -35,6 +35,7 @@ use super::boundary::boundary;
 use super::diagnostic::{Diagnostic, short};
 use super::nudge::NudgedArm;
 use super::variation::Variation;
+use crate::codes::Code;
 use crate::run::experiment::Experiment;
 use opspace_backend::{CommandKind, Measured};
 use opspace_transformer::Gears;
@@ -181,6 +182,9 @@ impl GainMargin {
         let help = format!(
             "{current}{relief}, or raise the nominal gains: overestimated gains only make the response slower",
         );
-        Some(Diagnostic::new(&["profile", profile, "transformer"], message, help).of_robot())
+        Some(
+            Diagnostic::new(Code::SmallGainMargin, &["profile", profile, "transformer"], message, help)
+                .of_robot(),
+        )
     }
 }

@@ -3,6 +3,7 @@
 use super::case::PreflightCase;
 use super::diagnostic::{Diagnostic, short};
 use super::rollout::{Instant, Rollout};
+use crate::codes::Code;
 use opspace_control::TaskParameters;
 
 /// Ratio of a speed to its limit up to which nothing is reported, because the excess may be rounding.
@@ -36,7 +37,7 @@ pub(crate) fn of_joints(case: &PreflightCase<'_>, followed: &Rollout) -> Option<
         short(instant.dq[joint].abs()),
     );
     let help = format!("make the motion {} times as long, or smaller", short(most));
-    Some(Diagnostic::new(&key, message, help))
+    Some(Diagnostic::new(Code::JointTooFast, &key, message, help))
 }
 
 /// Key of the moving reference of highest priority.
@@ -83,8 +84,9 @@ pub(crate) fn of_tasks(case: &PreflightCase<'_>, followed: &Rollout) -> Vec<Diag
                 let kind = stack.task.get(task.name()).map_or("", TaskParameters::kind);
                 let key = case.key(number, task.name(), &[kind, key]);
                 // An event may leave the task unchanged: it is reported only once.
-                if !found.iter().any(|f| f.key == Diagnostic::new(&key, String::new(), String::new()).key) {
-                    found.push(Diagnostic::new(&key, message, help));
+                let new = Diagnostic::new(Code::ReferenceTooFast, &key, message, help);
+                if !found.iter().any(|old| old.key == new.key) {
+                    found.push(new);
                 }
             }
         }

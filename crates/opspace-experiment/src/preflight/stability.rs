@@ -41,6 +41,7 @@
 use super::case::PreflightCase;
 use super::diagnostic::{Diagnostic, short};
 use super::phase_margin::{Margin, hold, least_margin, rounded_down};
+use crate::codes::Code;
 use nalgebra::{Complex, Matrix6xX};
 use opspace_backend::{CommandKind, Setpoints};
 use opspace_control::{AXIS_NAMES, AxisMode, JointTask, RowGains, Task, TaskParameters};
@@ -93,7 +94,7 @@ fn stiff_task(case: &PreflightCase<'_>, stack: usize, name: &str) -> Option<Diag
         ),
         None => "raise damping_ratio: with this one no stiffness has enough margin".to_owned(),
     };
-    Some(Diagnostic::new(&case.key(stack, name, key), message, help))
+    Some(Diagnostic::new(Code::GainsTooHigh, &case.key(stack, name, key), message, help))
 }
 
 /// Control loop of an axis or a joint.
@@ -128,8 +129,8 @@ pub(crate) fn not_checked(case: &PreflightCase<'_>) -> Vec<Diagnostic> {
                  this robot is not checked",
                 unknown.join(", ")
             );
-            let finding =
-                Diagnostic::new(&case.key(number, name, &[]), message, "test it in simulation".to_owned());
+            let (key, help) = (case.key(number, name, &[]), "test it in simulation".to_owned());
+            let finding = Diagnostic::new(Code::UnknownGains, &key, message, help);
             if !found.contains(&finding) {
                 found.push(finding);
             }

@@ -3,6 +3,7 @@
 use super::case::{ActiveTasks, PreflightCase};
 use super::diagnostic::{Diagnostic, short};
 use super::rollout::Rollout;
+use crate::codes::Code;
 use opspace_control::{CartesianReference, JointReference, ScalarReference, TaskParameters};
 
 /// Largest difference between two durations that count as equal, s.
@@ -30,7 +31,7 @@ fn late_events(case: &PreflightCase<'_>) -> Vec<Diagnostic> {
             short(duration_s)
         );
         let help = format!("set its time below {} s, or increase duration_s", short(duration_s));
-        Diagnostic::new(&["event", &number.to_string(), "time_s"], message, help)
+        Diagnostic::new(Code::LateEvent, &["event", &number.to_string(), "time_s"], message, help)
     })
     .collect()
 }
@@ -47,7 +48,12 @@ fn settling(case: &PreflightCase<'_>) -> Option<Diagnostic> {
         short(settle_s),
         short(ramp_s)
     );
-    Some(Diagnostic::new(&["settle_s"], message, format!("settle_s = {}", short(ramp_s))))
+    Some(Diagnostic::new(
+        Code::EarlyStatistics,
+        &["settle_s"],
+        message,
+        format!("settle_s = {}", short(ramp_s)),
+    ))
 }
 
 /// Finds references that still move at the end of the run.
@@ -81,7 +87,7 @@ fn unfinished(case: &PreflightCase<'_>, followed: &Rollout) -> Vec<Diagnostic> {
             Length::Known(length_s) => format!("duration_s = {}, or make the motion faster", short(begin_s + length_s)),
             Length::AsFastAsItCan => "increase duration_s, or the limits of the goal's motion".to_owned(),
         };
-        Some(Diagnostic::new(&["duration_s"], message, help))
+        Some(Diagnostic::new(Code::UnfinishedReference, &["duration_s"], message, help))
     });
     unfinished.collect()
 }

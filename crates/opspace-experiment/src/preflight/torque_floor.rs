@@ -12,6 +12,7 @@
 //! With another delay the first is unknown too (a factor of up to √2); the servo's velocity filter lessens the error.
 
 use super::diagnostic::{Diagnostic, short};
+use crate::codes::Code;
 use crate::run::experiment::Experiment;
 use opspace_backend::Setpoints;
 use opspace_backend::quantity::Positive;
@@ -103,5 +104,8 @@ pub(crate) fn feed_forward_impulses(experiment: &Experiment) -> Option<Diagnosti
     let help = "let the drives interpolate (setpoints = \"interpolated\"), or set velocity_feed_forward = 0 in drives and \
                 file"
         .to_owned();
-    Some(Diagnostic::new(&["profile", profile_name, "servo", joint], message, help).of_robot())
+    Some(
+        Diagnostic::new(Code::FeedForwardImpulse, &["profile", profile_name, "servo", joint], message, help)
+            .of_robot(),
+    )
 }

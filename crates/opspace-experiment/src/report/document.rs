@@ -1,6 +1,6 @@
 //! Reports: pages with a table of runs, charts that compare them, and the figures of each run.
 
-use crate::evaluate::notes::{assumed_notes, joint_notes, notes, task_notes};
+use crate::evaluate::notes::{allowed_notes, assumed_notes, joint_notes, notes, task_notes};
 use crate::evaluate::results::{Measure, group, joint_table, table, task_table};
 use crate::evaluate::table::Table;
 use crate::report::comparisons::{comparisons, overlays, sweeps};
@@ -45,9 +45,11 @@ pub fn page(
     page.render()
 }
 
-/// Adds notes about assumed values, on which results rest.
-pub(super) fn with_assumed<'a>(page: Page, summaries: impl IntoIterator<Item = &'a Summary>) -> Page {
-    assumed_notes(summaries).iter().fold(page, |page, note| page.warning(&format!("{note}.")))
+/// Adds notes about assumed values, on which results rest, and about refusals that the user has allowed.
+pub(super) fn with_assumed<'a>(page: Page, summaries: impl IntoIterator<Item = &'a Summary> + Clone) -> Page {
+    let allowed = allowed_notes(summaries.clone()).into_iter().map(|note| format!("Allowed: {note}."));
+    let notes = assumed_notes(summaries).into_iter().map(|note| format!("{note}.")).chain(allowed);
+    notes.fold(page, |page, note| page.warning(&note))
 }
 
 /// Adds the section of one run to a page.

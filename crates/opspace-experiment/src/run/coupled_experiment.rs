@@ -3,6 +3,7 @@
 //! All robots run on one clock. A robot sees the others only through links; what it received is in its own log, so that each
 //! log can be replayed alone.
 
+use crate::codes::{AllowedRefusal, Code};
 use crate::evaluate::coupling_metrics::check_expectations;
 use crate::evaluate::table::format_short;
 use crate::extensions::Extensions;
@@ -119,6 +120,20 @@ impl CoupledExperiment {
         path: &Path,
         settings: &[String],
     ) -> Result<Self, FileError> {
+        Self::load_allowing(extensions, files, path, settings, &[])
+    }
+
+    /// Reads an experiment like [`load`](Self::load), and allows refusals with these codes.
+    ///
+    /// # Errors
+    /// As [`load`](Self::load).
+    pub fn load_allowing(
+        extensions: &Extensions,
+        files: Files,
+        path: &Path,
+        settings: &[String],
+        allow: &[Code],
+    ) -> Result<Self, FileError> {
         let source = files.read(path)?;
         let names = robot_names(&source)?;
         let mut of_robots: BTreeMap<String, Vec<String>> = BTreeMap::new();
@@ -151,14 +166,18 @@ impl CoupledExperiment {
                 set.extend(task_settings(&source, coupling, number));
             }
             set.extend(of_robots.remove(name).unwrap_or_default());
-            let mut experiment = member(extensions, files, path, robot, &set, seed_of(&file, number), &file)
+            let options = (seed_of(&file, number), allow);
+            let mut experiment = member(extensions, files, path, robot, &set, options, &file)
                 .map_err(|error| placed(error, &source, &couplings, (number, name), &robot.set))?;
             experiment.membership =
                 Some(Membership { robot: name.clone(), experiment: source.clone(), settings: kept.clone() });
             members.push(Member::new(name, experiment, &source)?);
         }
-        let new = Self { source, file, members, couplings, settings: kept, label: None };
+        let mut new = Self { source, file, members, couplings, settings: kept, label: None };
         new.check_couplings()?;
+        for (coupling, refusal) in new.refusals() {
+            new.refuse(coupling, refusal)?;
+        }
         if !new.file.objects.is_empty() {
             new.simulated_arms()?;
         }
@@ -173,6 +192,18 @@ impl CoupledExperiment {
     /// A file that is not one of an experiment with several robots.
     pub fn robot_names(files: Files, path: &Path) -> Result<Vec<String>, FileError> {
         robot_names(&files.read(path)?)
+    }
+
+    /// Refusals that the user has allowed, each once.
+    #[must_use]
+    pub fn allowed(&self) -> Vec<&AllowedRefusal> {
+        let mut all: Vec<&AllowedRefusal> = Vec::new();
+        for refusal in self.members.iter().flat_map(|member| member.experiment.allowed()) {
+            if !all.contains(&refusal) {
+                all.push(refusal);
+            }
+        }
+        all
     }
 
     /// Plant of the simulation.
@@ -356,18 +387,35 @@ impl CoupledExperiment {
                 let help = Some("couple the same number of axes or joints, in the same units".to_owned());
                 return Err(FileError::at_key(&self.source, key, message, help));
             }
-            self.check_timeouts(coupling)?;
-            self.check_waves(coupling)?;
         }
         Ok(())
     }
 
-    /// Refuses a channel whose packets arrive later than the receiver waits for them.
-    fn check_timeouts(&self, coupling: &Coupling) -> Result<(), FileError> {
-        let Some(name) = &coupling.file.channel else { return Ok(()) };
+    /// Refusals of the couplings, each with the index of its coupling.
+    fn refusals(&self) -> Vec<(usize, FileError)> {
+        let each = self.couplings.iter().enumerate();
+        each.flat_map(|(i, coupling)| {
+            let found = [self.late_packets(coupling), self.active_waves(coupling)];
+            found.into_iter().flatten().map(move |refusal| (i, refusal))
+        })
+        .collect()
+    }
+
+    /// Refuses the experiment, or records the refusal with both robots of the coupling if the user allows its code.
+    fn refuse(&mut self, coupling: usize, refusal: FileError) -> Result<(), FileError> {
+        let Coupling { leader, follower, .. } = &self.couplings[coupling];
+        let (leader, follower) = (leader.0, follower.0);
+        self.members[leader].experiment.refuse(refusal.clone())?;
+        self.members[follower].experiment.refuse(refusal)
+    }
+
+    /// Refusal of a channel whose packets arrive later than the receiver waits for them.
+    fn late_packets(&self, coupling: &Coupling) -> Option<FileError> {
+        let name = coupling.file.channel.as_ref()?;
         let ChannelFile { delay_s, jitter_s, hold_after_s, .. } = coupling.channel;
         let refuse = |key: &str, message: String, help: String| {
-            Err(FileError::at_key(&self.source, ["channels", name, key], message, Some(help)))
+            let found = FileError::at_key(&self.source, ["channels", name, key], message, Some(help));
+            Some(found.refused(Code::LatePackets))
         };
         let (latest_s, hold_s) = (delay_s.get() + jitter_s.get(), hold_after_s.get());
         if latest_s >= hold_s {
@@ -394,18 +442,19 @@ impl CoupledExperiment {
             let help = format!("choose less than {} s, or a larger timeout_s", format_short(timeout_s));
             return refuse("jitter_s", message, help);
         }
-        Ok(())
+        None
     }
 
-    /// Refuses wave variables where they are not passive.
-    fn check_waves(&self, coupling: &Coupling) -> Result<(), FileError> {
+    /// Refusal of wave variables where they are not passive.
+    fn active_waves(&self, coupling: &Coupling) -> Option<FileError> {
         let reflects = coupling.teleoperation().map(|law| law.reflect);
         if !matches!(reflects, Some(Reflected::Waves { .. })) {
-            return Ok(());
+            return None;
         }
         let refuse = |message: String, help: &str| {
             let key = ["couplings", &coupling.name, "teleoperation", "reflect"];
-            Err(FileError::at_key(&self.source, key, message, Some(help.to_owned())))
+            let found = FileError::at_key(&self.source, key, message, Some(help.to_owned()));
+            Some(found.refused(Code::ActiveWaves))
         };
         if coupling.channel.jitter_s != NonNegative::default() || coupling.channel.loss.get() != 0.0 {
             let message =
@@ -424,7 +473,7 @@ impl CoupledExperiment {
             );
             return refuse(message, "choose another `reflect`, or other profiles of the robots");
         }
-        Ok(())
+        None
     }
 }
 
@@ -467,7 +516,7 @@ fn member(
     path: &Path,
     robot: &ExperimentRobot,
     set: &[String],
-    seed: u64,
+    (seed, allow): (u64, &[Code]),
     file: &ExperimentFile,
 ) -> Result<Experiment, FileError> {
     let task = beside(path, &robot.task);
@@ -484,6 +533,7 @@ fn member(
         seed: Some(seed),
         duration_s: Some(file.duration_s.get()),
         label: None,
+        allow: allow.to_vec(),
     };
     Experiment::load_with(extensions, files, &task, folder.as_deref(), options, set)
 }

@@ -1,5 +1,6 @@
 //! Errors of a run.
 
+use crate::codes::Code;
 use crate::files::source::FileError;
 use opspace_backend::DeviceFault;
 use opspace_log::{LogError, OutcomeRecord};
@@ -41,7 +42,8 @@ pub enum RunError {
     },
     /// The real robot is not at the start position of the task.
     #[error(
-        "joint '{joint}' is at {q_rad:.3} rad (m), but the task starts at {start_rad:.3}; use --move-to-start to move the robot there slowly, or change start_rad"
+        "joint '{joint}' is at {q_rad:.3} rad (m), but the task starts at {start_rad:.3}; use --move-to-start to move the robot there slowly, or change start_rad [{}]",
+        Code::AwayFromStart
     )]
     AwayFromStart {
         /// Name of the first joint, counted from the base, that is not at its start position.

@@ -1,5 +1,6 @@
 //! Experiment: a task on a robot, assembled from the task file and the robot file.
 
+use crate::codes::{AllowedRefusal, Code};
 use crate::evaluate::expectations;
 use crate::extensions::Extensions;
 use crate::files::origin::Files;
@@ -99,6 +100,8 @@ pub struct RunOptions {
     pub duration_s: Option<f64>,
     /// Name of the run's settings in the table of a suite.
     pub label: Option<String>,
+    /// Refusals that the user allows.
+    pub allow: Vec<Code>,
 }
 
 impl Default for RunOptions {
@@ -111,6 +114,7 @@ impl Default for RunOptions {
             seed: None,
             duration_s: None,
             label: None,
+            allow: Vec::new(),
         }
     }
 }
@@ -127,6 +131,7 @@ pub struct Experiment {
     distances: Option<KeptDistances>,
     pub(super) physics: Physics,
     pub(super) membership: Option<Membership>,
+    pub(super) allowed: Vec<AllowedRefusal>,
 }
 
 impl Experiment {
@@ -201,7 +206,7 @@ impl Experiment {
         let (profile_name, profile) = (name.to_owned(), profile.clone());
         let distances = kept_distances(&robot, &task)?;
         let physics = Physics::Own;
-        let experiment = Self {
+        let mut experiment = Self {
             robot,
             task,
             options,
@@ -211,8 +216,10 @@ impl Experiment {
             distances,
             physics,
             membership: None,
+            allowed: Vec::new(),
         };
         experiment.check_choice()?;
+        experiment.check_friction_observer()?;
         expectations::check(&experiment.task, &experiment.robot)?;
         experiment.start()?;
         experiment.controller()?;
@@ -260,6 +267,24 @@ impl Experiment {
     #[must_use]
     pub fn options(&self) -> &RunOptions {
         &self.options
+    }
+
+    /// Refusals that the user has allowed.
+    #[must_use]
+    pub fn allowed(&self) -> &[AllowedRefusal] {
+        &self.allowed
+    }
+
+    /// Refuses the experiment, or records the refusal if the user allows its code.
+    pub(crate) fn refuse(&mut self, refusal: FileError) -> Result<(), FileError> {
+        let Some(code) = refusal.code().filter(|code| self.options.allow.contains(code)) else {
+            return Err(refusal);
+        };
+        let allowed = AllowedRefusal { code: code.name().to_owned(), message: refusal.message().to_owned() };
+        if !self.allowed.contains(&allowed) {
+            self.allowed.push(allowed);
+        }
+        Ok(())
     }
 
     /// Settings that were applied to the files.
@@ -430,7 +455,8 @@ impl Experiment {
         let Some(simulated) = self.robot.file.simulated.clone() else {
             let help = "add [simulated]; `opspace schema robot` lists its keys".to_owned();
             let message = "this robot has no [simulated] section, so it cannot be simulated";
-            return Err(FileError::of_file(self.robot.source.name(), message, Some(help)));
+            let found = FileError::of_file(self.robot.source.name(), message, Some(help));
+            return Err(found.refused(Code::NotSimulated));
         };
         let servos = self.servos()?;
         // Brakes hold a torque robot without servos.
@@ -489,6 +515,7 @@ impl Experiment {
             friction_observer: friction.observer_rad_per_s.map(|corner_rad_per_s| {
                 FrictionObserver::new(joints.len(), corner_rad_per_s, friction.observer_limit_nm)
             }),
+            unsensed_contact: self.options.allow.contains(&Code::FrictionObserverWithoutSensor),
             command_delay_s: f64::from(self.profile.delay()) * self.profile.servo_period_s(),
             friction: FrictionCompensation::new(joints.iter().map(|j| &j.friction), friction),
             torque_limits: self.robot.torque_limits(),
@@ -567,15 +594,6 @@ impl Experiment {
         if let Some(kind) = self.transformer_kind() {
             self.check_transformer(kind)?;
         }
-        let observes_friction = self.task.file.friction_compensation.observer_rad_per_s.is_some();
-        if observes_friction && self.robot.file.force_sensor.is_empty() {
-            let message = "the friction observer needs a force sensor, which this robot does not have: it would oppose \
-                           all contact as if it were friction";
-            let help =
-                Some("omit observer_rad_per_s, or add [force_sensor.NAME] if the robot has one".to_owned());
-            let key = "friction_compensation.observer_rad_per_s";
-            return Err(FileError::at_key(&self.task.source, key, message, help));
-        }
         let counted_s = self.duration_s() - self.task.file.settle_s.get();
         if counted_s > 0.0 && counted_s < self.profile.period_s() {
             let message = format!(
@@ -595,6 +613,20 @@ impl Experiment {
             return Err(FileError::at_key(&self.task.source, "settle_s", message, help));
         }
         Ok(())
+    }
+
+    /// Refuses a friction observer on a robot that cannot tell contact from friction.
+    fn check_friction_observer(&mut self) -> Result<(), FileError> {
+        let observes_friction = self.task.file.friction_compensation.observer_rad_per_s.is_some();
+        if !observes_friction || !self.robot.file.force_sensor.is_empty() {
+            return Ok(());
+        }
+        let message = "the friction observer needs a force sensor, which this robot does not have: it would oppose all \
+                       contact as if it were friction";
+        let help = "omit observer_rad_per_s, or add [force_sensor.NAME] if the robot has one".to_owned();
+        let key = "friction_compensation.observer_rad_per_s";
+        let found = FileError::at_key(&self.task.source, key, message, Some(help));
+        self.refuse(found.refused(Code::FrictionObserverWithoutSensor))
     }
 
     /// Start positions of the joints (n; rad or m), in joint order.

@@ -1,5 +1,6 @@
 //! Files and settings stored in a log, from which the experiment can be rebuilt.
 
+use crate::codes::AllowedRefusal;
 use crate::extensions::Extensions;
 use crate::files::overrides;
 use crate::files::robot::RobotDefinition;
@@ -23,6 +24,8 @@ pub const RUN: &str = "opspace.run";
 const WORLD: &str = "world";
 /// Entry that states whether the transformer was an option of the run.
 pub(crate) const ASKED_FOR: &str = "transformer_asked_for";
+/// Entry with the refusals that the user has allowed, as JSON; logs of earlier versions have none.
+const ALLOWED: &str = "allowed";
 /// Entry with the settings of the experiment with several robots.
 const EXPERIMENT_OVERRIDES: &str = "experiment_overrides";
 const REAL: &str = "real";
@@ -66,6 +69,7 @@ impl Experiment {
             ("servo_hz".to_owned(), self.profile().1.servo_hz.get().to_string()),
             ("interface_hz".to_owned(), (1.0 / self.profile().1.period_s()).to_string()),
             ("overrides".to_owned(), self.settings().join("\n")),
+            (ALLOWED.to_owned(), serde_json::to_string(&self.allowed).unwrap_or_default()),
         ]);
         if world == World::Simulated {
             entries.extend(self.physics.entries());
@@ -168,6 +172,11 @@ impl Experiment {
             overrides::apply(&attached(recording, TASK_FILE, entry("task")?)?, &task_changes)?,
             |named| attached(recording, &recording_file(named.file), &named.path.display().to_string()),
         )?;
+        let allowed = match entries.get(ALLOWED) {
+            Some(list) => serde_json::from_str::<Vec<AllowedRefusal>>(list)
+                .map_err(|_| RunError::Incomplete { what: format!("a readable '{ALLOWED}'") })?,
+            None => Vec::new(),
+        };
         let unknown = |key: &str| RunError::Incomplete { what: format!("a known '{key}'") };
         let transformer =
             TransformerKind::named(entry("transformer")?).ok_or_else(|| unknown("transformer"))?;
@@ -184,6 +193,7 @@ impl Experiment {
             profile: Some(entry("profile")?.to_owned()),
             seed: Some(entry("seed")?.parse().map_err(|_| unknown("seed"))?),
             label: None,
+            allow: allowed.iter().filter_map(|refusal| refusal.code.parse().ok()).collect(),
             duration_s: Some(duration_s(entry("duration_s")?).ok_or_else(|| unknown("duration_s"))?),
         };
         // The options of the run take precedence over the files, except over a change.
@@ -195,13 +205,14 @@ impl Experiment {
         let (physics, membership) = (Physics::of_entries(entries), Membership::of_log(recording)?);
         chosen.physics = physics.clone();
         chosen.membership = membership.clone();
+        chosen.allowed = allowed.clone();
         if !changes.is_empty() || chosen.chosen_transformer().0 == transformer {
             return Ok(chosen);
         }
         // This version would choose another transformer: use the one that was in use when the log was written.
         let options = RunOptions { transformer: Some(transformer), ..options };
         let mut chosen = Self::new(robot, task, options, settings)?;
-        (chosen.physics, chosen.membership) = (physics, membership);
+        (chosen.physics, chosen.membership, chosen.allowed) = (physics, membership, allowed);
         Ok(chosen)
     }
 }

@@ -1,5 +1,6 @@
 //! Execution of an experiment on the robot that `[driver]` of robot.toml selects.
 
+use crate::codes::Code;
 use crate::extensions::Extensions;
 use crate::files::source::FileError;
 use crate::files::suggest::choices;
@@ -60,7 +61,7 @@ impl Experiment {
         if !self.has_driver() {
             let message = "this robot has no [driver], so it can only be simulated";
             let help = "a simulated robot needs no --move-to-start; a real robot needs a [driver]".to_owned();
-            return Err(FileError::of_file(source.name(), message, Some(help)));
+            return Err(FileError::of_file(source.name(), message, Some(help)).refused(Code::MissingDriver));
         }
         let Some(Setting::Text(name)) = self.robot.file.driver.as_ref().and_then(|keys| keys.get(NAME))
         else {
@@ -77,7 +78,7 @@ impl Experiment {
                 choices(name, known)
             };
             let message = format!("this program has no driver '{name}'");
-            FileError::at_key(source, ["driver", NAME], message, Some(help))
+            FileError::at_key(source, ["driver", NAME], message, Some(help)).refused(Code::MissingDriver)
         })
     }
 

@@ -1,6 +1,7 @@
 //! Additional requirements for a real robot: it must be at the start position of the task, and options that are only
 //! for comparisons are rejected.
 
+use crate::codes::Code;
 use crate::extensions::Extensions;
 use crate::files::source::{FileError, Source};
 use crate::files::task::TaskDefinition;
@@ -49,12 +50,9 @@ impl Experiment {
                 kind.name()
             );
             let help = Some("use 'identified' or 'emulation'".to_owned());
-            return Err(FileError::at_key(
-                &self.robot.source,
-                ["profile", &self.profile_name],
-                message,
-                help,
-            ));
+            let key = ["profile", &self.profile_name];
+            let found = FileError::at_key(&self.robot.source, key, message, help);
+            return Err(found.refused(Code::ComparisonOnly));
         }
         let events = self.task.events.iter().map(|event| &event.task);
         for (name, task) in std::iter::once(&self.task.file.task).chain(events).flatten() {
@@ -63,7 +61,8 @@ impl Experiment {
                 let message = "this handling of singularities is only for comparisons in simulation, not for a real robot";
                 let key = ["task", name, "cartesian", "singularities"];
                 let help = Some("omit it, or use \"damped\"".to_owned());
-                return Err(FileError::at_key(&self.task.source, key, message, help));
+                let found = FileError::at_key(&self.task.source, key, message, help);
+                return Err(found.refused(Code::ComparisonOnly));
             }
         }
         Ok(())

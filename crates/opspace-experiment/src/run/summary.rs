@@ -1,5 +1,6 @@
 //! Summary of a run: one row of a table, and `summary.json`.
 
+use crate::codes::AllowedRefusal;
 use crate::evaluate::escape_record::EscapeRecord;
 use crate::evaluate::expectations;
 use crate::evaluate::metrics::{Evaluated, Evaluator, JointMetrics, Metrics, TaskMetrics, Timing};
@@ -42,6 +43,9 @@ pub struct Summary {
     /// Keys of robot.toml whose values are assumed: the results rest on them.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub assumed: Vec<String>,
+    /// Refusals that the user has allowed.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub allowed: Vec<AllowedRefusal>,
     /// Intended duration of control, s.
     pub duration_s: f64,
     /// Settings that were applied to the files.
@@ -137,6 +141,7 @@ impl Experiment {
             simulated: !is_real(recording),
             plant: (!is_real(recording)).then(|| self.plant()),
             assumed: self.robot().file.assumed.clone(),
+            allowed: self.allowed().to_vec(),
             duration_s: self.duration_s(),
             overrides: self.settings().to_vec(),
             label: self.options().label.clone(),

@@ -124,9 +124,15 @@ fn is_limit(limit: f64) -> bool {
 /// Ns/m).
 #[must_use]
 pub fn velocity_gains(model: &Model, drives: &[AssumedDrive], start: &[f64]) -> Vec<f64> {
+    let rotors: Vec<f64> = drives.iter().map(AssumedDrive::reflected_inertia).collect();
+    servo_gains(&model.clone().with_rotor_inertia(&rotors), VELOCITY_LOOP_HZ, start)
+}
+
+/// Gains of velocity loops of this bandwidth (Hz) for the inertia of each joint at `start`, with its rotor (n; Nms/rad, Ns/m).
+#[must_use]
+pub fn servo_gains(model: &Model, velocity_loop_hz: f64, start: &[f64]) -> Vec<f64> {
     let mut data = Data::new(model);
     forward_kinematics(model, &mut data, start);
     crba(model, &mut data);
-    let inertia = |i: usize| data.mass_matrix[(i, i)] + drives[i].reflected_inertia();
-    (0..model.n()).map(|i| rounded(TAU * VELOCITY_LOOP_HZ * inertia(i))).collect()
+    (0..model.n()).map(|i| rounded(TAU * velocity_loop_hz * data.mass_matrix[(i, i)])).collect()
 }

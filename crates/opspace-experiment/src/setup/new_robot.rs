@@ -1,14 +1,17 @@
 //! Files of a new robot from its URDF.
 
 use crate::files::joint_layers::urdf_values;
+use crate::files::robot::RobotDefinition;
 use crate::files::robot_part::{UsedPart, load_part_of, urdf_error};
 use crate::files::source::{FileError, Source};
 use crate::files::suggest::choices;
-use crate::setup::assumed_drives::{assumed_drives, velocity_gains};
+use crate::setup::arm_template::ArmTemplate;
+use crate::setup::assumed_drives::{assumed_drives, servo_gains, velocity_gains};
 use crate::setup::first_motion::{ControlledAxes, FirstMotion, first_motion};
 use crate::setup::first_task::first_task_toml;
 use crate::setup::robot_template::{NewRobot, assumed_robot_toml, robot_toml};
-use opspace_model::{Limits, UrdfJoint, UrdfWarning, urdf_joints};
+use opspace_backend::CommandKind;
+use opspace_model::{Limits, Model, ParsedUrdf, UrdfJoint, UrdfWarning, urdf_joints};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Chain of links of a new robot that is used; all of it if both are `None`.
@@ -18,6 +21,17 @@ pub struct Part<'a> {
     pub from: Option<&'a str>,
     /// Last link.
     pub to: Option<&'a str>,
+}
+
+/// Source of the values that the URDF does not state.
+#[derive(Clone, Copy, Debug)]
+pub enum DriveValues<'a> {
+    /// None: the user writes them.
+    Missing,
+    /// Values that are computed from the URDF, and marked as assumed.
+    Assumed,
+    /// Values of a common arm.
+    Template(&'a ArmTemplate),
 }
 
 /// Texts of the files of a new robot.
@@ -30,21 +44,45 @@ pub struct NewFiles {
     pub task_toml: String,
     /// Description of the first task: the position of the tip, and its motion.
     pub motion: String,
+    /// Commands that the robot accepts according to robot.toml; `None` if it does not say so yet.
+    pub command: Option<CommandKind>,
+    /// Joints that do not move, because the template has no values of them.
+    pub unmatched_joints: Vec<String>,
     /// Warnings about the URDF.
     pub warnings: Vec<UrdfWarning>,
 }
 
-/// Returns the files of a new robot. `urdf_name` is the name of the URDF beside robot.toml. With `assume`, values that the URDF
-/// does not state are assumed, and marked.
+/// Part of a URDF of which a robot file is made.
+struct Loaded<'a> {
+    urdf: &'a Source,
+    urdf_name: &'a str,
+    used: Option<UsedPart>,
+    /// Joints that are locked, each at a position (rad, m).
+    locked_joints: BTreeMap<String, f64>,
+    enforce_mimic: bool,
+    parsed: ParsedUrdf,
+}
+
+/// Returns the files of a new robot. `urdf_name` is the name of the URDF beside robot.toml; `values` says where the values come
+/// from that the URDF does not state.
 ///
 /// # Errors
-/// Mistakes in the URDF; a link that it does not have; a robot without moving joints.
+/// Mistakes in the URDF; a link that it does not have; a robot without moving joints, or one that is not the arm of the template.
 pub fn new_files(
     urdf: &Source,
     urdf_name: &str,
     part: Part<'_>,
-    assume: bool,
+    values: DriveValues<'_>,
 ) -> Result<NewFiles, FileError> {
+    let loaded = load(urdf, urdf_name, part)?;
+    match values {
+        DriveValues::Template(template) => like_template(loaded, template),
+        DriveValues::Missing => computed(loaded, false),
+        DriveValues::Assumed => computed(loaded, true),
+    }
+}
+
+fn load<'a>(urdf: &'a Source, urdf_name: &'a str, part: Part<'_>) -> Result<Loaded<'a>, FileError> {
     let joints = urdf_joints(urdf.text()).map_err(|error| urdf_error(urdf, &error))?;
     let used = used_part(urdf, &joints, part)?;
     // A joint whose limits are equal cannot move; a robot of such joints alone has mistakes in its URDF.
@@ -56,12 +94,24 @@ pub fn new_files(
         locked.clear();
     }
     let enforce_mimic = joints.iter().any(|joint| joint.mimics.is_some());
-    let loaded = load_part_of(urdf, urdf, &joints, used.as_ref(), &locked, enforce_mimic)?;
-    let model = loaded.model;
-    if model.n() == 0 {
+    let parsed = load_part_of(urdf, urdf, &joints, used.as_ref(), &locked, enforce_mimic)?;
+    if parsed.model.n() == 0 {
         return Err(FileError::of_file(urdf.name(), "the robot has no joints that can move", None));
     }
-    let drives = assumed_drives(&model, &loaded.dynamics);
+    Ok(Loaded { urdf, urdf_name, used, locked_joints: locked, enforce_mimic, parsed })
+}
+
+/// Returns a first motion; `torque_limits` (n; Nm, N) are infinite where they are unknown.
+fn motion_of(loaded: &Loaded<'_>, model: &Model, torque_limits: &[f64]) -> Result<FirstMotion, FileError> {
+    let tip = loaded.used.as_ref().map(|used| used.to.as_str());
+    first_motion(model, loaded.urdf, tip, torque_limits)
+        .ok_or_else(|| FileError::of_file(loaded.urdf.name(), "no frame of the robot moves", None))
+}
+
+/// Files of a robot whose values are assumed, or missing.
+fn computed(loaded: Loaded<'_>, assume: bool) -> Result<NewFiles, FileError> {
+    let (model, dynamics) = (&loaded.parsed.model, &loaded.parsed.dynamics);
+    let drives = assumed_drives(model, dynamics);
     let limits: Vec<f64> = (model.joints().iter().zip(&drives))
         .map(|(joint, drive)| {
             let unknown = if assume { drive.torque_limit.unwrap_or(f64::INFINITY) } else { f64::INFINITY };
@@ -74,30 +124,68 @@ pub fn new_files(
             limited.set_limits(i, Limits { velocity, ..model.joints()[i].limits });
         }
     }
-    let tip = used.as_ref().map(|used| used.to.as_str());
-    let Some(motion) = first_motion(&limited, urdf, tip, &limits) else {
-        let message = "no frame of the robot moves";
-        return Err(FileError::of_file(urdf.name(), message, None));
-    };
-    let stated = urdf_values(&model, &loaded.dynamics);
-    let locked: Vec<(String, f64)> = locked.into_iter().collect();
+    let motion = motion_of(&loaded, &limited, &limits)?;
+    let stated = urdf_values(model, dynamics);
+    let locked: Vec<(String, f64)> = loaded.locked_joints.clone().into_iter().collect();
     let robot = NewRobot {
-        urdf: urdf_name,
-        used: used.as_ref(),
-        enforce_mimic,
+        urdf: loaded.urdf_name,
+        used: loaded.used.as_ref(),
+        enforce_mimic: loaded.enforce_mimic,
         locked_joints: &locked,
-        model: &model,
+        model,
         stated: &stated,
     };
     let robot_toml = match assume {
-        true => assumed_robot_toml(&robot, &drives, &velocity_gains(&model, &drives, &motion.start)),
+        true => assumed_robot_toml(&robot, &drives, &velocity_gains(model, &drives, &motion.start)),
         false => robot_toml(&robot),
     };
     Ok(NewFiles {
         robot_toml,
-        task_toml: first_task_toml(&model, &motion),
+        task_toml: first_task_toml(model, &motion),
         motion: description(&motion),
-        warnings: loaded.warnings,
+        command: assume.then_some(CommandKind::Position),
+        unmatched_joints: Vec::new(),
+        warnings: loaded.parsed.warnings,
+    })
+}
+
+/// Files of a robot with the values of a template. Joints that the template does not have are locked.
+fn like_template(mut loaded: Loaded<'_>, template: &ArmTemplate) -> Result<NewFiles, FileError> {
+    let urdf = loaded.urdf;
+    let joints = template.joints_in(urdf, &loaded.parsed.model)?;
+    let mut others = Vec::new();
+    for joint in loaded.parsed.model.joints().iter().filter(|joint| !joints.contains(&joint.name)) {
+        let at = 0.0_f64.clamp(joint.limits.lower, joint.limits.upper);
+        loaded.locked_joints.insert(joint.name.clone(), at);
+        others.push(joint.name.clone());
+    }
+    let locked: Vec<(String, f64)> = loaded.locked_joints.clone().into_iter().collect();
+    let head = NewRobot {
+        urdf: loaded.urdf_name,
+        used: loaded.used.as_ref(),
+        enforce_mimic: loaded.enforce_mimic,
+        locked_joints: &locked,
+        model: &loaded.parsed.model,
+        stated: &[],
+    }
+    .head();
+    // The gains of the servos follow from the inertia at the start, which follows from the other values.
+    let read = |kv: &[f64]| {
+        let text = template.robot_toml(&head, &joints, kv);
+        RobotDefinition::from_sources(Source::new("robot.toml", text), urdf.clone())
+    };
+    let robot = read(&vec![1.0; joints.len()])?;
+    let motion = motion_of(&loaded, &robot.model, &robot.torque_limits())?;
+    let gains = servo_gains(&robot.model, template.velocity_loop_hz, &motion.start);
+    let of_joint = |name: &String| robot.model.joint(name).ok().map(|joint| gains[joint]);
+    let robot = read(&joints.iter().filter_map(of_joint).collect::<Vec<f64>>())?;
+    Ok(NewFiles {
+        robot_toml: robot.source.text().to_owned(),
+        task_toml: first_task_toml(&robot.model, &motion),
+        motion: description(&motion),
+        command: Some(robot.file.interface.command),
+        unmatched_joints: others,
+        warnings: robot.warnings,
     })
 }
 

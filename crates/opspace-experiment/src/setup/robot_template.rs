@@ -28,7 +28,8 @@ pub struct NewRobot<'a> {
 }
 
 impl NewRobot<'_> {
-    fn head(&self) -> String {
+    /// Keys about the URDF and the part of it that moves.
+    pub(super) fn head(&self) -> String {
         let mut text = format!("urdf = {}\n", Value::from(self.urdf));
         if let Some(UsedPart { from, to }) = self.used {
             let (from, to) = (Value::from(from.as_str()), Value::from(to.as_str()));

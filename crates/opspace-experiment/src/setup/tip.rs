@@ -6,7 +6,8 @@ use opspace_model::{FrameId, Model};
 const LEAST_ARM_JOINTS: usize = 3;
 
 /// Returns the frame at the end of the longest chain of joints, without the fingers of a hand; `None` if nothing moves.
-pub(super) fn tip(model: &Model) -> Option<FrameId> {
+#[must_use]
+pub fn tip(model: &Model) -> Option<FrameId> {
     let parents: Vec<Option<usize>> = model.bodies().iter().map(|body| body.parent).collect();
     let chain = |leaf: usize| -> Vec<usize> {
         let mut bodies: Vec<usize> = std::iter::successors(Some(leaf), |&body| parents[body]).collect();
@@ -26,7 +27,7 @@ pub(super) fn tip(model: &Model) -> Option<FrameId> {
 fn last_frame(model: &Model, body: usize) -> Option<FrameId> {
     let frames =
         || model.frames().iter().filter(|frame| frame.body == Some(body)).map(|frame| frame.name.as_str());
-    let named = ["tool0", "tcp", "tool", "tip", "ee_link"];
+    let named = ["tool0", "tcp", "end_effector", "ee_link", "eef", "tool", "tip"];
     let name =
         named.iter().find_map(|word| frames().find(|name| name.contains(word))).or(frames().next_back())?;
     model.frame_id(name).ok()

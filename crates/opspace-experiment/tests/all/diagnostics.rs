@@ -624,3 +624,32 @@ fn unstable_admittance_is_reported() {
     let [finding] = &found[..] else { panic!("{found:#?}") };
     assert!(finding.message.contains("what the hand touches along z is not known"), "{}", finding.message);
 }
+
+/// A compliant axis that nothing holds is pointed out once; a spring, a regulated force or an object that holds the frame is not.
+#[test]
+fn compliant_axis_that_stays_away_is_reported() {
+    let compliant = [("x = \"motion\", y", "x = \"compliant\", y")];
+    let (found, _) = only_diagnostic(HAND, &compliant, &[]);
+    assert_eq!(found.code.name(), "compliant-drift");
+    assert_says(
+        &found,
+        "task.hand.cartesian.axes",
+        &["nothing brings 'hand' back along x", "stiffness_n_per_m = { x = 100.0"],
+    );
+    let again =
+        "[[event]]\ntime_s = 1.0\nset = [\"task.rest.joint-posture.damping_ratio=1.0\"]\n\n[task.rest";
+    let (once, _) = only_diagnostic(HAND, &[compliant[0], ("[task.rest", again)], &[]);
+    assert_eq!(once.key, found.key);
+    let holds = |addition: &str| {
+        let changed = experiment(HAND, &[compliant[0], ("[task.rest", addition)], RunOptions::default(), &[]);
+        assert_eq!(diagnostics(&changed), [], "{addition}");
+    };
+    holds("force = { sensor = \"wrist\", target_n = 0.0, gain = 1.0, filter_hz = 100.0 }\n[task.rest");
+    holds(
+        "[environment.someone.spring]\nframe = \"hand\"\nstiffness_n_per_m = 200.0\ndamping_ns_per_m = 15.0\n\
+         motion.random = { rms_m = 0.025, from_hz = 0.1, to_hz = 0.7, ramp_s = 1.0 }\n[task.rest",
+    );
+    let pushed = "[environment.someone.pushes]\nframe = \"hand\"\npush = [{ at_s = 0.5, duration_s = 0.2, force_n = [5.0, 0.0, 0.0] }]\n[task.rest";
+    let (pushed, _) = only_diagnostic(HAND, &[compliant[0], ("[task.rest", pushed)], &[]);
+    assert_eq!(pushed.code, found.code);
+}

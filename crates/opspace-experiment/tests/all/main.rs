@@ -1,5 +1,7 @@
 //! Tests of files, preflight, experiments, metrics and reports.
 
+mod arm_templates;
+mod codes;
 mod collision_views;
 mod collisions;
 mod coupled_clutch;

@@ -51,6 +51,22 @@ pub enum CapsuleWarning {
     },
 }
 
+impl CapsuleWarning {
+    /// Codes of all kinds.
+    pub const CODES: [&'static str; 3] = ["no-shape", "mesh-not-found", "mesh-format"];
+
+    /// Returns the code of the kind, which remains the same when its text changes.
+    #[must_use]
+    pub fn code(&self) -> &'static str {
+        let [shape, found, format] = Self::CODES;
+        match self {
+            Self::NoShape { .. } => shape,
+            Self::MeshNotFound { .. } => found,
+            Self::MeshFormat { .. } => format,
+        }
+    }
+}
+
 fn remedy(estimated: bool) -> &'static str {
     match estimated {
         true => ": a capsule is estimated from the inertia of the link",

@@ -398,3 +398,22 @@ pub enum UrdfWarningKind {
         of: String,
     },
 }
+
+impl UrdfWarningKind {
+    /// Codes of all kinds.
+    pub const CODES: [&'static str; 5] =
+        ["impossible-inertia", "fixed-link-inertia", "equal-limits", "zero-limit", "ignored-mimic"];
+
+    /// Returns the code of the kind, which remains the same when its text changes.
+    #[must_use]
+    pub fn code(&self) -> &'static str {
+        let [impossible, fixed, equal, zero, mimic] = Self::CODES;
+        match self {
+            Self::ImpossibleInertia { .. } => impossible,
+            Self::StandingInertia { .. } => fixed,
+            Self::EqualLimits { .. } => equal,
+            Self::ZeroLimit { .. } => zero,
+            Self::Mimic { .. } => mimic,
+        }
+    }
+}

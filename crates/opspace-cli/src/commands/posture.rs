@@ -1,0 +1,297 @@
+//! Posture of a robot in `opspace model`: choice of the posture, tables and JSON.
+
+use crate::cli::ModelArgs;
+use crate::console::{Exit, Failure, render};
+use opspace_experiment::evaluate::posture::{Conditioning, PostureReport};
+use opspace_experiment::evaluate::table::{Cell, Table};
+use opspace_experiment::files::suggest::nearest;
+use opspace_experiment::setup::tip::tip;
+use opspace_experiment::{Files, RobotDefinition, TaskDefinition};
+use opspace_model::{FrameId, JointKind, Model, neutral};
+use serde_json::{Value, json};
+use std::collections::BTreeMap;
+use std::fmt::Write as _;
+use std::path::Path;
+
+/// File beside robot.toml whose start is the default posture.
+const FIRST_TASK: &str = "first-task.toml";
+
+/// Names of the axes of the effective masses.
+const AXES: [&str; 6] = ["x", "y", "z", "rx", "ry", "rz"];
+
+/// Robot in one posture.
+pub struct Posture {
+    /// Positions (nq; rad or m).
+    q: Vec<f64>,
+    /// Source of the positions, in words.
+    source: String,
+    report: PostureReport,
+    /// Torque limits (n; Nm or N); infinite where there are none.
+    limits: Vec<f64>,
+    /// Joints that are outside their position limits.
+    outside: Vec<String>,
+}
+
+impl Posture {
+    /// Computes the posture that the arguments ask for; `robot` is `None` for a URDF alone. `None` if no frame moves.
+    pub fn new(
+        args: &ModelArgs,
+        model: &Model,
+        robot: Option<&RobotDefinition>,
+    ) -> Result<Option<Self>, Failure> {
+        let Some(frame) = frame(args.frame.as_deref(), model, robot)? else { return Ok(None) };
+        let (q, source) = positions(&args.q, model, robot)?;
+        let Some(report) = PostureReport::new(model, &q, frame) else {
+            return Err(bad("the mass matrix is not positive definite in this posture".to_owned()));
+        };
+        let limits = robot.map_or_else(
+            || model.joints().iter().map(|joint| joint.limits.effort).collect(),
+            RobotDefinition::torque_limits,
+        );
+        let outside = outside(model, &q);
+        Ok(Some(Self { q, source, report, limits, outside }))
+    }
+
+    /// Text of the posture.
+    pub fn text(&self, model: &Model) -> String {
+        let mut text = format!("\nposture: {}\n", self.source);
+        for joint in &self.outside {
+            let _ = writeln!(text, "  {joint}");
+        }
+        let _ = write!(text, "\n{}\n{}\n", render(&self.joints(model)), render(&self.frames()));
+        let PostureReport { frame, length_m, linear, angular, pose, .. } = &self.report;
+        let _ = writeln!(
+            text,
+            "frame '{frame}': condition of the Jacobian {} linear, {} angular, {} of both with rotations scaled by {length_m:.3} m",
+            condition_text(linear),
+            condition_text(angular),
+            condition_text(pose),
+        );
+        let _ = write!(text, "\n{}", render(&self.masses()));
+        text
+    }
+
+    fn joints(&self, model: &Model) -> Table {
+        let mut table =
+            Table::new(&[("joint", ""), ("position", "rad, m"), ("weight", "Nm, N"), ("of limit", "%")]);
+        for (i, joint) in
+            model.joints().iter().enumerate().filter(|(_, joint)| joint.kind != JointKind::Floating)
+        {
+            let gravity = self.report.gravity[i];
+            let mut row: Vec<Cell> = vec![joint.name.clone().into(), self.q[position_index(model, i)].into()];
+            row.push(gravity.into());
+            row.push(
+                fraction(gravity, self.limits[i]).map_or(Cell::Empty, |fraction| (100.0 * fraction).into()),
+            );
+            table.push(row);
+        }
+        table
+    }
+
+    fn frames(&self) -> Table {
+        let mut table = Table::new(&[
+            ("frame", ""),
+            ("x", "m"),
+            ("y", "m"),
+            ("z", "m"),
+            ("roll", "rad"),
+            ("pitch", "rad"),
+            ("yaw", "rad"),
+        ]);
+        for frame in &self.report.frames {
+            let mut row: Vec<Cell> = vec![frame.name.clone().into()];
+            row.extend(
+                frame.position_m.iter().chain(&frame.rpy_rad).map(|value| Cell::from(rounded(*value))),
+            );
+            table.push(row);
+        }
+        table
+    }
+
+    fn masses(&self) -> Table {
+        let mut table = Table::new(&[
+            ("axis of the world", ""),
+            ("effective mass", "kg"),
+            ("effective inertia", "kg m²"),
+        ]);
+        for (i, mass) in self.report.effective_mass.iter().enumerate() {
+            let value = mass.map_or_else(|| "cannot move".into(), Cell::from);
+            let mut row: Vec<Cell> = vec![AXES[i].into(), Cell::Empty, Cell::Empty];
+            row[1 + i / 3] = value;
+            table.push(row);
+        }
+        table
+    }
+
+    pub fn json(&self, model: &Model) -> Value {
+        let joints = model.joints().iter().enumerate().filter(|(_, joint)| joint.kind != JointKind::Floating);
+        let joints = joints.map(|(i, joint)| {
+            let gravity = self.report.gravity[i];
+            json!({
+                "name": joint.name,
+                "position": self.q[position_index(model, i)],
+                "gravity_torque": gravity,
+                "of_limit": fraction(gravity, self.limits[i]),
+            })
+        });
+        let frames = self.report.frames.iter().map(|frame| {
+            json!({
+                "name": frame.name,
+                "position_m": frame.position_m,
+                "rpy_rad": frame.rpy_rad,
+                "quaternion_xyzw": frame.quaternion,
+            })
+        });
+        let masses: BTreeMap<&str, Option<f64>> = AXES.into_iter().zip(self.report.effective_mass).collect();
+        json!({
+            "source": self.source,
+            "q": self.q,
+            "joints": joints.collect::<Vec<Value>>(),
+            "frames": frames.collect::<Vec<Value>>(),
+            "frame": self.report.frame,
+            "jacobian": {
+                "linear": conditioning_json(&self.report.linear),
+                "angular": conditioning_json(&self.report.angular),
+                "pose": conditioning_json(&self.report.pose),
+                "length_m": self.report.length_m,
+            },
+            "effective_mass": masses,
+        })
+    }
+}
+
+/// Value without the rounding errors of zero.
+fn rounded(value: f64) -> f64 {
+    if value.abs() < 1e-9 { 0.0 } else { value }
+}
+
+fn condition_text(rows: &Conditioning) -> String {
+    rows.condition().map_or_else(|| "infinite (singular)".to_owned(), |condition| format!("{condition:.1}"))
+}
+
+/// JSON has no infinity: the condition is null if the frame cannot move in some direction.
+fn conditioning_json(rows: &Conditioning) -> Value {
+    json!({ "condition": rows.condition(), "largest": rows.largest, "smallest": rows.smallest })
+}
+
+fn fraction(torque: f64, limit: f64) -> Option<f64> {
+    (limit.is_finite() && limit > 0.0).then(|| torque.abs() / limit)
+}
+
+fn bad(text: String) -> Failure {
+    Failure::Other(text, Exit::Bad)
+}
+
+/// Index of a joint's position: a floating base has one position more than coordinates.
+fn position_index(model: &Model, joint: usize) -> usize {
+    if model.is_floating() { joint + 1 } else { joint }
+}
+
+/// Frame that was named, or the tip: the end of the chain that robot.toml uses, or that of the longest one.
+fn frame(
+    name: Option<&str>,
+    model: &Model,
+    robot: Option<&RobotDefinition>,
+) -> Result<Option<FrameId>, Failure> {
+    if let Some(name) = name {
+        let found = model.frame_id(name).map_err(|unknown| {
+            let near = nearest(name, &unknown.known)
+                .map_or(String::new(), |near| format!("; did you mean '{near}'?"));
+            bad(format!("--frame {name}: {unknown}{near}"))
+        });
+        return found.map(Some);
+    }
+    let used =
+        robot.and_then(|robot| robot.file.used.as_ref()).and_then(|used| model.frame_id(&used.to).ok());
+    Ok(used.or_else(|| tip(model)))
+}
+
+/// Positions (nq), and where they come from.
+fn positions(
+    given: &[String],
+    model: &Model,
+    robot: Option<&RobotDefinition>,
+) -> Result<(Vec<f64>, String), Failure> {
+    if given.is_empty() {
+        return Ok(default_positions(model, robot));
+    }
+    let number = |text: &str| {
+        let value = text.trim().parse::<f64>().ok().filter(|value| value.is_finite());
+        value.ok_or_else(|| bad(format!("--q: '{text}' is not a finite number")))
+    };
+    let names = || {
+        let joints = model.joints().iter().filter(|joint| joint.kind != JointKind::Floating);
+        joints.map(|joint| joint.name.as_str()).collect::<Vec<_>>().join(", ")
+    };
+    let named: Vec<(&str, &str)> = given.iter().filter_map(|entry| entry.split_once('=')).collect();
+    if named.is_empty() {
+        let q = given.iter().map(|text| number(text)).collect::<Result<Vec<f64>, Failure>>()?;
+        let needed = neutral(model).len();
+        if q.len() != needed {
+            let base = if model.is_floating() { "position and quaternion of the base, " } else { "" };
+            let text = format!("--q has {} values; the robot needs {needed}: {base}{}", q.len(), names());
+            return Err(bad(text));
+        }
+        return Ok((q, "--q".to_owned()));
+    }
+    if named.len() != given.len() {
+        return Err(
+            bad("--q: give either all positions, or joints by name (elbow=1.2), not both".to_owned()),
+        );
+    }
+    let (mut q, source) = default_positions(model, robot);
+    for (name, value) in &named {
+        let name = name.trim();
+        let joint = model.joint(name).ok().filter(|&joint| model.joints()[joint].kind != JointKind::Floating);
+        let joint = joint.ok_or_else(|| {
+            let known = model.joints().iter().map(|joint| joint.name.as_str());
+            let near = nearest(name, known).map_or(String::new(), |near| format!("did you mean '{near}'? "));
+            bad(format!("--q: there is no joint '{name}'; {near}The joints are: {}", names()))
+        })?;
+        q[position_index(model, joint)] = number(value)?;
+    }
+    let list: Vec<&str> = named.iter().map(|(name, _)| name.trim()).collect();
+    let all = list.len() == model.joints().iter().filter(|joint| joint.kind != JointKind::Floating).count();
+    let others = if all { String::new() } else { format!("; other joints: {source}") };
+    Ok((q, format!("{} from --q{others}", list.join(", "))))
+}
+
+/// Start of the first task, or the middle of each range.
+fn default_positions(model: &Model, robot: Option<&RobotDefinition>) -> (Vec<f64>, String) {
+    let mut q = neutral(model);
+    let task = robot.map(|robot| Path::new(robot.source.name()).with_file_name(FIRST_TASK));
+    let task = task.filter(|task| task.is_file());
+    let read = task.as_ref().map(|task| TaskDefinition::load(Files::Disk, task, &[]));
+    if let Some(Ok(definition)) = &read {
+        let known = |name: &String| model.joint(name).is_ok();
+        if definition.file.start_rad.keys().all(known) {
+            for (name, &value) in &definition.file.start_rad {
+                if let Ok(joint) = model.joint(name) {
+                    q[position_index(model, joint)] = value;
+                }
+            }
+            return (q, format!("start of {}", definition.source.name()));
+        }
+    }
+    for (i, joint) in model.joints().iter().enumerate().filter(|(_, joint)| joint.kind != JointKind::Floating)
+    {
+        let (lower, upper) = joint.limits.range(joint.kind);
+        q[position_index(model, i)] = 0.5 * (lower + upper);
+    }
+    let why = match (task, read) {
+        (Some(task), Some(_)) => format!("; {} does not fit", task.display()),
+        _ => String::new(),
+    };
+    (q, format!("middle of each range{why}"))
+}
+
+/// Describes the joints that are outside their position limits.
+fn outside(model: &Model, q: &[f64]) -> Vec<String> {
+    let limited = model.joints().iter().enumerate().filter(|(_, joint)| joint.kind != JointKind::Floating);
+    let outside = limited.filter_map(|(i, joint)| {
+        let (at, lower, upper) = (q[position_index(model, i)], joint.limits.lower, joint.limits.upper);
+        (at < lower || at > upper)
+            .then(|| format!("joint '{}' at {at} is outside its limits, {lower} to {upper}", joint.name))
+    });
+    outside.collect()
+}
