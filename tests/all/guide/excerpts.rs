@@ -1,0 +1,120 @@
+//! Excerpts of files: merged into a complete file, or compared with the keys of the schemas.
+
+use crate::cli_common::{opspace, project, read_json};
+use serde_json::Value;
+use std::collections::BTreeSet;
+use std::path::Path;
+
+/// Depth up to which an excerpt is merged into a file: `task.NAME.KIND.KEY` is replaced as a whole.
+const DEPTH: usize = 3;
+
+const SCHEMAS: [&str; 4] = [
+    "tasks/task.schema.json",
+    "robots/robot.schema.json",
+    "tasks/suite.schema.json",
+    "experiments/experiment.schema.json",
+];
+
+/// Runs a task file with an excerpt for a moment, or checks the keys of an excerpt of another file.
+pub fn check(folder: &Path, task: Option<&str>, excerpt: &str, place: &str) {
+    assert_known_keys(excerpt, place);
+    let table: toml::Table = excerpt.parse().unwrap_or_else(|e| panic!("{place}: {e}"));
+    let is_of_task = unknown_key(&read_json(project(SCHEMAS[0])), &table).is_none();
+    let (Some(task), true) = (task, is_of_task) else { return };
+    let mut whole: toml::Table = task.parse().expect("it has run");
+    merge(&mut whole, table, DEPTH);
+    std::fs::write(folder.join("excerpt.toml"), whole.to_string()).expect("a new file");
+    let arguments = ["run", "excerpt.toml", "--duration-s", "0.2", "--out", "runs/excerpt", "--force", "--quiet"];
+    let ran = opspace(folder, &arguments);
+    // An expectation may be missed in so short a time.
+    assert!(ran.code <= 1 && !ran.stdout.contains("FAULT"), "{place}: {}{}\n{whole}", ran.stdout, ran.stderr);
+}
+
+/// Merges an excerpt; an impedance takes the place of gains, of which a task has only one.
+fn merge(into: &mut toml::Table, from: toml::Table, depth: usize) {
+    if from.contains_key("impedance") {
+        into.remove("gains");
+    }
+    for (key, value) in from {
+        match (into.get_mut(&key), value) {
+            (Some(toml::Value::Table(old)), toml::Value::Table(new)) if depth > 0 => merge(old, new, depth - 1),
+            (_, value) => {
+                into.insert(key, value);
+            }
+        }
+    }
+}
+
+/// Checks that one of the schemas knows all keys of an excerpt.
+pub fn assert_known_keys(excerpt: &str, place: &str) {
+    let table: toml::Table = excerpt.parse().unwrap_or_else(|e| panic!("{place}: {e}"));
+    let unknown: Option<Vec<String>> =
+        SCHEMAS.iter().map(|path| unknown_key(&read_json(project(path)), &table)).collect();
+    if let Some(unknown) = unknown {
+        panic!("{place}: no schema has all keys; unknown: {unknown:?}");
+    }
+}
+
+/// Returns a key of a table that a schema does not have.
+fn unknown_key(root: &Value, table: &toml::Table) -> Option<String> {
+    let value = serde_json::to_value(table).expect("a table");
+    unknown(root, &[root], &value, "")
+}
+
+/// Returns the path of a key that none of the schemas has.
+fn unknown(root: &Value, schemas: &[&Value], value: &Value, at: &str) -> Option<String> {
+    let schemas = alternatives(root, schemas);
+    match value {
+        Value::Object(table) => table.iter().find_map(|(key, value)| {
+            let path = format!("{at}.{key}");
+            let of: Vec<&Value> = schemas.iter().filter_map(|schema| member(schema, key)).collect();
+            if of.is_empty() { Some(path) } else { unknown(root, &of, value, &path) }
+        }),
+        Value::Array(items) => items.iter().find_map(|item| {
+            let of: Vec<&Value> =
+                schemas.iter().map(|schema| &schema["items"]).filter(|items| items.is_object()).collect();
+            unknown(root, &of, item, &format!("{at}[]"))
+        }),
+        _ => None,
+    }
+}
+
+fn member<'a>(schema: &'a Value, key: &str) -> Option<&'a Value> {
+    schema["properties"].get(key).or_else(|| Some(&schema["additionalProperties"]).filter(|of| of.is_object()))
+}
+
+/// Returns the schemas with references and choices resolved.
+fn alternatives<'a>(root: &'a Value, schemas: &[&'a Value]) -> Vec<&'a Value> {
+    let mut open = schemas.to_vec();
+    let mut resolved = Vec::new();
+    while let Some(schema) = open.pop() {
+        if let Some(name) = schema["$ref"].as_str().and_then(|text| text.strip_prefix("#/$defs/")) {
+            open.push(&root["$defs"][name]);
+        }
+        for choice in ["anyOf", "oneOf"] {
+            open.extend(schema[choice].as_array().into_iter().flatten());
+        }
+        resolved.push(schema);
+    }
+    resolved
+}
+
+/// Returns all keys that a schema has anywhere.
+pub fn all_keys(schema: &Value) -> BTreeSet<String> {
+    let mut keys = BTreeSet::new();
+    collect(schema, &mut keys);
+    keys
+}
+
+fn collect(value: &Value, keys: &mut BTreeSet<String>) {
+    match value {
+        Value::Object(table) => {
+            if let Some(Value::Object(properties)) = table.get("properties") {
+                keys.extend(properties.keys().cloned());
+            }
+            table.values().for_each(|value| collect(value, keys));
+        }
+        Value::Array(items) => items.iter().for_each(|item| collect(item, keys)),
+        _ => {}
+    }
+}
