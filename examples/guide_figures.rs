@@ -81,7 +81,9 @@ impl Log {
 
     /// Length of the first `n` elements of a signal, scaled.
     fn norm(&self, signal: &str, elements: std::ops::Range<usize>, scale: f64) -> Outcome<Vec<(f64, f64)>> {
-        let lines = elements.map(|element| self.line((signal, element), (0.0, scale))).collect::<Outcome<Vec<_>>>()?;
+        let lines = elements
+            .map(|element| self.line((signal, element), (0.0, scale)))
+            .collect::<Outcome<Vec<_>>>()?;
         let length = |k: usize| lines.iter().map(|line| line[k].1.powi(2)).sum::<f64>().sqrt();
         Ok(lines[0].iter().enumerate().map(|(k, point)| (point.0, length(k))).collect())
     }
@@ -118,29 +120,35 @@ fn plan(title: &str, x_label: &str, y_label: &str, lines: Vec<Line>) -> Panel {
 
 /// Settings of `panda-reach`: the flange holds its pose for four seconds.
 const HELD: &str = "task.flange.cartesian.reference=hold";
-const PUSH: &str =
-    "environment={ someone = { pushes = { frame = \"flange\", push = [{ at_s = 1.0, duration_s = 1.0, force_n = [10.0, 0.0, 0.0] }] } } }";
+const PUSH: &str = "environment={ someone = { pushes = { frame = \"flange\", push = [{ at_s = 1.0, duration_s = 1.0, force_n = [10.0, 0.0, 0.0] }] } } }";
 
 fn axis_modes() -> Outcome<Vec<Panel>> {
     let pushed = |settings: &[&str]| {
         Log::of("panda-reach", &[&[HELD, PUSH], settings].concat())?.moved(("flange.position", 0), 1e3)
     };
     let impedance = "task.flange.cartesian.impedance={ stiffness_n_per_m = 400.0, stiffness_nm_per_rad = 30.0, damping_ratio = 0.7 }";
-    let compliant = ["task.flange.cartesian.axes.x=compliant", "task.flange.cartesian.compliant_damping_per_s=4"];
+    let compliant =
+        ["task.flange.cartesian.axes.x=compliant", "task.flange.cartesian.compliant_damping_per_s=4"];
     let lines = vec![
         Line::new("compliant", ORANGE, 6, pushed(&compliant)?),
         Line::new("free, with a posture below", VIOLET, 6, pushed(&["task.flange.cartesian.axes.x=free"])?),
-        Line::new("motion, 400 N/m", GREEN, 6, Log::of("cookbook/hold-against-pushes", &[
-            PUSH,
-            impedance,
-            "duration_s=4.0",
-            "expect={}",
-        ])?.moved(("flange.position", 0), 1e3)?),
+        Line::new(
+            "motion, 400 N/m",
+            GREEN,
+            6,
+            Log::of("cookbook/hold-against-pushes", &[PUSH, impedance, "duration_s=4.0", "expect={}"])?
+                .moved(("flange.position", 0), 1e3)?,
+        ),
         Line::new("motion, 20 rad/s", BLUE, 6, pushed(&[])?),
     ];
     let force = Log::of("panda-press", &["duration_s=5.0"])?;
     let lines_of_force = vec![
-        Line::new("estimated from motor current", ORANGE, 6, force.line(("flange.sensed_force", 2), (0.0, 1.0))?),
+        Line::new(
+            "estimated from motor current",
+            ORANGE,
+            6,
+            force.line(("flange.sensed_force", 2), (0.0, 1.0))?,
+        ),
         Line::new("target", BLUE, 4, force.line(("flange.target_force", 2), (0.0, 1.0))?),
     ];
     Ok(vec![
@@ -160,28 +168,48 @@ fn task_kinds() -> Outcome<Vec<Panel>> {
     let joint = |signal: &str, of: &str| levels.moved_from((signal, 0), (of, 0), 1e3);
     let value = |signal: &str| swivel.moved_from((signal, 0), ("elbow.reference", 0), 1e3);
     Ok(vec![
-        Panel::over_time("cartesian: y of the flange", "mm", Log::of("panda-reach", &[])?.followed("flange", 1)?),
+        Panel::over_time(
+            "cartesian: y of the flange",
+            "mm",
+            Log::of("panda-reach", &[])?.followed("flange", 1)?,
+        ),
         Panel::over_time("center-of-mass: x", "mm", levels.followed("balance", 0)?),
-        Panel::over_time("swivel: angle of the elbow", "mrad", vec![
-            Line::new("motion", ORANGE, 8, value("elbow.value")?),
-            Line::new("reference", BLUE, 4, value("elbow.reference")?),
-        ]),
-        Panel::over_time("joint-tracking: joint 1", "mrad", vec![
-            Line::new("motion", ORANGE, 8, joint("q", "turn.reference")?),
-            Line::new("reference", BLUE, 4, joint("turn.reference", "turn.reference")?),
-        ]),
-        Panel::over_time("joint-posture: joint 1, pushed at the flange", "mrad", vec![Line::new(
-            "motion",
-            ORANGE,
-            6,
-            pushed("{ joint-posture = { frequency_rad_per_s = 6.0, damping_ratio = 1.0 } }")?,
-        )]),
-        Panel::over_time("joint-damping: the same push", "mrad", vec![Line::new(
-            "motion",
-            ORANGE,
-            6,
-            pushed("{ joint-damping = { damping_nms_per_rad = 5.0 } }")?,
-        )]),
+        Panel::over_time(
+            "swivel: angle of the elbow",
+            "mrad",
+            vec![
+                Line::new("motion", ORANGE, 8, value("elbow.value")?),
+                Line::new("reference", BLUE, 4, value("elbow.reference")?),
+            ],
+        ),
+        Panel::over_time(
+            "joint-tracking: joint 1",
+            "mrad",
+            vec![
+                Line::new("motion", ORANGE, 8, joint("q", "turn.reference")?),
+                Line::new("reference", BLUE, 4, joint("turn.reference", "turn.reference")?),
+            ],
+        ),
+        Panel::over_time(
+            "joint-posture: joint 1, pushed at the flange",
+            "mrad",
+            vec![Line::new(
+                "motion",
+                ORANGE,
+                6,
+                pushed("{ joint-posture = { frequency_rad_per_s = 6.0, damping_ratio = 1.0 } }")?,
+            )],
+        ),
+        Panel::over_time(
+            "joint-damping: the same push",
+            "mrad",
+            vec![Line::new(
+                "motion",
+                ORANGE,
+                6,
+                pushed("{ joint-damping = { damping_nms_per_rad = 5.0 } }")?,
+            )],
+        ),
     ])
 }
 
@@ -217,8 +245,16 @@ fn references() -> Outcome<Vec<Panel>> {
         ),
         plan("path: lines and an arc, rounded corners", "y (mm)", "z (mm)", shapes(&path, "hand", (1, 2))?),
         plan("recorded", "x (mm)", "y (mm)", shapes(&recorded, "flange", (0, 1))?),
-        Panel::over_time("streamed, without targets from 1.5 to 2.5 s", "y (mm)", streamed()?.followed("hand", 1)?),
-        Panel::over_time("hold, pushed with 10 N at 1 s", "x (mm)", Log::of("panda-reach", &[HELD, PUSH])?.followed("flange", 0)?),
+        Panel::over_time(
+            "streamed, without targets from 1.5 to 2.5 s",
+            "y (mm)",
+            streamed()?.followed("hand", 1)?,
+        ),
+        Panel::over_time(
+            "hold, pushed with 10 N at 1 s",
+            "x (mm)",
+            Log::of("panda-reach", &[HELD, PUSH])?.followed("flange", 0)?,
+        ),
     ])
 }
 
@@ -271,15 +307,23 @@ fn tuning() -> Outcome<Vec<Panel>> {
         Log::of("panda-reach", &settings.each_ref().map(String::as_str))?.norm("flange.error", 0..3, 1e3)
     };
     Ok(vec![
-        Panel::over_time("Position error at three frequencies, without friction compensation", "mm", vec![
-            Line::new("5 rad/s", ORANGE, 6, error(5, 0.0)?),
-            Line::new("10 rad/s", GREEN, 6, error(10, 0.0)?),
-            Line::new("20 rad/s", BLUE, 6, error(20, 0.0)?),
-        ]),
-        Panel::over_time("Position error at 10 rad/s", "mm", vec![
-            Line::new("no friction compensation", GREEN, 6, error(10, 0.0)?),
-            Line::new("gain = 0.8", BLUE, 6, error(10, 0.8)?),
-        ]),
+        Panel::over_time(
+            "Position error at three frequencies, without friction compensation",
+            "mm",
+            vec![
+                Line::new("5 rad/s", ORANGE, 6, error(5, 0.0)?),
+                Line::new("10 rad/s", GREEN, 6, error(10, 0.0)?),
+                Line::new("20 rad/s", BLUE, 6, error(20, 0.0)?),
+            ],
+        ),
+        Panel::over_time(
+            "Position error at 10 rad/s",
+            "mm",
+            vec![
+                Line::new("no friction compensation", GREEN, 6, error(10, 0.0)?),
+                Line::new("gain = 0.8", BLUE, 6, error(10, 0.8)?),
+            ],
+        ),
     ])
 }
 
@@ -290,11 +334,19 @@ fn transformer() -> Outcome<Vec<Panel>> {
     let ahead = setpoint.iter().zip(&q).map(|(a, b)| (a.0, a.1 - b.1)).collect();
     let torque = |signal| log.line((signal, elbow), (0.0, 1.0));
     Ok(vec![
-        Panel::over_time("Elbow: setpoint minus position", "mrad", vec![Line::new("setpoint − position", GREEN, 5, ahead)]),
-        Panel::over_time("Elbow: torque", "Nm", vec![
-            Line::new("motor torque", ORANGE, 8, torque("motor_torque")?),
-            Line::new("desired torque", BLUE, 4, torque("torque_desired")?),
-        ]),
+        Panel::over_time(
+            "Elbow: setpoint minus position",
+            "mrad",
+            vec![Line::new("setpoint − position", GREEN, 5, ahead)],
+        ),
+        Panel::over_time(
+            "Elbow: torque",
+            "Nm",
+            vec![
+                Line::new("motor torque", ORANGE, 8, torque("motor_torque")?),
+                Line::new("desired torque", BLUE, 4, torque("torque_desired")?),
+            ],
+        ),
     ])
 }
 
@@ -327,54 +379,106 @@ fn cookbook() -> Outcome<Vec<(&'static str, Vec<Panel>)>> {
         Ok(Line::new(task, color, 6, approach.line((&position, 2), (0.0, 1e3))?))
     };
     Ok(vec![
-        ("draw", vec![
-            plan("The pen on the paper, from above", "y (mm)", "x (mm)", shape(&draw, ("draw.position", 1, 0))?),
-            Panel::over_time("Force on the paper", "force (N)", draw.pressed("draw", 2)?),
-        ]),
-        ("wipe", vec![
-            plan("The hand on the table, from above", "y (mm)", "x (mm)", shape(&wipe, ("hand.position", 1, 0))?),
-            Panel::over_time("Force on the table", "force (N)", wipe.pressed("hand", 2)?),
-        ]),
+        (
+            "draw",
+            vec![
+                plan(
+                    "The pen on the paper, from above",
+                    "y (mm)",
+                    "x (mm)",
+                    shape(&draw, ("draw.position", 1, 0))?,
+                ),
+                Panel::over_time("Force on the paper", "force (N)", draw.pressed("draw", 2)?),
+            ],
+        ),
+        (
+            "wipe",
+            vec![
+                plan(
+                    "The hand on the table, from above",
+                    "y (mm)",
+                    "x (mm)",
+                    shape(&wipe, ("hand.position", 1, 0))?,
+                ),
+                Panel::over_time("Force on the table", "force (N)", wipe.pressed("hand", 2)?),
+            ],
+        ),
         ("press", vec![Panel::over_time("Force on the table", "force (N)", press.pressed("hand", 2)?)]),
-        ("hand-guide", vec![
-            Panel::over_time("Displacement of the guided flange", "mm", axes(&guide, "flange")?),
-            Panel::over_time("Least distance of the links from the table and from each other", "mm", vec![Line::new(
-                "least distance",
-                ORANGE,
-                6,
-                guide.line(("least_distance", 0), (0.0, 1e3))?,
-            )]),
-        ]),
-        ("carry-level", vec![
-            Panel::over_time("Displacement of the flange", "mm", axes(&level, "flange")?),
-            Panel::over_time("Tilt", "mrad", vec![Line::new("tilt", ORANGE, 6, level.norm("level.error", 3..5, 1e3)?)]),
-        ]),
-        ("recorded", vec![plan("The flange, from above", "x (mm)", "y (mm)", vec![
-            Line::new("motion", ORANGE, 8, recorded.shape(("flange.position", 0, 1), 1e3)?),
-            Line::new("recorded path", BLUE, 4, recorded.shape(("flange.reference", 0, 1), 1e3)?),
-        ])]),
-        ("teach", vec![
-            Panel::over_time("Taught by an operator", "mm", axes(&teach, "hand")?),
-            Panel::over_time("Repeated", "mm", axes(&repeat, "hand")?),
-        ]),
-        ("hold", vec![Panel::over_time("Displacement of the flange, pushed twice", "mm", axes(&hold, "flange")?)]),
-        ("elbow", vec![
-            Panel::over_time("Angle of the elbow", "mrad", vec![Line::new(
-                "swivel angle",
-                ORANGE,
-                6,
-                elbow.moved(("elbow.value", 0), 1e3)?,
-            )]),
-            Panel::over_time("Position error of the flange", "mm", vec![Line::new(
-                "error",
-                BLUE,
-                6,
-                elbow.norm("flange.error", 0..3, 1e3)?,
-            )]),
-        ]),
-        ("approach", vec![
-            Panel::over_time("Height of the hand", "z (mm)", vec![height("move", BLUE)?, height("touch", ORANGE)?]),
-            Panel::over_time("Force on the part", "force (N)", approach.pressed("touch", 2)?),
-        ]),
+        (
+            "hand-guide",
+            vec![
+                Panel::over_time("Displacement of the guided flange", "mm", axes(&guide, "flange")?),
+                Panel::over_time(
+                    "Least distance of the links from the table and from each other",
+                    "mm",
+                    vec![Line::new(
+                        "least distance",
+                        ORANGE,
+                        6,
+                        guide.line(("least_distance", 0), (0.0, 1e3))?,
+                    )],
+                ),
+            ],
+        ),
+        (
+            "carry-level",
+            vec![
+                Panel::over_time("Displacement of the flange", "mm", axes(&level, "flange")?),
+                Panel::over_time(
+                    "Tilt",
+                    "mrad",
+                    vec![Line::new("tilt", ORANGE, 6, level.norm("level.error", 3..5, 1e3)?)],
+                ),
+            ],
+        ),
+        (
+            "recorded",
+            vec![plan(
+                "The flange, from above",
+                "x (mm)",
+                "y (mm)",
+                vec![
+                    Line::new("motion", ORANGE, 8, recorded.shape(("flange.position", 0, 1), 1e3)?),
+                    Line::new("recorded path", BLUE, 4, recorded.shape(("flange.reference", 0, 1), 1e3)?),
+                ],
+            )],
+        ),
+        (
+            "teach",
+            vec![
+                Panel::over_time("Taught by an operator", "mm", axes(&teach, "hand")?),
+                Panel::over_time("Repeated", "mm", axes(&repeat, "hand")?),
+            ],
+        ),
+        (
+            "hold",
+            vec![Panel::over_time("Displacement of the flange, pushed twice", "mm", axes(&hold, "flange")?)],
+        ),
+        (
+            "elbow",
+            vec![
+                Panel::over_time(
+                    "Angle of the elbow",
+                    "mrad",
+                    vec![Line::new("swivel angle", ORANGE, 6, elbow.moved(("elbow.value", 0), 1e3)?)],
+                ),
+                Panel::over_time(
+                    "Position error of the flange",
+                    "mm",
+                    vec![Line::new("error", BLUE, 6, elbow.norm("flange.error", 0..3, 1e3)?)],
+                ),
+            ],
+        ),
+        (
+            "approach",
+            vec![
+                Panel::over_time(
+                    "Height of the hand",
+                    "z (mm)",
+                    vec![height("move", BLUE)?, height("touch", ORANGE)?],
+                ),
+                Panel::over_time("Force on the part", "force (N)", approach.pressed("touch", 2)?),
+            ],
+        ),
     ])
 }

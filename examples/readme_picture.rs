@@ -74,7 +74,11 @@ fn pressing_hand(path: &str) -> Result<(), Box<dyn Error>> {
     ];
     let energies = vec![Line::new("energy", GREEN, 5, z("hand.force_energy", 1e3)?)];
     let panels = [
-        Panel::over_time("Force on a table of 50 kN/m: at rest, and from 4 s along a circle", "force (N)", forces),
+        Panel::over_time(
+            "Force on a table of 50 kN/m: at rest, and from 4 s along a circle",
+            "force (N)",
+            forces,
+        ),
         Panel::over_time("Energy that the force feedback gives to fast motion", "energy (mJ)", energies),
     ];
     draw(path, 1, &panels.map(|panel| Panel { x_range: Some(shown_s.clone()), ..panel }))

@@ -46,7 +46,13 @@ pub struct Panel {
 impl Panel {
     /// Panel of lines over time, s.
     pub fn over_time(title: &str, y_label: &str, lines: Vec<Line>) -> Self {
-        Self { title: title.to_owned(), x_label: "time (s)".to_owned(), y_label: y_label.to_owned(), x_range: None, lines }
+        Self {
+            title: title.to_owned(),
+            x_label: "time (s)".to_owned(),
+            y_label: y_label.to_owned(),
+            x_range: None,
+            lines,
+        }
     }
 }
 
@@ -107,7 +113,8 @@ fn draw_panel(canvas: &Canvas<'_>, panel: &Panel) -> Result<(), Box<dyn Error>> 
     mesh.label_style(text(36)).light_line_style(TRANSPARENT).bold_line_style(GREY.mix(0.2)).draw()?;
     for line in &panel.lines {
         let style = line.color.stroke_width(line.width);
-        let series = chart.draw_series(LineSeries::new(line.points.iter().copied(), style))?.label(&line.label);
+        let series =
+            chart.draw_series(LineSeries::new(line.points.iter().copied(), style))?.label(&line.label);
         series.legend(move |(x, y)| PathElement::new([(x, y), (x + 40, y)], style.stroke_width(8)));
     }
     let legend = &mut chart.configure_series_labels();

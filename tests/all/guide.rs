@@ -131,7 +131,8 @@ fn run(folder: &Path, command: &Command, place: &str) {
     let mut shell = std::process::Command::new("sh");
     shell.args(["-c", text]).env("PATH", path).env("NO_COLOR", "1").current_dir(folder).stdin(Stdio::null());
     let output = shell.output().unwrap();
-    let shown = String::from_utf8_lossy(&output.stdout).into_owned() + &String::from_utf8_lossy(&output.stderr);
+    let shown =
+        String::from_utf8_lossy(&output.stdout).into_owned() + &String::from_utf8_lossy(&output.stderr);
     assert!(!shown.contains("panicked"), "{place}: {text}:\n{shown}");
     assert_eq!(output.status.code(), Some(command.exit), "{place}: {text}:\n{shown}");
     let words = |text: &str| text.split_whitespace().collect::<Vec<_>>().join(" ");
@@ -155,7 +156,8 @@ fn assert_example(name: &str, place: &str) {
 /// Checks that a block is an excerpt of the file of the project that its first line names.
 fn check_source(block: &Block, comment: &str, place: &str) {
     let name = file_name(block, comment).unwrap_or_else(|| panic!("{place}: the first line names no file"));
-    let squeezed = |text: &str| text.lines().map(str::trim).filter(|l| !l.is_empty()).collect::<Vec<_>>().join("\n");
+    let squeezed =
+        |text: &str| text.lines().map(str::trim).filter(|l| !l.is_empty()).collect::<Vec<_>>().join("\n");
     let source = squeezed(&read(project(&name)));
     let excerpt = block.text.lines().skip(1).collect::<Vec<_>>().join("\n");
     for part in excerpt.split(&format!("{comment}…")).map(squeezed).filter(|part| !part.is_empty()) {
@@ -198,7 +200,8 @@ fn excerpts_of_reference_pages_have_known_keys() {
 fn key_pages_match_the_program() {
     for kind in ["task", "robot", "suite", "experiment"] {
         let page = format!("docs/keys-{kind}.md");
-        let shown = crate::cli_common::opspace(Path::new(ROOT), &["schema", kind, "--markdown"]).exits(0).stdout;
+        let shown =
+            crate::cli_common::opspace(Path::new(ROOT), &["schema", kind, "--markdown"]).exits(0).stdout;
         let remedy = format!("`cargo run -- schema {kind} --markdown > {page}` in the project's root");
         assert!(shown == read(project(&page)), "{page} is out of date: {remedy}");
     }
@@ -224,28 +227,35 @@ fn key_pages_have_every_key() {
 
 /// A task of the cookbook, and settings that break what it shows: then it misses one of its expectations.
 const BROKEN: [(&str, &[&str]); 10] = [
-    ("tasks/draw-letter.toml", &[
-        "task.draw.cartesian.force.sensed_compensation={ x = 0.0, y = 0.0 }",
-        "friction_compensation={ gain = 0.8 }",
-        "environment.paper.wall.friction.coefficient=0.9",
-    ]),
-    ("tasks/wipe-table.toml", &[
-        "task.hand.cartesian.force.gain=0",
-        "task.hand.cartesian.force.integral_per_s=0",
-        "friction_compensation={ gain = 0.8 }",
-    ]),
-    ("tasks/cookbook/press.toml", &[
-        "task.hand.cartesian.force.gain=0",
-        "task.hand.cartesian.force.integral_per_s=0",
-        "friction_compensation={ gain = 0.8 }",
-    ]),
+    (
+        "tasks/draw-letter.toml",
+        &[
+            "task.draw.cartesian.force.sensed_compensation={ x = 0.0, y = 0.0 }",
+            "friction_compensation={ gain = 0.8 }",
+            "environment.paper.wall.friction.coefficient=0.9",
+        ],
+    ),
+    (
+        "tasks/wipe-table.toml",
+        &[
+            "task.hand.cartesian.force.gain=0",
+            "task.hand.cartesian.force.integral_per_s=0",
+            "friction_compensation={ gain = 0.8 }",
+        ],
+    ),
+    (
+        "tasks/cookbook/press.toml",
+        &[
+            "task.hand.cartesian.force.gain=0",
+            "task.hand.cartesian.force.integral_per_s=0",
+            "friction_compensation={ gain = 0.8 }",
+        ],
+    ),
     ("tasks/cookbook/hand-guide.toml", &["obstacle.table.half-space.point_m=[0.0, 0.0, 0.0]"]),
     ("tasks/cookbook/carry-level.toml", &["task.level.cartesian.gains.frequency_rad_per_s=2"]),
     ("tasks/ur5e-recorded.toml", &["task.flange.cartesian.gains.frequency_rad_per_s=5"]),
     ("tasks/cookbook/repeat.toml", &["friction_compensation={ gain = 0.0 }"]),
-    ("tasks/cookbook/hold-against-pushes.toml", &[
-        "task.flange.cartesian.impedance.stiffness_n_per_m=2000",
-    ]),
+    ("tasks/cookbook/hold-against-pushes.toml", &["task.flange.cartesian.impedance.stiffness_n_per_m=2000"]),
     ("tasks/panda-swivel.toml", &["task.elbow.swivel.gains.frequency_rad_per_s=3"]),
     ("tasks/cookbook/approach-retract.toml", &["environment.part.wall.point_m=[0.36, 0.0, -0.6]"]),
 ];

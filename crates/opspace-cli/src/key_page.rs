@@ -114,9 +114,12 @@ impl<'a> Page<'a> {
             return if of["type"] == "array" { self.value(of) } else { range(&of["description"]) };
         }
         if let Some(kinds) = schema["anyOf"].as_array() {
-            let kinds: Vec<String> =
-                kinds.iter().filter(|kind| kind["type"] != "null").map(|kind| self.value(kind)).collect();
-            return kinds.join(", or ");
+            // A number of all axes, lists of them, or a table of axes.
+            if kinds.iter().any(|kind| kind["properties"]["rx"].is_object()) {
+                return format!("{}, of all axes, or by axis", self.value(&kinds[0]));
+            }
+            let kinds = kinds.iter().filter(|kind| kind["type"] != "null").map(|kind| self.value(kind));
+            return kinds.collect::<Vec<_>>().join(", or ");
         }
         if let Some(values) = schema["enum"].as_array() {
             return values.iter().map(constant).collect::<Vec<_>>().join(", ");
@@ -170,7 +173,11 @@ fn joined(path: &str, key: &str) -> String {
 
 /// Placeholder of the names in a table.
 fn name_of(path: &str) -> &'static str {
-    if path.ends_with("joint") || path.ends_with("servo") || path.ends_with("joints") { "JOINT" } else { "NAME" }
+    if path.ends_with("joint") || path.ends_with("servo") || path.ends_with("joints") {
+        "JOINT"
+    } else {
+        "NAME"
+    }
 }
 
 /// Anchor of a heading, as forges and mdBook derive it.

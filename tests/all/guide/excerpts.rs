@@ -18,16 +18,42 @@ const SCHEMAS: [&str; 4] = [
 /// Runs a task file with an excerpt for a moment, or checks the keys of an excerpt of another file.
 pub fn check(folder: &Path, task: Option<&str>, excerpt: &str, place: &str) {
     assert_known_keys(excerpt, place);
-    let table: toml::Table = excerpt.parse().unwrap_or_else(|e| panic!("{place}: {e}"));
-    let is_of_task = unknown_key(&read_json(project(SCHEMAS[0])), &table).is_none();
-    let (Some(task), true) = (task, is_of_task) else { return };
-    let mut whole: toml::Table = task.parse().expect("it has run");
-    merge(&mut whole, table, DEPTH);
-    std::fs::write(folder.join("excerpt.toml"), whole.to_string()).expect("a new file");
-    let arguments = ["run", "excerpt.toml", "--duration-s", "0.2", "--out", "runs/excerpt", "--force", "--quiet"];
-    let ran = opspace(folder, &arguments);
-    // An expectation may be missed in so short a time.
-    assert!(ran.code <= 1 && !ran.stdout.contains("FAULT"), "{place}: {}{}\n{whole}", ran.stdout, ran.stderr);
+    let task_schema = read_json(project(SCHEMAS[0]));
+    for table in tables(excerpt, place) {
+        let is_of_task = unknown(&task_schema, &[&task_schema], &json(&table), "").is_none();
+        let (Some(task), true) = (task, is_of_task) else { continue };
+        let mut whole: toml::Table = task.parse().expect("it has run");
+        // Events need their time.
+        let duration_s =
+            if table.contains_key("event") { whole["duration_s"].to_string() } else { "0.2".to_owned() };
+        merge(&mut whole, table, DEPTH);
+        std::fs::write(folder.join("excerpt.toml"), whole.to_string()).expect("a new file");
+        let settings = ["--set", "settle_s=0.1", "--duration-s", &duration_s];
+        let arguments = ["run", "excerpt.toml", "--out", "runs/excerpt", "--force", "--quiet"];
+        let ran = opspace(folder, &[&arguments[..], &settings].concat());
+        // An expectation may be missed in so short a time.
+        let is_done = ran.code == 0 || ran.code == 1 && ran.stdout.contains("expectation missed");
+        assert!(is_done, "{place}: {}{}\n{whole}", ran.stdout, ran.stderr);
+    }
+}
+
+/// Returns the tables of an excerpt: one, or one for each line if the lines are alternatives.
+fn tables(excerpt: &str, place: &str) -> Vec<toml::Table> {
+    let whole = excerpt.parse::<toml::Table>();
+    let mut keys = BTreeSet::new();
+    let is_repeated =
+        excerpt.lines().filter_map(|line| line.split(['=', '.']).next()).any(|key| !keys.insert(key));
+    match whole {
+        Ok(table) => vec![table],
+        Err(_) if is_repeated => {
+            excerpt.lines().map(|line| line.parse().unwrap_or_else(|e| panic!("{place}: {e}"))).collect()
+        }
+        Err(error) => panic!("{place}: {error}"),
+    }
+}
+
+fn json(table: &toml::Table) -> Value {
+    serde_json::to_value(table).expect("a table")
 }
 
 /// Merges an excerpt; an impedance takes the place of gains, of which a task has only one.
@@ -37,7 +63,9 @@ fn merge(into: &mut toml::Table, from: toml::Table, depth: usize) {
     }
     for (key, value) in from {
         match (into.get_mut(&key), value) {
-            (Some(toml::Value::Table(old)), toml::Value::Table(new)) if depth > 0 => merge(old, new, depth - 1),
+            (Some(toml::Value::Table(old)), toml::Value::Table(new)) if depth > 0 => {
+                merge(old, new, depth - 1)
+            }
             (_, value) => {
                 into.insert(key, value);
             }
@@ -45,20 +73,21 @@ fn merge(into: &mut toml::Table, from: toml::Table, depth: usize) {
     }
 }
 
-/// Checks that one of the schemas knows all keys of an excerpt.
+/// Checks that a schema knows all keys of an excerpt: of a file, or of a table of a file.
 pub fn assert_known_keys(excerpt: &str, place: &str) {
-    let table: toml::Table = excerpt.parse().unwrap_or_else(|e| panic!("{place}: {e}"));
-    let unknown: Option<Vec<String>> =
-        SCHEMAS.iter().map(|path| unknown_key(&read_json(project(path)), &table)).collect();
-    if let Some(unknown) = unknown {
-        panic!("{place}: no schema has all keys; unknown: {unknown:?}");
+    for table in tables(excerpt, place) {
+        let value = json(&table);
+        let is_known = SCHEMAS.iter().any(|path| {
+            let root = read_json(project(path));
+            let tables = root["$defs"].as_object().into_iter().flat_map(|tables| tables.values());
+            [&root].into_iter().chain(tables).any(|schema| unknown(&root, &[schema], &value, "").is_none())
+        });
+        let unknown = SCHEMAS.map(|path| {
+            let root = read_json(project(path));
+            unknown(&root, &[&root], &value, "")
+        });
+        assert!(is_known, "{place}: no table of a file has all keys; unknown in a file: {unknown:?}");
     }
-}
-
-/// Returns a key of a table that a schema does not have.
-fn unknown_key(root: &Value, table: &toml::Table) -> Option<String> {
-    let value = serde_json::to_value(table).expect("a table");
-    unknown(root, &[root], &value, "")
 }
 
 /// Returns the path of a key that none of the schemas has.
@@ -80,7 +109,9 @@ fn unknown(root: &Value, schemas: &[&Value], value: &Value, at: &str) -> Option<
 }
 
 fn member<'a>(schema: &'a Value, key: &str) -> Option<&'a Value> {
-    schema["properties"].get(key).or_else(|| Some(&schema["additionalProperties"]).filter(|of| of.is_object()))
+    schema["properties"]
+        .get(key)
+        .or_else(|| Some(&schema["additionalProperties"]).filter(|of| of.is_object()))
 }
 
 /// Returns the schemas with references and choices resolved.

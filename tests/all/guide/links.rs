@@ -49,7 +49,8 @@ fn figures_are_small_and_shown() {
 }
 
 fn pages() -> Vec<String> {
-    let docs = fs::read_dir(project("docs")).unwrap().map(|entry| entry.unwrap().path().display().to_string());
+    let docs =
+        fs::read_dir(project("docs")).unwrap().map(|entry| entry.unwrap().path().display().to_string());
     let mut pages: Vec<String> = docs.filter(|path| path.ends_with(".md")).collect();
     pages.extend(["README.md", "ARCHITECTURE.md", "DESIGN.md", "CONTRIBUTING.md"].map(project));
     pages

@@ -2,8 +2,8 @@
 
 use crate::console::{Exit, Failure};
 use opspace_backend::signal_names::{ORIENTATION, PHASE, POSITION, TICK_CHANNEL};
-use opspace_loop::Phase;
 use opspace_log::{LogFile, Recording};
+use opspace_loop::Phase;
 use std::io::{self, Write};
 
 /// Path of a task's controlled frame, in world axes, sampled at equal intervals.
@@ -29,7 +29,8 @@ impl PathExport {
         if signals.iter().all(|signal| names().any(|name| name == signal)) {
             return Ok(Self { signals, every_s });
         }
-        let known: Vec<&str> = names().filter_map(|name| name.strip_suffix(&format!(".{ORIENTATION}"))).collect();
+        let known: Vec<&str> =
+            names().filter_map(|name| name.strip_suffix(&format!(".{ORIENTATION}"))).collect();
         let known = if known.is_empty() { "none".to_owned() } else { known.join(", ") };
         Err(bad(format!("--path: the log has no frame of a task '{task}'; tasks with a frame: {known}")))
     }
@@ -61,7 +62,8 @@ impl PathExport {
     fn samples(&self, segment: &Recording) -> Vec<[f64; 8]> {
         let Some(tick) = segment.channel(TICK_CHANNEL) else { return Vec::new() };
         let [position, orientation] = self.signals.each_ref().map(|name| tick.signal(name));
-        let (Some(position), Some(orientation), Some(phase)) = (position, orientation, tick.signal(PHASE)) else {
+        let (Some(position), Some(orientation), Some(phase)) = (position, orientation, tick.signal(PHASE))
+        else {
             return Vec::new();
         };
         let controlled = [Phase::Control.code(), Phase::Resuming.code()];
