@@ -10,10 +10,13 @@ use opspace::backend::{Backend, Sample};
 use opspace::control::CartesianTarget;
 use opspace::experiment::{Experiment, Files, Progress};
 use opspace::log::Recording;
-use plot::{BLUE, GREEN, Line, ORANGE, Panel, VIOLET, curve, draw, tick};
+use plot::{BLUE, GREEN, Line, ORANGE, Panel, curve, draw, tick};
+use plotters::style::RGBColor;
 use std::error::Error;
 
 type Outcome<T> = Result<T, Box<dyn Error>>;
+
+const VIOLET: RGBColor = RGBColor(150, 80, 160);
 
 /// Cycles between two points of a line.
 const STEP: usize = 25;
@@ -69,13 +72,13 @@ impl Log {
     /// Displacement of an element from its first value, scaled.
     fn moved(&self, signal: (&str, usize), scale: f64) -> Outcome<Vec<(f64, f64)>> {
         let points = self.line(signal, (0.0, scale))?;
-        let first = points.first().map_or(0.0, |point| point.1);
+        let first = first_of(&points);
         Ok(points.into_iter().map(|(t, value)| (t, value - first)).collect())
     }
 
     /// A displacement of an element of another signal from the same origin.
     fn moved_from(&self, signal: (&str, usize), from: (&str, usize), scale: f64) -> Outcome<Vec<(f64, f64)>> {
-        let first = self.line(from, (0.0, scale))?.first().map_or(0.0, |point| point.1);
+        let first = first_of(&self.line(from, (0.0, scale))?);
         Ok(self.line(signal, (0.0, scale))?.into_iter().map(|(t, value)| (t, value - first)).collect())
     }
 
@@ -111,6 +114,11 @@ impl Log {
             Line::new("target", BLUE, 4, line("target_force")?),
         ])
     }
+}
+
+/// First value of a line that is known.
+fn first_of(points: &[(f64, f64)]) -> f64 {
+    points.iter().map(|point| point.1).find(|value| value.is_finite()).unwrap_or_default()
 }
 
 /// Panel of two lengths against each other, mm.
@@ -163,7 +171,7 @@ fn task_kinds() -> Outcome<Vec<Panel>> {
     let pushed = |rest: &str| {
         let rest = format!("task={{ rest = {rest} }}");
         let settings = ["priority=[\"rest\"]", &rest, PUSH];
-        Log::of("panda-reach", &settings)?.moved(("q", 0), 1e3)
+        Log::of("panda-reach", &settings)?.moved(("q", 1), 1e3)
     };
     let joint = |signal: &str, of: &str| levels.moved_from((signal, 0), (of, 0), 1e3);
     let value = |signal: &str| swivel.moved_from((signal, 0), ("elbow.reference", 0), 1e3);
@@ -191,7 +199,7 @@ fn task_kinds() -> Outcome<Vec<Panel>> {
             ],
         ),
         Panel::over_time(
-            "joint-posture: joint 1, pushed at the flange",
+            "joint-posture: joint 2, pushed at the flange",
             "mrad",
             vec![Line::new(
                 "motion",

@@ -15,7 +15,6 @@ const PANEL: (u32, u32) = (1440, 650);
 pub const BLUE: RGBColor = RGBColor(0, 114, 178);
 pub const ORANGE: RGBColor = RGBColor(230, 120, 0);
 pub const GREEN: RGBColor = RGBColor(0, 140, 100);
-pub const VIOLET: RGBColor = RGBColor(150, 80, 160);
 const GREY: RGBColor = RGBColor(70, 70, 70);
 
 /// A line of a panel.
@@ -24,6 +23,7 @@ pub struct Line {
     pub color: RGBColor,
     /// Width in pixels.
     pub width: u32,
+    /// Points; the line is interrupted where one is NaN.
     pub points: Vec<(f64, f64)>,
 }
 
@@ -56,7 +56,8 @@ impl Panel {
     }
 }
 
-/// Samples of an element of a signal in part of a log (s), every `step`th, relative to an origin and scaled.
+/// Samples of an element of a signal in part of a log (s), every `step`th, relative to an origin and scaled; NaN where the signal
+/// does not apply.
 pub fn curve(
     channel: &ChannelData,
     (shown_s, step): (&Range<f64>, usize),
@@ -65,8 +66,7 @@ pub fn curve(
 ) -> Result<Vec<(f64, f64)>, Box<dyn Error>> {
     let column = channel.signal(signal).ok_or(format!("no signal {signal}"))?;
     let shown = channel.time_s.iter().zip(column.rows()).filter(|(t, _)| shown_s.contains(t));
-    let points = shown.step_by(step).map(|(t, row)| (*t, scale * (row[element] - origin)));
-    Ok(points.filter(|point| point.1.is_finite()).collect())
+    Ok(shown.step_by(step).map(|(t, row)| (*t, scale * (row[element] - origin))).collect())
 }
 
 /// Returns the channel with a row per control cycle.
@@ -94,6 +94,8 @@ fn draw_panel(canvas: &Canvas<'_>, panel: &Panel) -> Result<(), Box<dyn Error>> 
     };
     let (low, high) = range(|point| point.1);
     let margin = 0.08 * (high - low);
+    // Space for the legend.
+    let above = (panel.lines.len() + 1).max(4) as f64;
     let (begin, end) = range(|point| point.0);
     let shown = panel.x_range.clone().unwrap_or(begin..end);
     let text = |size: u32| ("sans-serif", size).into_font().color(&GREY);
@@ -103,7 +105,7 @@ fn draw_panel(canvas: &Canvas<'_>, panel: &Panel) -> Result<(), Box<dyn Error>> 
         .margin_right(40)
         .x_label_area_size(90)
         .y_label_area_size(130)
-        .build_cartesian_2d(shown.clone(), low - margin..high + 4.0 * margin)?;
+        .build_cartesian_2d(shown.clone(), low - margin..high + above * margin)?;
     let mesh = &mut chart.configure_mesh();
     mesh.x_desc(&panel.x_label).y_desc(&panel.y_label).x_labels(7).y_labels(6).axis_desc_style(text(38));
     let (x_digits, y_digits) = (digits(shown.end - shown.start), digits(high - low));
@@ -113,9 +115,14 @@ fn draw_panel(canvas: &Canvas<'_>, panel: &Panel) -> Result<(), Box<dyn Error>> 
     mesh.label_style(text(36)).light_line_style(TRANSPARENT).bold_line_style(GREY.mix(0.2)).draw()?;
     for line in &panel.lines {
         let style = line.color.stroke_width(line.width);
-        let series =
-            chart.draw_series(LineSeries::new(line.points.iter().copied(), style))?.label(&line.label);
-        series.legend(move |(x, y)| PathElement::new([(x, y), (x + 40, y)], style.stroke_width(8)));
+        let parts = line.points.split(|(x, y)| !x.is_finite() || !y.is_finite());
+        for (k, part) in parts.filter(|part| !part.is_empty()).enumerate() {
+            let series = chart.draw_series(LineSeries::new(part.iter().copied(), style))?;
+            if k == 0 {
+                series.label(&line.label);
+                series.legend(move |(x, y)| PathElement::new([(x, y), (x + 40, y)], style.stroke_width(8)));
+            }
+        }
     }
     let legend = &mut chart.configure_series_labels();
     legend.position(SeriesLabelPosition::UpperRight).legend_area_size(60).margin(8);

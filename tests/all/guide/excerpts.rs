@@ -26,7 +26,11 @@ pub fn check(folder: &Path, task: Option<&str>, excerpt: &str, place: &str) {
         // Events need their time.
         let duration_s =
             if table.contains_key("event") { whole["duration_s"].to_string() } else { "0.2".to_owned() };
+        let has_priority = table.contains_key("priority");
         merge(&mut whole, table, DEPTH);
+        if has_priority {
+            remove_unused_tasks(&mut whole);
+        }
         std::fs::write(folder.join("excerpt.toml"), whole.to_string()).expect("a new file");
         let settings = ["--set", "settle_s=0.1", "--duration-s", &duration_s];
         let arguments = ["run", "excerpt.toml", "--out", "runs/excerpt", "--force", "--quiet"];
@@ -54,6 +58,16 @@ fn tables(excerpt: &str, place: &str) -> Vec<toml::Table> {
 
 fn json(table: &toml::Table) -> Value {
     serde_json::to_value(table).expect("a table")
+}
+
+/// Removes the tasks that a new order of priority does not have.
+fn remove_unused_tasks(whole: &mut toml::Table) {
+    let priority = whole["priority"].clone();
+    let is_used =
+        |name: &str| priority.as_array().is_some_and(|names| names.iter().any(|n| n.as_str() == Some(name)));
+    if let Some(tasks) = whole["task"].as_table_mut() {
+        tasks.retain(|name, _| is_used(name));
+    }
 }
 
 /// Merges an excerpt; an impedance takes the place of gains, of which a task has only one.
