@@ -96,7 +96,7 @@ impl<'a> Page<'a> {
         reference(schema).map_or(schema, |name| &self.schema["$defs"][name])
     }
 
-    /// Value of a key, in words.
+    /// Value of a key, in words. A link has the last part of its path: whole paths make columns wide.
     fn value(&self, schema: &Value) -> String {
         if let Some(section) =
             reference(schema).and_then(|name| self.sections.iter().find(|section| section.name == name))
@@ -106,7 +106,8 @@ impl<'a> Page<'a> {
                 Some(_) => "one key of",
                 None => "table",
             };
-            return format!("{of} [`{}`](#{})", section.path, anchor(&section.path));
+            let name = section.path.rsplit('.').next().unwrap_or_default();
+            return format!("{of} [`{name}`](#{})", anchor(&section.path));
         }
         if reference(schema).is_some() {
             let of = self.resolved(schema);
