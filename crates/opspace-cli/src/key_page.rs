@@ -44,7 +44,7 @@ impl<'a> Page<'a> {
             return;
         }
         for (key, value) in members(schema) {
-            self.collect(value, &joined(path, key));
+            self.collect(value, &path_of(path, key));
         }
         for choice in ["anyOf", "oneOf"] {
             for kind in schema[choice].as_array().into_iter().flatten() {
@@ -55,7 +55,7 @@ impl<'a> Page<'a> {
             self.collect(&schema["items"], &format!("{path}[]"));
         }
         if schema["additionalProperties"].is_object() {
-            self.collect(&schema["additionalProperties"], &joined(path, name_of(path)));
+            self.collect(&schema["additionalProperties"], &path_of(path, name_of(path)));
         }
     }
 
@@ -168,7 +168,7 @@ fn members(schema: &Value) -> impl Iterator<Item = (&String, &Value)> {
     schema["properties"].as_object().into_iter().flat_map(Map::iter)
 }
 
-fn joined(path: &str, key: &str) -> String {
+fn path_of(path: &str, key: &str) -> String {
     if path.is_empty() { key.to_owned() } else { format!("{path}.{key}") }
 }
 
