@@ -222,3 +222,34 @@ fn info_of_a_log_without_elements_is_printed() {
     let json = opspace(folder.path(), &["log", "info", "empty.mcap", "--json", "-"]).exits(0).json();
     assert_eq!((json["cycles"].as_u64(), json["missed_cycles"].as_f64()), (Some(1), Some(0.0)));
 }
+
+/// Compared: the exported path of a frame, and the positions of the log at the same times; and a task reads it.
+#[test]
+fn exported_path_is_that_of_the_log() {
+    let folder = scratch();
+    let log = run(folder.path(), "out", "compliant-x", &[]);
+    let export =
+        |arguments: &[&str]| opspace(folder.path(), &[&["log", "export", "out"], arguments].concat());
+    let text = export(&["-o", "-", "--path", "hand", "--every-s", "0.1"]).exits(0).stdout;
+    let mut lines = text.lines();
+    assert_eq!(lines.next(), Some("time_s,x_m,y_m,z_m,qw,qx,qy,qz"));
+    let samples: Vec<Vec<f64>> =
+        lines.map(|line| line.split(',').map(|field| field.parse().unwrap()).collect()).collect();
+    let recording = Recording::read(&log).unwrap();
+    let tick = recording.tick().unwrap();
+    let (phase, position) = (tick.signal("phase").unwrap(), tick.signal("hand.position").unwrap());
+    let begin = phase.rows().position(|row| row[0] == 1.0).unwrap();
+    // Two seconds of control at 1 kHz, and its last cycle.
+    assert_eq!(samples.len(), 21);
+    for (k, sample) in samples.iter().enumerate() {
+        let row = (begin + 100 * k).min(tick.len() - 1);
+        assert!((sample[0] - (tick.time_s[row] - tick.time_s[begin])).abs() < 1e-6, "{k}: {sample:?}");
+        for axis in 0..3 {
+            assert!((sample[1 + axis] - position.row(row)[axis]).abs() < 1e-9, "{k}: {sample:?}");
+        }
+    }
+    export(&["-o", "path.csv", "--path", "rest"]).exits(2).says(&["no frame of a task 'rest'", "hand"]);
+    export(&["-o", "path.csv", "--path", "hand", "--every-s", "0"]).exits(2).says(&["--every-s"]);
+    export(&["-o", "path.csv", "--every-s", "0.1"]).exits(2);
+    export(&["-o", "path.csv", "--path", "hand", "--channel", "truth"]).exits(2);
+}

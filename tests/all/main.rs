@@ -18,6 +18,7 @@ mod exactness;
 mod experiments;
 mod files;
 mod friction;
+mod guide;
 mod identification;
 mod identified;
 mod identified_without_current;

@@ -191,7 +191,7 @@ Examples:
   opspace new left-arm --urdf robot.urdf --from torso --to left_gripper --assume")]
     New(NewArgs),
 
-    /// Print the JSON Schema of a kind of file, for editors.
+    /// Print the JSON Schema of a kind of file, for editors, or a page with all its keys.
     Schema(SchemaArgs),
 
     /// Print the completion script of a shell.
@@ -262,8 +262,16 @@ pub struct LogExportArgs {
     pub out: PathBuf,
 
     /// Name of the channel.
-    #[arg(long, value_name = "NAME", default_value = "tick")]
+    #[arg(long, value_name = "NAME", default_value = "tick", conflicts_with = "path")]
     pub channel: String,
+
+    /// Export the measured path of this task's frame in place of a channel, in the form of `reference.recorded`.
+    #[arg(long, value_name = "TASK")]
+    pub path: Option<String>,
+
+    /// Time between two samples of the path, s.
+    #[arg(long, value_name = "S", default_value_t = 0.05, requires = "path")]
+    pub every_s: f64,
 
     /// Replace an existing CSV file.
     #[arg(long)]
@@ -635,6 +643,10 @@ pub struct SchemaArgs {
     /// Kind of file.
     #[arg(value_enum)]
     pub kind: SchemaKind,
+
+    /// Print a Markdown page with all keys instead.
+    #[arg(long)]
+    pub markdown: bool,
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]

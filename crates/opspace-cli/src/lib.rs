@@ -18,6 +18,7 @@ mod commands;
 mod console;
 mod coupled_results;
 mod interrupt;
+mod key_page;
 mod output;
 mod outputs;
 mod plant;
@@ -50,7 +51,7 @@ pub fn main_with(extensions: &Extensions) -> ExitCode {
         Command::Identify(args) => commands::identify::identify(args, console),
         Command::Model(args) => commands::model::model(args, console),
         Command::New(args) => commands::new::new(args, console),
-        Command::Schema(args) => commands::schema::schema(args.kind),
+        Command::Schema(args) => commands::schema::schema(args),
         Command::Completion { shell } => commands::completion::completion(*shell),
     };
     let exit: Exit = outcome.unwrap_or_else(|failure| console::report(&failure));

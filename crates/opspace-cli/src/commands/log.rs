@@ -1,5 +1,6 @@
 //! `opspace log`: contents, recovery, export and comparison of logs.
 
+use super::export_path::PathExport;
 use crate::cli::{LogCommand, LogDiffArgs, LogExportArgs, LogInfoArgs, LogRecoverArgs};
 use crate::console::{Console, Exit, Failure, Outcome, render};
 use crate::output::{Format, log_path, open_log, pretty, unreadable};
@@ -288,12 +289,17 @@ fn export(args: &LogExportArgs, console: Console) -> Outcome {
             format!("{}: no channel '{}'; its channels: {}", path.display(), args.channel, known.join(", "));
         return Err(Failure::Other(text, Exit::Bad));
     }
+    let of_frame = args.path.as_ref().map(|task| PathExport::new(&log, task, args.every_s)).transpose()?;
+    let export = |sink: &mut dyn Write| match &of_frame {
+        Some(path) => path.write(&log, sink),
+        None => export_rows(&log, &args.channel, sink),
+    };
     match out {
-        Some(out) => write_file_with(out, |file| export_rows(&log, &args.channel, BufWriter::new(file)))
+        Some(out) => write_file_with(out, |file| export(&mut BufWriter::new(file)))
             .map_err(|error| Failure::io("cannot be written", out, &error))?,
         None => {
-            let stdout = BufWriter::new(io::stdout().lock());
-            export_rows(&log, &args.channel, stdout).map_err(|error| match error.kind() {
+            let mut stdout = BufWriter::new(io::stdout().lock());
+            export(&mut stdout).map_err(|error| match error.kind() {
                 io::ErrorKind::BrokenPipe => Failure::ClosedPipe,
                 _ => Failure::Other(format!("cannot write to standard output: {error}"), Exit::Failed),
             })?;

@@ -1,25 +1,42 @@
-//! `opspace schema`: JSON Schemas for editors.
+//! `opspace schema`: JSON Schemas for editors, and pages of all keys.
 
-use crate::cli::SchemaKind;
+use crate::cli::{SchemaArgs, SchemaKind};
 use crate::console::{Exit, Outcome, print_exactly};
+use crate::key_page::key_page;
 use crate::output::pretty;
 use opspace_experiment::files::experiment_file::ExperimentFile;
 use opspace_experiment::files::robot::RobotFile;
 use opspace_experiment::files::suite::SuiteFile;
 use opspace_experiment::files::task::TaskFile;
-use schemars::schema_for;
+use schemars::{Schema, schema_for};
 
-pub fn schema(kind: SchemaKind) -> Outcome {
-    print_exactly(&text(kind))?;
+pub fn schema(args: &SchemaArgs) -> Outcome {
+    let text = if args.markdown { markdown(args.kind) } else { text(args.kind) };
+    print_exactly(&text)?;
     Ok(Exit::Done)
 }
 
 /// Returns the schema of a kind of file.
 pub fn text(kind: SchemaKind) -> String {
-    pretty(&match kind {
+    pretty(&of(kind))
+}
+
+fn of(kind: SchemaKind) -> Schema {
+    match kind {
         SchemaKind::Robot => schema_for!(RobotFile),
         SchemaKind::Task => schema_for!(TaskFile),
         SchemaKind::Suite => schema_for!(SuiteFile),
         SchemaKind::Experiment => schema_for!(ExperimentFile),
-    })
+    }
+}
+
+/// Returns the page of all keys of a kind of file.
+fn markdown(kind: SchemaKind) -> String {
+    let (title, name) = match kind {
+        SchemaKind::Robot => ("Keys of robot.toml", "robot"),
+        SchemaKind::Task => ("Keys of a task file", "task"),
+        SchemaKind::Suite => ("Keys of a suite file", "suite"),
+        SchemaKind::Experiment => ("Keys of an experiment file", "experiment"),
+    };
+    key_page(of(kind).as_value(), title, &format!("opspace schema {name} --markdown"))
 }

@@ -1,0 +1,287 @@
+//! The guide: each command and each file in its pages, and in the README, is run.
+//!
+//! A page is executed from top to bottom in a folder that looks like a clone of the project:
+//!
+//! * A `toml` block that begins with `# NAME.toml` is a file of this name, or an excerpt of the file if the project has it. Any other block with keys of a task file is an
+//!   excerpt: it replaces the same keys in the last file of the page that has a `robot`, and runs for a moment. An excerpt of
+//!   another file may only have keys that the schemas know.
+//! * A `console` block has commands after `$ `; the lines below a command are part of its output, except `…`. A comment
+//!   `# exit code N` states an exit code other than 0.
+//! * A `rust` block that begins with `// PATH` is an excerpt of this file, which `.ci/run` compiles and runs. `…` in a comment stands
+//!   for lines that are left out.
+#![expect(clippy::unwrap_used, reason = "a test that can't go on has failed")]
+
+mod excerpts;
+mod links;
+mod pages;
+
+use crate::cli_common::{ROOT, project, read, scratch};
+use pages::{Block, Command, blocks, commands, file_name};
+use std::fs;
+use std::os::unix::fs::symlink;
+use std::path::Path;
+use std::process::Stdio;
+
+/// Pages whose commands and files are run, each by the test of the same name.
+macro_rules! pages {
+    ($($test:ident: $page:literal),* $(,)?) => {
+        const PAGES: &[&str] = &[$($page),*];
+        $(#[test]
+        fn $test() {
+            run_page($page);
+        })*
+    };
+}
+
+pages! {
+    readme: "README.md",
+    install: "docs/install.md",
+    first_run: "docs/first-run.md",
+    robot_of_your_own: "docs/own-robot.md",
+    task_of_your_own: "docs/own-task.md",
+    references: "docs/references.md",
+    tuning: "docs/tuning.md",
+    transformer_for_pid: "docs/transformer-for-pid.md",
+    reading_the_report: "docs/reading-the-report.md",
+    troubleshooting: "docs/troubleshooting.md",
+    cookbook: "docs/cookbook.md",
+    writing_a_backend: "docs/writing-a-backend.md",
+    writing_a_task: "docs/writing-a-task.md",
+    tasks: "docs/tasks.md",
+    embedding: "docs/embedding.md",
+    logs: "docs/logs.md",
+}
+
+/// Commands that make the files which a page takes for granted.
+const PREPARATIONS: [(&str, &str); 1] = [(
+    "docs/logs.md",
+    "opspace run tasks/compliant-x.toml --duration-s 2 --quiet && mkdir a b && log=runs/compliant-x-asimo-arm-position/run.mcap \
+     && for name in run a/run b/run broken; do cp $log $name.mcap; done",
+)];
+
+/// Pages with commands that this computer may not be able to run, with the step of `.ci/run` that runs them.
+const ELSEWHERE: [(&str, &str); 6] = [
+    ("docs/your-arm.md", "the same commands are run on docs/own-robot.md"),
+    ("docs/mujoco.md", "mujoco"),
+    ("docs/identification.md", "acceptance"),
+    ("docs/results.md", "acceptance"),
+    ("docs/suites.md", "only files"),
+    ("docs/teleoperation.md", "acceptance"),
+];
+
+/// Commands that no test of these pages runs.
+const NOT_RUN: [(&str, &str); 5] = [
+    ("cargo test", "this is a part of it"),
+    ("cargo install --path crates/opspace-cli", "installs a program"),
+    ("pip install mcap mcap-protobuf-support mcap-ros2-support", "a step of .ci/run runs it"),
+    ("opspace bench", "takes minutes; a step of .ci/run runs it"),
+    ("opspace run experiments/teleop-wall.toml", "tests/all/coupled.rs and a suite of .ci/run run it"),
+];
+
+/// Creates a folder that looks like a clone.
+fn clone() -> tempfile::TempDir {
+    let folder = scratch();
+    for name in ["crates", "docs", "examples", "experiments", "robots", "tasks", "tests"] {
+        symlink(project(name), folder.path().join(name)).unwrap();
+    }
+    folder
+}
+
+fn run_page(page: &str) {
+    let folder = clone();
+    let mut task = None;
+    for (_, text) in PREPARATIONS.iter().filter(|(of, _)| *of == page) {
+        run(folder.path(), &Command { text: (*text).to_owned(), output: Vec::new(), exit: 0 }, page);
+    }
+    for block in blocks(&read(project(page))) {
+        let place = format!("{page}:{}", block.line);
+        match block.language.as_str() {
+            "toml" => match file_name(&block, "# ") {
+                Some(name) if Path::new(&project(&name)).exists() => check_source(&block, "# ", &place),
+                Some(name) => {
+                    write(folder.path(), &name, &block.text, &place);
+                    task = Some(block.text).filter(|text| text.contains("\nrobot = ")).or(task);
+                }
+                None => excerpts::check(folder.path(), task.as_deref(), &block.text, &place),
+            },
+            "console" => {
+                for command in commands(&block) {
+                    run(folder.path(), &command, &place);
+                }
+            }
+            "rust" => check_source(&block, "// ", &place),
+            _ => {}
+        }
+    }
+}
+
+/// Writes a file of a page; never into a folder of the project.
+fn write(folder: &Path, name: &str, text: &str, place: &str) {
+    let path = folder.join(name);
+    let parent = path.parent().unwrap();
+    assert!(!name.starts_with('/') && !name.contains(".."), "{place}: {name}");
+    fs::create_dir_all(parent).unwrap();
+    let inside = parent.canonicalize().unwrap().starts_with(folder.canonicalize().unwrap());
+    assert!(inside, "{place}: {name} would be written into the project");
+    fs::write(path, text).unwrap();
+}
+
+/// Runs a command, and compares its output and exit code with those of the page.
+fn run(folder: &Path, command: &Command, place: &str) {
+    let text = command.text.replace("cargo run --release -- ", "opspace ");
+    let text = text.strip_prefix("cargo run --release -p opspace --example ").map_or(Ok(text.as_str()), Err);
+    let text = match text {
+        Ok(text) => text,
+        Err(example) => return assert_example(example, place),
+    };
+    if NOT_RUN.iter().any(|(not_run, _)| text == *not_run) {
+        return;
+    }
+    let programs = Path::new(env!("CARGO_BIN_EXE_opspace")).parent().unwrap();
+    let path = format!("{}:{}", programs.display(), std::env::var("PATH").unwrap());
+    let mut shell = std::process::Command::new("sh");
+    shell.args(["-c", text]).env("PATH", path).env("NO_COLOR", "1").current_dir(folder).stdin(Stdio::null());
+    let output = shell.output().unwrap();
+    let shown =
+        String::from_utf8_lossy(&output.stdout).into_owned() + &String::from_utf8_lossy(&output.stderr);
+    assert!(!shown.contains("panicked"), "{place}: {text}:\n{shown}");
+    assert_eq!(output.status.code(), Some(command.exit), "{place}: {text}:\n{shown}");
+    let words = |text: &str| text.split_whitespace().collect::<Vec<_>>().join(" ");
+    let shown_words = words(&shown);
+    for line in &command.output {
+        assert!(shown_words.contains(&words(line)), "{place}: {text}: no line `{line}`:\n{shown}");
+    }
+}
+
+/// Checks that `.ci/run` runs an example.
+fn assert_example(name: &str, place: &str) {
+    let name = name.split_whitespace().next().unwrap();
+    let listed = read(project(".ci/run")).lines().any(|line| {
+        line.trim().strip_prefix("for example in ").is_some_and(|list| {
+            list.trim_end_matches("; do").split_whitespace().any(|example| example == name)
+        })
+    });
+    assert!(listed, "{place}: example {name} is not among those of .ci/run");
+}
+
+/// Checks that a block is an excerpt of the file of the project that its first line names.
+fn check_source(block: &Block, comment: &str, place: &str) {
+    let name = file_name(block, comment).unwrap_or_else(|| panic!("{place}: the first line names no file"));
+    let squeezed =
+        |text: &str| text.lines().map(str::trim).filter(|l| !l.is_empty()).collect::<Vec<_>>().join("\n");
+    let source = squeezed(&read(project(&name)));
+    let excerpt = block.text.lines().skip(1).collect::<Vec<_>>().join("\n");
+    for part in excerpt.split(&format!("{comment}…")).map(squeezed).filter(|part| !part.is_empty()) {
+        assert!(source.contains(&part), "{place}: not in {name}:\n{part}");
+    }
+}
+
+/// Every page with commands is run, here or in a step of `.ci/run`; and every page is in the book.
+#[test]
+fn every_page_is_run_and_in_the_book() {
+    let summary = read(project("docs/SUMMARY.md"));
+    let mut count = 0;
+    for entry in fs::read_dir(project("docs")).unwrap() {
+        let name = entry.unwrap().file_name().into_string().unwrap();
+        if !name.ends_with(".md") || name == "SUMMARY.md" {
+            continue;
+        }
+        assert!(summary.contains(&format!("({name})")), "docs/{name} is not in docs/SUMMARY.md");
+        let page = format!("docs/{name}");
+        let has_commands = blocks(&read(project(&page))).iter().any(|block| block.language == "console");
+        let runs = PAGES.contains(&page.as_str()) || ELSEWHERE.iter().any(|(other, _)| *other == page);
+        assert!(runs || !has_commands, "{page} has commands that no test runs");
+        count += 1;
+    }
+    assert!(count > 20, "{count} pages");
+}
+
+/// Excerpts of files in the pages that are not run have only keys that exist.
+#[test]
+fn excerpts_of_reference_pages_have_known_keys() {
+    for page in ELSEWHERE.iter().map(|(page, _)| *page).chain(["docs/metrics.md", "docs/transformer.md"]) {
+        for block in blocks(&read(project(page))).iter().filter(|block| block.language == "toml") {
+            excerpts::assert_known_keys(&block.text, &format!("{page}:{}", block.line));
+        }
+    }
+}
+
+/// Compared: the committed pages of all keys, and the current output of the program.
+#[test]
+fn key_pages_match_the_program() {
+    for kind in ["task", "robot", "suite", "experiment"] {
+        let page = format!("docs/keys-{kind}.md");
+        let shown =
+            crate::cli_common::opspace(Path::new(ROOT), &["schema", kind, "--markdown"]).exits(0).stdout;
+        let remedy = format!("`cargo run -- schema {kind} --markdown > {page}` in the project's root");
+        assert!(shown == read(project(&page)), "{page} is out of date: {remedy}");
+    }
+}
+
+/// Compared: every key of a schema, and the keys of its page.
+#[test]
+fn key_pages_have_every_key() {
+    for (kind, schema) in [
+        ("task", "tasks/task.schema.json"),
+        ("robot", "robots/robot.schema.json"),
+        ("suite", "tasks/suite.schema.json"),
+        ("experiment", "experiments/experiment.schema.json"),
+    ] {
+        let page = read(project(&format!("docs/keys-{kind}.md")));
+        let keys = excerpts::all_keys(&crate::cli_common::read_json(project(schema)));
+        assert!(keys.len() > 10, "{kind}: {} keys", keys.len());
+        for key in keys {
+            assert!(page.contains(&format!("`{key}`")), "{kind}: no key `{key}`");
+        }
+    }
+}
+
+/// A task of the cookbook, and settings that break what it shows: then it misses one of its expectations.
+const BROKEN: [(&str, &[&str]); 10] = [
+    (
+        "tasks/draw-letter.toml",
+        &[
+            "task.draw.cartesian.force.sensed_compensation={ x = 0.0, y = 0.0 }",
+            "friction_compensation={ gain = 0.8 }",
+            "environment.paper.wall.friction.coefficient=0.9",
+        ],
+    ),
+    (
+        "tasks/wipe-table.toml",
+        &[
+            "task.hand.cartesian.force.gain=0",
+            "task.hand.cartesian.force.integral_per_s=0",
+            "friction_compensation={ gain = 0.8 }",
+        ],
+    ),
+    (
+        "tasks/cookbook/press.toml",
+        &[
+            "task.hand.cartesian.force.gain=0",
+            "task.hand.cartesian.force.integral_per_s=0",
+            "friction_compensation={ gain = 0.8 }",
+        ],
+    ),
+    ("tasks/cookbook/hand-guide.toml", &["obstacle.table.half-space.point_m=[0.0, 0.0, 0.0]"]),
+    ("tasks/cookbook/carry-level.toml", &["task.level.cartesian.gains.frequency_rad_per_s=2"]),
+    ("tasks/ur5e-recorded.toml", &["task.flange.cartesian.gains.frequency_rad_per_s=5"]),
+    ("tasks/cookbook/repeat.toml", &["friction_compensation={ gain = 0.0 }"]),
+    ("tasks/cookbook/hold-against-pushes.toml", &["task.flange.cartesian.impedance.stiffness_n_per_m=2000"]),
+    ("tasks/panda-swivel.toml", &["task.elbow.swivel.gains.frequency_rad_per_s=3"]),
+    ("tasks/cookbook/approach-retract.toml", &["environment.part.wall.point_m=[0.36, 0.0, -0.6]"]),
+];
+
+#[test]
+fn cookbook_expectations_fail_when_a_behaviour_breaks() {
+    let folder = scratch();
+    for (task, settings) in BROKEN {
+        let mut arguments = vec!["run", "--out", "broken", "--force", "--quiet"];
+        let task = project(task);
+        arguments.push(&task);
+        for setting in settings {
+            arguments.extend(["--set", setting]);
+        }
+        let ran = crate::cli_common::opspace(folder.path(), &arguments).exits(1);
+        assert!(ran.stdout.contains("expectation missed"), "{task}: {}", ran.stdout);
+    }
+}

@@ -1,0 +1,96 @@
+//! Links between the pages, and figures.
+
+use crate::cli_common::{project, read};
+use std::collections::BTreeSet;
+use std::fs;
+use std::path::Path;
+
+/// Largest size of a figure, bytes.
+const LARGEST_FIGURE: u64 = 64_000;
+
+/// Every relative link of the pages names a file, and a heading in it if it has one.
+#[test]
+fn links_lead_somewhere() {
+    let mut count = 0;
+    for page in pages() {
+        let text = read(&page);
+        for link in links(&text) {
+            if link.contains("://") || link.starts_with("mailto:") {
+                continue;
+            }
+            let (file, heading) = link.split_once('#').unwrap_or((&link, ""));
+            let target = if file.is_empty() { page.clone() } else { parent(&page) + "/" + file };
+            assert!(Path::new(&target).exists(), "{page}: {link}: no such file");
+            if !heading.is_empty() && target.ends_with(".md") {
+                assert!(headings(&read(&target)).contains(heading), "{page}: {link}: no such heading");
+            }
+            count += 1;
+        }
+    }
+    assert!(count > 100, "{count} links");
+}
+
+/// Every figure is shown by a page, and is small.
+#[test]
+fn figures_are_small_and_shown() {
+    let text: String = pages().iter().map(read).collect();
+    for folder in ["docs", "docs/figures"] {
+        for entry in fs::read_dir(project(folder)).unwrap() {
+            let path = entry.unwrap().path();
+            let name = path.file_name().unwrap().to_string_lossy().into_owned();
+            if !name.ends_with(".svg") {
+                continue;
+            }
+            assert!(text.contains(&name), "{name} is on no page");
+            let size = fs::metadata(&path).unwrap().len();
+            assert!(size <= LARGEST_FIGURE, "{name}: {size} bytes");
+        }
+    }
+}
+
+fn pages() -> Vec<String> {
+    let docs =
+        fs::read_dir(project("docs")).unwrap().map(|entry| entry.unwrap().path().display().to_string());
+    let mut pages: Vec<String> = docs.filter(|path| path.ends_with(".md")).collect();
+    pages.extend(["README.md", "ARCHITECTURE.md", "DESIGN.md", "CONTRIBUTING.md"].map(project));
+    pages
+}
+
+fn parent(page: &str) -> String {
+    Path::new(page).parent().unwrap().display().to_string()
+}
+
+/// Targets of links and figures outside of code.
+fn links(text: &str) -> Vec<String> {
+    let mut links = Vec::new();
+    let mut is_code = false;
+    for line in text.lines() {
+        if line.trim_start().starts_with("```") {
+            is_code = !is_code;
+        }
+        if is_code {
+            continue;
+        }
+        for (begin, end) in [("](", ')'), ("src=\"", '"')] {
+            let parts = line.split(begin).skip(1);
+            links.extend(parts.filter_map(|part| part.split_once(end)).map(|(link, _)| link.to_owned()));
+        }
+    }
+    links.retain(|link| !link.contains(' ') && !link.is_empty());
+    links
+}
+
+/// Anchors of the headings, as forges derive them.
+fn headings(text: &str) -> BTreeSet<String> {
+    let lines = text.lines().filter_map(|line| line.strip_prefix('#'));
+    lines.map(|line| anchor(line.trim_start_matches('#').trim())).collect()
+}
+
+fn anchor(heading: &str) -> String {
+    let kept = |c: char| match c {
+        ' ' => Some('-'),
+        c if c.is_alphanumeric() || c == '-' || c == '_' => Some(c),
+        _ => None,
+    };
+    heading.to_lowercase().chars().filter_map(kept).collect()
+}
