@@ -63,6 +63,9 @@ const REFINED: f64 = 4.0;
 /// Smallest fraction of fed-forward velocity that is reported.
 const LEAST_FEED_FORWARD: f64 = 0.03;
 
+/// Largest noise of a torque over its value of lines whose errors are those of the model.
+const HEARD: f64 = 0.03;
+
 /// Ratio of the costs of a delay and of the best one below which the delay is in its interval.
 const LIKELY_DELAY: f64 = 1.1;
 
@@ -332,7 +335,9 @@ impl Measurement<'_> {
         let delays = || fitted.iter().filter(likely).map(|c| c.rates.delay);
         let second = fitted.get(1).map_or(f64::INFINITY, Candidate::cost);
         let interval = Interval::new(&best.drive, best.rates);
+        let heard = |(_, torque): &(&Point, &Point)| torque.noise < HEARD * torque.value.norm();
         let torque = pairs(self.levels)
+            .filter(heard)
             .filter_map(|(p, t)| Some((interval.responses(p.hz)?.torque(p.value), t.value)))
             .collect::<Vec<_>>();
         let load = load.as_ref();

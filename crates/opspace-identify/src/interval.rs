@@ -106,9 +106,13 @@ impl SetpointFilterModel {
             Self::FirstOrder { cutoff_hz } => [[(-TAU * cutoff_hz * period_s).exp(), 0.0], [0.0; 2]],
             Self::SecondOrder { natural_frequency_hz, damping_ratio } => {
                 let natural = TAU * natural_frequency_hz;
-                let system = Matrix2::new(0.0, 1.0, -natural * natural, -2.0 * damping_ratio * natural);
-                let transition = (system * period_s).exp();
-                [[transition[(0, 0)], transition[(0, 1)]], [transition[(1, 0)], transition[(1, 1)]]]
+                let decay = damping_ratio * natural;
+                // Imaginary below critical damping. The offset avoids the quotient 0/0 at critical damping.
+                let split = Complex::new(natural * natural * (damping_ratio * damping_ratio - 1.0) + 1e-9, 0.0).sqrt();
+                let fading = (-decay * period_s).exp();
+                let cosine = fading * (split * period_s).cosh().re;
+                let sine = fading * ((split * period_s).sinh() / split).re;
+                [[cosine + decay * sine, sine], [-natural * natural * sine, cosine - decay * sine]]
             }
         }
     }

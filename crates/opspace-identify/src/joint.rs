@@ -99,6 +99,9 @@ const TURNS_WITHIN: f64 = 8.0;
 const TORQUE_EXPLAINED: f64 = 0.10;
 const POSITION_EXPLAINED: f64 = 0.10;
 
+/// Longest time for which a motion at constant speed settles, s.
+const SETTLES_AT_LAST_S: f64 = 3.0;
+
 /// Ratio of a speed to the next larger one.
 const BETWEEN: f64 = 0.55;
 
@@ -494,7 +497,7 @@ impl Joint<'_, '_> {
         let period_s = self.session.period_s();
         let told = self.known;
         let drive = gains.drive;
-        let settle_s = f64::max(0.15, 5.0 / drive.kp);
+        let settle_s = (5.0 / drive.kp).clamp(0.15, SETTLES_AT_LAST_S);
         let window_s = 0.25;
         let fastest = (0.15 * told.speed_limit).min(2.0 * self.travel() / (settle_s + window_s));
         let mut speed = slower * fastest;

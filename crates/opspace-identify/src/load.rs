@@ -1,11 +1,12 @@
 //! Load of a drive, identified from its measured torque and motion: inertia, elastic gear, equivalent friction.
 //!
 //! From the torque τ̄ and the position y that one setpoint causes, the [interval](crate::interval) gives the force F on the
-//! drive in addition to that on an inertia I₀, for any gains of the servo. Friction dissipates like a viscous friction b and
-//! stores like a stiffness k, both of which depend on the amplitude; gravity is a stiffness too:
+//! drive in addition to that on an inertia I₀, for any gains of the servo. Friction is like a viscous friction b that acts
+//! through the presliding displacement δ of the bristles, which relax in the time δ/σ at a velocity of rms σ; b depends on
+//! the amplitude. Gravity is a stiffness k:
 //!
 //! ```text
-//! F = (J(ω) − I₀) ω² y − jω b y − k y
+//! F = (J(ω) − I₀) ω² y − jω b/(1 + jω δ/σ) y − k y
 //! J = I    (rigid gear)        J = B + L κ/(κ − L ω²), κ = K + jω D    (elastic gear, encoder on the rotor)
 //! ```
 //!
@@ -33,6 +34,12 @@ const CLEARLY: f64 = 2.0;
 
 /// Numbers of antiresonances from which the fit of an elastic gear starts.
 const STARTS: usize = 5;
+
+/// Range of the inertia over that of the drive, beyond which a fit has failed.
+const INERTIAS: std::ops::Range<f64> = 0.02..50.0;
+
+/// Damping ratio of a gear from which fits start.
+const LIGHT_DAMPING: f64 = 0.05;
 
 /// Relative error of the model assumed in addition to that of friction.
 const MODEL_ERROR: f64 = 0.003;
@@ -86,6 +93,7 @@ pub struct Load {
 /// Force at one line.
 struct Line {
     level: usize,
+    speed: f64,
     omega: f64,
     position: Complex<f64>,
     force: Complex<f64>,
@@ -97,41 +105,39 @@ pub fn fit(levels: &[AmplitudeLevel], drive: &Drive, rates: Rates) -> Option<Loa
     let lines = lines(levels, drive, rates)?;
     let rigid = rigid(&lines, levels.len(), drive)?;
     let elastic = elastic(&lines, &rigid, levels.len(), drive);
-    let friction = |x: &[f64], at: usize| (0..levels.len()).map(|l| x[at + 2 * l].max(0.0)).collect();
+    let clearly = elastic.filter(|e| CLEARLY * e.cost < rigid.cost);
+    let selected = clearly.as_ref().unwrap_or(&rigid);
     let places: Vec<f64> = lines.iter().flat_map(|line| [line.omega.ln(); 2]).collect();
-    let residual = |minimum: &Minimum| MODEL_ERROR * minimum.rms();
-    match elastic.filter(|e| CLEARLY * e.cost < rigid.cost) {
-        None => Some(Load {
-            inertia: rigid.x[0].exp(),
-            deviation: rigid.deviations(&places, CORRELATED_OVER)?[0],
-            fast_inertia: rigid.x[0].exp(),
-            friction: friction(&rigid.x, 1),
-            gear: None,
-            residual: residual(&rigid),
-        }),
-        Some(found) => {
-            let deviations = found.deviations(&places, CORRELATED_OVER)?;
-            let inertia = found.x[0].exp();
-            let (rotor_share, antiresonance) = (share(found.x[1]), found.x[2].exp());
-            let stiffness = antiresonance * antiresonance * inertia * (1.0 - rotor_share);
-            // Upper bound, as the three logarithms may be correlated.
-            let relative = deviations[0] + deviations[1] * rotor_share + 2.0 * deviations[2];
-            Some(Load {
-                inertia,
-                deviation: deviations[0],
-                fast_inertia: inertia * rotor_share,
-                friction: friction(&found.x, 4),
-                gear: Some(Gear {
-                    antiresonance_hz: antiresonance / TAU,
-                    resonance_hz: antiresonance / TAU / rotor_share.sqrt(),
-                    stiffness,
-                    damping_ratio: found.x[3].exp(),
-                    rotor_share,
-                    stiffness_interval: Interval95::of_logarithm(stiffness, relative),
-                }),
-                residual: residual(&found),
-            })
-        }
+    let deviations = selected.deviations(&places, CORRELATED_OVER)?;
+    let inertia = selected.x[0].exp();
+    if !INERTIAS.contains(&(inertia / drive.inertia)) {
+        return None;
+    }
+    let friction = selected.x[FRICTIONS..FRICTIONS + levels.len()].iter().map(|b| b.max(0.0)).collect();
+    let gear = clearly.as_ref().map(|found| gear(found, &deviations, FRICTIONS + levels.len()));
+    Some(Load {
+        inertia,
+        deviation: deviations[0],
+        fast_inertia: inertia * gear.map_or(1.0, |gear| gear.rotor_share),
+        friction,
+        gear,
+        residual: MODEL_ERROR * selected.rms(),
+    })
+}
+
+/// Gear of a fit whose parameters of the gear begin at the index `at`.
+fn gear(found: &Minimum, deviations: &[f64], at: usize) -> Gear {
+    let (rotor_share, antiresonance) = (share(found.x[at]), found.x[at + 1].exp());
+    let stiffness = antiresonance * antiresonance * found.x[0].exp() * (1.0 - rotor_share);
+    // Upper bound, as the three logarithms may be correlated.
+    let relative = deviations[0] + deviations[at] * rotor_share + 2.0 * deviations[at + 1];
+    Gear {
+        antiresonance_hz: antiresonance / TAU,
+        resonance_hz: antiresonance / TAU / rotor_share.sqrt(),
+        stiffness,
+        damping_ratio: found.x[at + 2].exp(),
+        rotor_share,
+        stiffness_interval: Interval95::of_logarithm(stiffness, relative),
     }
 }
 
@@ -143,7 +149,7 @@ fn lines(levels: &[AmplitudeLevel], drive: &Drive, rates: Rates) -> Option<Vec<L
         for (position, torque) in responses.position.iter().zip(torque) {
             if BAND.contains(&(position.hz * rates.period_s())) && position.coherence > COHERENT {
                 let force = interval.responses(position.hz)?.force_of_torque(position.value, torque.value);
-                lines.push(Line { level, omega: TAU * position.hz, position: position.value, force });
+                lines.push(Line { level, speed: responses.speed, omega: TAU * position.hz, position: position.value, force });
             }
         }
     }
@@ -157,29 +163,41 @@ fn size(line: &Line, inertia: f64, b: f64) -> f64 {
     f64::hypot(MODEL_ERROR * inertial, NONLINEAR * MODEL_ERROR.sqrt() * b * omega * position.norm())
 }
 
-/// Minimum over [ln I, then b and k of each level].
+/// Index of the first b among the parameters: after ln I, ln δ and k.
+const FRICTIONS: usize = 3;
+
+/// Presliding displacement δ if the responses do not determine it, rad (m), and its tolerance factor.
+const PRESLIDING: f64 = 1e-3;
+const PRESLIDING_WITHIN: f64 = 10.0;
+
+/// Residual of the prior of δ.
+fn presliding_prior(x: &[f64]) -> f64 {
+    (x[1] - PRESLIDING.ln()) / PRESLIDING_WITHIN.ln()
+}
+
+/// Minimum over [ln I, ln δ, k, then b of each level].
 fn rigid(lines: &[Line], levels: usize, drive: &Drive) -> Option<Minimum> {
-    let mut x = vec![drive.inertia.ln()];
-    x.extend([0.0, 0.0].repeat(levels));
+    let mut start = linear_start(lines, levels, drive.inertia, &vec![0.0; levels], drive)?;
     let mut minimum = None;
     for _ in 0..2 {
-        let (inertia, b): (f64, Vec<f64>) = (x[0].exp(), (0..levels).map(|l| x[1 + 2 * l]).collect());
-        let start = linear_start(lines, levels, inertia, &b, drive)?;
+        let (inertia, b) = (start[0].exp(), start[FRICTIONS..].to_vec());
         let found = minimise(&start, |x| {
-            let residuals = lines.iter().flat_map(|line| {
-                let model = force(line, Complex::new(x[0].exp(), 0.0), &x[1..], drive.inertia);
+            let mut residuals = Vec::with_capacity(2 * lines.len() + 1);
+            for line in lines {
+                let model = force(line, Complex::new(x[0].exp(), 0.0), x, drive.inertia);
                 let error = (model - line.force) / size(line, inertia, b[line.level]);
-                [error.re, error.im]
-            });
-            Some(residuals.collect())
+                residuals.extend([error.re, error.im]);
+            }
+            residuals.push(presliding_prior(x));
+            Some(residuals)
         })?;
-        x.clone_from(&found.x);
+        start.clone_from(&found.x);
         minimum = Some(found);
     }
     minimum
 }
 
-/// Solves the rigid load by linear least squares: [ln I, then b and k of each level].
+/// Solves the rigid load without relaxation of the bristles by linear least squares: [ln I, ln δ, k, then b of each level].
 fn linear_start(
     lines: &[Line],
     levels: usize,
@@ -187,15 +205,15 @@ fn linear_start(
     b: &[f64],
     drive: &Drive,
 ) -> Option<Vec<f64>> {
-    let mut matrix = DMatrix::zeros(2 * lines.len(), 1 + 2 * levels);
+    let mut matrix = DMatrix::zeros(2 * lines.len(), 2 + levels);
     let mut right = DVector::zeros(2 * lines.len());
     for (k, line) in lines.iter().enumerate() {
         let size = size(line, inertia, b[line.level]);
         let y = line.position / size;
         let columns = [
             (0, y * (line.omega * line.omega)),
-            (1 + 2 * line.level, -y * Complex::new(0.0, line.omega)),
-            (2 + 2 * line.level, -y),
+            (1, -y),
+            (2 + line.level, -y * Complex::new(0.0, line.omega)),
         ];
         for (column, value) in columns {
             matrix[(2 * k, column)] = value.re;
@@ -207,38 +225,43 @@ fn linear_start(
     let iterations = crate::transfer_function::MAX_ITERATIONS;
     let solved = matrix.try_svd(true, true, f64::EPSILON, iterations)?.solve(&right, 1e-14).ok()?;
     let total = drive.inertia + solved[0];
-    let start = [if total > 0.0 { total.ln() } else { drive.inertia.ln() }];
-    let start: Vec<f64> = start.into_iter().chain(solved.iter().skip(1).copied()).collect();
+    let total = if total > 0.0 { total } else { drive.inertia };
+    let start: Vec<f64> =
+        [total.ln(), PRESLIDING.ln()].into_iter().chain(solved.iter().skip(1).copied()).collect();
     start.iter().all(|v| v.is_finite()).then_some(start)
 }
 
-/// Minimum over [ln I, logit of the rotor's share, ln of the antiresonance (rad/s), ln of its damping ratio, then b and k of
-/// each level], from several starts.
+/// Minimum over the parameters of a rigid load, then [logit of the rotor's share, ln of the antiresonance (rad/s), ln of its
+/// damping ratio], from several starts.
 fn elastic(lines: &[Line], rigid: &Minimum, levels: usize, drive: &Drive) -> Option<Minimum> {
-    let (inertia, b): (f64, Vec<f64>) = (rigid.x[0].exp(), (0..levels).map(|l| rigid.x[1 + 2 * l]).collect());
+    let at = FRICTIONS + levels;
+    let (inertia, b) = (rigid.x[0].exp(), &rigid.x[FRICTIONS..]);
     let lowest = lines.iter().map(|line| line.omega).fold(f64::INFINITY, f64::min);
     let highest = lines.iter().map(|line| line.omega).fold(0.0, f64::max);
     let residuals = |x: &[f64]| {
-        let residuals = lines.iter().flat_map(|line| {
-            let model = force(line, elastic_inertia(x, line.omega), &x[4..], drive.inertia);
+        let mut residuals = Vec::with_capacity(2 * lines.len() + 4);
+        for line in lines {
+            let model = force(line, elastic_inertia(x[0], &x[at..], line.omega), x, drive.inertia);
             let error = (model - line.force) / size(line, inertia, b[line.level]);
-            [error.re, error.im]
-        });
+            residuals.extend([error.re, error.im]);
+        }
+        residuals.push(presliding_prior(x));
         // Weak bounds of what the lines do not determine.
-        let bounds = [x[1] / 3.0, (x[2] - highest.ln()) / 2.0, (x[3] - 0.05f64.ln()) / 2.0];
-        Some(residuals.chain(bounds).collect())
+        let gear = &x[at..];
+        residuals.extend([gear[0] / 3.0, (gear[1] - highest.ln()) / 2.0, (gear[2] - LIGHT_DAMPING.ln()) / 2.0]);
+        Some(residuals)
     };
     let start = |k: usize| {
         let antiresonance = 4.0 * lowest * (1.5 * highest / (4.0 * lowest)).powf(k as f64 / (STARTS - 1) as f64);
-        let start = [rigid.x[0], 0.0, antiresonance.ln(), 0.05f64.ln()];
-        minimise(&[&start[..], &rigid.x[1..]].concat(), residuals)
+        let gear = [0.0, antiresonance.ln(), LIGHT_DAMPING.ln()];
+        minimise(&[&rigid.x[..], &gear[..]].concat(), residuals)
     };
     (0..STARTS).filter_map(start).min_by(|a, b| a.cost.total_cmp(&b.cost))
 }
 
 /// Inertia J of an elastic load at the frequency `omega` (rad/s).
-fn elastic_inertia(x: &[f64], omega: f64) -> Complex<f64> {
-    inertia_share(share(x[1]), x[2].exp(), x[3].exp(), omega) * x[0].exp()
+fn elastic_inertia(logarithm: f64, gear: &[f64], omega: f64) -> Complex<f64> {
+    inertia_share(share(gear[0]), gear[1].exp(), gear[2].exp(), omega) * logarithm.exp()
 }
 
 /// Inertia J over that of rotor and link at the frequency `omega`, with the antiresonance `natural` (rad/s).
@@ -252,9 +275,10 @@ fn share(logit: f64) -> f64 {
     1.0 / (1.0 + (-logit).exp())
 }
 
-/// Force on the drive of an inertia `inertia`, with b and k of each level.
-fn force(line: &Line, load: Complex<f64>, frictions: &[f64], inertia: f64) -> Complex<f64> {
-    let Line { level, omega, position, .. } = *line;
-    let [b, k] = [frictions[2 * level], frictions[2 * level + 1]];
-    position * ((load - inertia) * (omega * omega) - Complex::new(k, omega * b))
+/// Force on a drive of an inertia `inertia` with these parameters of friction.
+fn force(line: &Line, load: Complex<f64>, x: &[f64], inertia: f64) -> Complex<f64> {
+    let Line { level, speed, omega, position, .. } = *line;
+    let rate = Complex::new(0.0, omega);
+    let friction = rate * x[FRICTIONS + level] / (rate * (x[1].exp() / speed) + 1.0);
+    position * ((load - inertia) * (omega * omega) - friction - x[2])
 }
