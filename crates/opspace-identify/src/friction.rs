@@ -74,7 +74,7 @@ pub fn fit(passes: &[ConstantVelocityRun]) -> Option<Friction> {
 }
 
 /// Smallest standard deviation of a run relative to the largest friction, for errors that all runs have in common.
-const COMMON_ERROR: f64 = 0.002;
+const COMMON_ERROR: f64 = 0.003;
 
 /// Returns the 95 % intervals of Coulomb friction (Nm, N) and viscous friction (Nms/rad, Ns/m); `None` with too few runs.
 #[must_use]

@@ -99,8 +99,13 @@ const TURNS_WITHIN: f64 = 8.0;
 const TORQUE_EXPLAINED: f64 = 0.10;
 const POSITION_EXPLAINED: f64 = 0.10;
 
-/// Longest time for which a motion at constant speed settles, s.
+/// Time in which a motion at constant speed settles, in time constants of the position loop, and the longest such time, s.
+const SETTLES_IN: f64 = 6.0;
 const SETTLES_AT_LAST_S: f64 = 3.0;
+
+/// Displacement over which friction builds up after a reversal, at least, rad (m), and the longest time for it, s.
+const PRESLIDING: f64 = 0.5e-3;
+const TURNED_AT_LAST_S: f64 = 3.0;
 
 /// Ratio of a speed to the next larger one.
 const BETWEEN: f64 = 0.55;
@@ -116,7 +121,7 @@ const INERTIA_WITHIN: f64 = 0.02;
 /// Factors between the inertias from motor current and from URDF and rotor: from which on, by the nearer end of the interval,
 /// the results are refused, and, by the farther end, doubted.
 const SCALE_REFUSED: f64 = 1.15;
-const SCALE_DOUBTED: f64 = 1.10;
+const SCALE_DOUBTED: f64 = 1.12;
 
 /// Distortion (rms outside the excited lines over rms at them) above which no linear servo can be inverted.
 const LINEAR: f64 = 0.5;
@@ -457,11 +462,11 @@ impl Joint<'_, '_> {
 
     fn check_following(&self, found: &Identification) -> Result<(), IdentificationFailure> {
         let Some(largest) = found.measured.first() else { return Err(IdentificationFailure::Undetermined) };
-        for point in largest.position.iter().take(3) {
-            let gain = point.value.norm();
-            if gain < FOLLOWS {
-                return Err(IdentificationFailure::DoesNotFollow { hz: point.hz, gain });
-            }
+        // Far below the bandwidth of any position loop.
+        let gain = largest.position.first().map_or(0.0, |point| point.value.norm());
+        if gain < FOLLOWS {
+            let hz = largest.position.first().map_or(0.0, |point| point.hz);
+            return Err(IdentificationFailure::DoesNotFollow { hz, gain });
         }
         let distortion = largest.distortion.total();
         if distortion > LINEAR { Err(IdentificationFailure::NotLinear { distortion }) } else { Ok(()) }
@@ -497,17 +502,21 @@ impl Joint<'_, '_> {
         let period_s = self.session.period_s();
         let told = self.known;
         let drive = gains.drive;
-        let settle_s = (5.0 / drive.kp).clamp(0.15, SETTLES_AT_LAST_S);
+        let settle_s = (SETTLES_IN / drive.kp).clamp(0.15, SETTLES_AT_LAST_S);
         let window_s = 0.25;
-        let fastest = (0.15 * told.speed_limit).min(2.0 * self.travel() / (settle_s + window_s));
+        let fastest = (0.15 * told.speed_limit).min(self.travel() / (settle_s + 0.5 * window_s));
         let mut speed = slower * fastest;
         let mut sweeps: Vec<Sweep> = Vec::new();
         while sweeps.len() < self.plan.speeds && speed * window_s > MIN_COUNTS * told.resolution {
             let friction = sweeps.last().and_then(|s| s.friction(gains, self.lag(&sweeps), period_s));
             let behind = friction.map_or(0.0, |p| p.torque.max(0.0)) / (drive.kv * drive.kp);
-            let turned_s = TURNS_WITHIN * behind / speed;
-            let seconds = settle_s + turned_s.min(2.0) + window_s;
-            match self.sweep(speed, 0.5 * speed * seconds, gains) {
+            let turned_s = (TURNS_WITHIN * behind.max(PRESLIDING)) / speed;
+            // Slower, a reversal would not be over, and friction too small.
+            if turned_s > TURNED_AT_LAST_S {
+                break;
+            }
+            let seconds = settle_s.max(turned_s) + 0.5 * window_s;
+            match self.sweep(speed, speed * seconds, gains) {
                 Ok(record) => sweeps.push(Sweep { speed, half: 0.5 * speed * window_s, record }),
                 // Speeds that are too high are skipped.
                 Err(stop) if !stop.is_final() => {}

@@ -35,7 +35,6 @@ pub struct Outcome {
     pub estimates: [Estimate; 7],
     pub refused: Option<String>,
     pub doubts: Vec<String>,
-    pub detail: String,
 }
 
 impl Outcome {
@@ -60,19 +59,8 @@ impl Outcome {
             estimates,
             refused: found.no_torque_mode(),
             doubts: found.doubts.clone(),
-            detail: format!(
-                "{truth:?} passes {:?} gear {:?} paths {:?} residual {:?}",
-                servo.map(|s| s.passes.iter().map(|p| (p.speed, p.torque, truth_at(truth, p.speed))).collect::<Vec<_>>()),
-                servo.map(|s| s.gear),
-                found.fit_quality.as_ref().map(|q| q.setpoint_paths.clone()),
-                found.fit_quality.as_ref().map(|q| q.torque_residual),
-            ),
         }
     }
-}
-
-fn truth_at(t: &crate::cases::Truth, v: f64) -> f64 {
-    t.coulomb + (t.static_friction - t.coulomb) * (-(v / t.stribeck).powi(2)).exp() + t.viscous * v
 }
 
 impl fmt::Display for Outcome {
@@ -95,9 +83,6 @@ impl fmt::Display for Outcome {
         }
         if !self.doubts.is_empty() {
             write!(f, " | {}", self.doubts.join("; "))?;
-        }
-        if std::env::var_os("DETAIL").is_some() {
-            write!(f, "\n      {}", self.detail)?;
         }
         Ok(())
     }
