@@ -128,7 +128,6 @@ impl IdentificationJob {
             let message = "this robot does not accept joint positions: it has no position servos to identify";
             return Err(FileError::at_key(&robot.source, "interface.command", message, None));
         }
-        robot.servos_for(&profile_name, CommandKind::Position)?;
         let joint = |name: &str| {
             robot.model.joint(name).map_err(|unknown| {
                 let message = format!("this robot has no joint '{name}'");
@@ -184,10 +183,14 @@ impl IdentificationJob {
             let message = "this robot has no [simulated] section, so there is no robot to identify";
             return Err(FileError::of_file(robot.source.name(), message, Some(help)));
         };
+        let servos = match robot.servos(&self.profile) {
+            declared if declared.is_empty() => self.simulated_servos(&simulated.servo)?,
+            declared => declared,
+        };
         let setup = ArmConfig {
             model: robot.model.clone(),
             joints: robot.joints(),
-            servos: robot.servos(&self.profile),
+            servos,
             profile: self.profile.clone(),
             capabilities: robot.capabilities(CommandKind::Position, self.profile.period_s()).simulated(),
             simulated,
@@ -200,6 +203,23 @@ impl IdentificationJob {
             seed: self.plan.seed,
         };
         SimulatedArm::new(setup).map_err(|e| FileError::of_file(robot.source.name(), e.to_string(), None))
+    }
+
+    /// Returns the servos of the simulated robot, of a file that declares none.
+    fn simulated_servos(
+        &self,
+        servos: &BTreeMap<String, ServoParameters>,
+    ) -> Result<Vec<ServoParameters>, FileError> {
+        let joints = self.robot.model.joints().iter();
+        let found: Vec<ServoParameters> = joints.filter_map(|j| servos.get(&j.name).cloned()).collect();
+        if found.len() == self.robot.model.n() {
+            return Ok(found);
+        }
+        let profile = &self.profile_name;
+        let message = format!("profile '{profile}' has no position servos, so there is nothing to simulate");
+        let help = "add [simulated.servo.JOINT.cascaded] for each joint: the servos of the simulated robot, which the \
+                    identification does not know; a real robot needs none";
+        Err(FileError::at_key(&self.robot.source, "simulated", message, Some(help.to_owned())))
     }
 
     /// Identifies the joints one after the other, on any robot that is in the start posture of the identification.
@@ -281,8 +301,11 @@ impl IdentificationJob {
 
     fn structure(&self, joint: usize) -> Result<Structure, FileError> {
         let name = &self.robot.model.joints()[joint].name;
-        let what = match &self.robot.servos(&self.profile)[joint] {
-            servo if !servo.has_plain_setpoint() => "with feed-forward or a setpoint filter",
+        let servos = self.robot.servos(&self.profile);
+        // Without a declared structure it is the cascade, to which a PID servo is equivalent.
+        let Some(servo) = servos.get(joint) else { return Ok(Structure::Cascaded) };
+        let what = match servo {
+            servo if servo.acceleration_feed_forward_kg_m2() != 0.0 => "with acceleration feed-forward",
             ServoParameters::Cascaded(servo) if servo.velocity_integral_time_s.is_none() => {
                 return Ok(Structure::Cascaded);
             }
@@ -301,7 +324,7 @@ impl IdentificationJob {
         let key = ["profile", &self.profile_name, "servo", name];
         let message = format!("the servo of joint '{name}' is {what}, which cannot be identified");
         let help = "supported are cascaded servos without an integral, and PID servos without an integral whose derivative is of \
-             the position, both without feed-forward and setpoint filter";
+             the position, both without acceleration feed-forward";
         Err(FileError::at_key(&self.robot.source, key, message, Some(help.to_owned())))
     }
 }
@@ -374,7 +397,8 @@ impl IdentificationResults {
                 trust.and_then(|t| t.torque_residual).map_or(Cell::Empty, percent),
                 joint.found.measured.first().map_or(Cell::Empty, |m| percent(m.distortion.total())),
                 match &joint.no_torque_mode {
-                    None => Cell::Pass("accepted".to_owned()),
+                    None if joint.found.doubts.is_empty() => Cell::Pass("accepted".to_owned()),
+                    None => Cell::Text("doubtful".to_owned()),
                     Some(_) => Cell::Fail("refused".to_owned()),
                 },
             ]);

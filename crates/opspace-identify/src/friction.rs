@@ -2,8 +2,10 @@
 //!
 //! Half the difference of the torques in the two directions, at the same positions, is friction, because gravity is the
 //! same in both. As a function of speed it is Stribeck's curve plus viscous friction,
-//! `Fc + (Fs − Fc) exp(−(v/vs)²) + Fv v`.
+//! `Fc + (Fs − Fc) exp(−(v/vs)²) + Fv v`. The intervals of Fc and Fv are those of their profile likelihood: all values for
+//! which some curve, with any Stribeck velocity or none, fits about as well as the best one.
 
+use crate::confidence::{Interval95, student_95};
 use crate::transfer_function::MAX_ITERATIONS;
 use nalgebra::{DMatrix, DVector};
 use serde::Serialize;
@@ -69,6 +71,84 @@ pub fn fit(passes: &[ConstantVelocityRun]) -> Option<Friction> {
         }
     }
     Some(best)
+}
+
+/// Smallest standard deviation of a run relative to the largest friction, for errors that all runs have in common.
+const COMMON_ERROR: f64 = 0.003;
+
+/// Returns the 95 % intervals of Coulomb friction (Nm, N) and viscous friction (Nms/rad, Ns/m); `None` with too few runs.
+#[must_use]
+pub fn intervals(passes: &[ConstantVelocityRun]) -> Option<[Interval95; 2]> {
+    let curves: Vec<LinearFit> = columns_and_velocities(passes)
+        .filter_map(|(columns, stribeck)| linear_fit(passes, stribeck, &columns))
+        .filter(|fit| !fit.columns[2] || fit.of(2) >= 0.0)
+        .collect();
+    let best = curves.iter().min_by(|a, b| a.cost.total_cmp(&b.cost))?;
+    // A curve with a Stribeck velocity has one parameter more than columns.
+    let parameters = best.columns.iter().filter(|used| **used).count() + usize::from(best.columns[2]);
+    let degrees = passes.len().checked_sub(parameters).filter(|degrees| *degrees > 0)?;
+    let largest = passes.iter().map(|p| p.torque.abs()).fold(0.0, f64::max);
+    let variance = (best.cost / degrees as f64).max((COMMON_ERROR * largest).powi(2));
+    let bound = best.cost + student_95(degrees).powi(2) * variance;
+    let interval = |column: usize| {
+        let ends = curves.iter().filter(|fit| fit.cost <= bound).map(|fit| {
+            let half = ((bound - fit.cost) * fit.variances[column]).sqrt();
+            Interval95 { lower: fit.of(column) - half, upper: fit.of(column) + half }
+        });
+        let all = ends.reduce(|a, b| a.union(&b))?;
+        Some(Interval95 { lower: all.lower.max(0.0), upper: all.upper.max(0.0) })
+    };
+    Some([interval(0)?, interval(1)?])
+}
+
+/// Columns [Coulomb, viscous, Stribeck], and Stribeck velocities (rad/s, m/s), of the curves that are tried.
+fn columns_and_velocities(passes: &[ConstantVelocityRun]) -> impl Iterator<Item = ([bool; 3], f64)> {
+    let highest = passes.iter().map(|p| p.speed).fold(0.0, f64::max);
+    // Grid from a hundredth to a half of the highest speed.
+    let velocities = (0..GRID).map(move |step| highest * 0.01 * 50f64.powf(f64::from(step) / f64::from(GRID - 1)));
+    let with_peak = velocities.map(|stribeck| ([true, true, true], stribeck));
+    [([true, true, false], NO_STRIBECK)].into_iter().chain(with_peak)
+}
+
+/// Linear least squares of a curve with a given Stribeck velocity.
+struct LinearFit {
+    columns: [bool; 3],
+    coefficients: Vec<f64>,
+    /// Diagonal of the inverse normal matrix.
+    variances: Vec<f64>,
+    /// Sum of squared residuals.
+    cost: f64,
+}
+
+impl LinearFit {
+    /// Coefficient of a column; 0 if it is not used.
+    fn of(&self, column: usize) -> f64 {
+        let at = self.columns[..column].iter().filter(|used| **used).count();
+        if self.columns[column] { self.coefficients[at] } else { 0.0 }
+    }
+}
+
+fn linear_fit(passes: &[ConstantVelocityRun], stribeck: f64, columns: &[bool; 3]) -> Option<LinearFit> {
+    let value = |column: usize, speed: f64| match column {
+        0 => 1.0,
+        1 => speed,
+        _ => (-(speed / stribeck).powi(2)).exp(),
+    };
+    let used: Vec<usize> = (0..3).filter(|&c| columns[c]).collect();
+    if passes.len() < used.len() {
+        return None;
+    }
+    let matrix = DMatrix::from_fn(passes.len(), used.len(), |k, c| value(used[c], passes[k].speed));
+    let right = DVector::from_iterator(passes.len(), passes.iter().map(|p| p.torque));
+    let solved =
+        matrix.clone().try_svd(true, true, f64::EPSILON, MAX_ITERATIONS)?.solve(&right, 1e-12).ok()?;
+    let normal = matrix.tr_mul(&matrix).try_inverse();
+    let variances = match normal {
+        Some(inverse) => inverse.diagonal().iter().map(|v| v.max(0.0)).collect(),
+        None => vec![f64::INFINITY; used.len()],
+    };
+    let cost = (&matrix * &solved - &right).norm_squared();
+    Some(LinearFit { columns: *columns, coefficients: solved.iter().copied().collect(), variances, cost })
 }
 
 /// Solves the least squares with some of the columns [Coulomb, viscous, Stribeck]; `None` if a coefficient of a

@@ -10,16 +10,24 @@
 //!
 //! so that only kv kp/I and (kv + b)/I are determined. Coulomb friction is known from the joint's lag at constant
 //! speed. It is modelled as the viscous friction √(2/π) Fc/σ, which dissipates the same power for a Gaussian velocity
-//! of standard deviation σ. The lag at constant speed also gives (kv + b)/(kv kp), much more accurately. Viscous friction b must be known: if it is taken as zero, the identified kv is too high by b, and
-//! the identified kp is too low accordingly, by some percent.
+//! of standard deviation σ. The lag at constant speed also gives (kv + b)/(kv kp), much more accurately. Viscous friction
+//! b must be known: if it is taken as zero, the identified kv is too high by b, and the identified kp is too low
+//! accordingly, by some percent.
+//!
+//! The setpoint may reach the loop directly, with its velocity fed forward, or through a filter: the [paths](SetpointPath)
+//! are compared, and the simplest is selected that no other one explains the responses clearly better than.
 
-use crate::interval::{Drive, Interval, Rates};
+use crate::confidence::Interval95;
+use crate::interval::{Drive, Interval, Rates, SetpointFilterModel};
 use crate::least_squares::{Minimum, minimise};
+use crate::load;
+use crate::load::{CORRELATED_OVER, Gear};
 use crate::response::Point;
 use crate::transfer_function::MAX_ITERATIONS;
 use crate::transfer_function::relative;
 use nalgebra::{Complex, DMatrix, DVector};
 use opspace_backend::Setpoints;
+use serde::Serialize;
 use std::f64::consts::TAU;
 
 /// Relative error of the model assumed in the weights, in addition to noise.
@@ -36,8 +44,30 @@ const FILTER_WITHIN: f64 = 10.0;
 pub(super) const CURRENT_LOOP_HZ: f64 = 1000.0;
 const CURRENT_LOOP_WITHIN: f64 = 4.0;
 
+/// Tolerance factors of the cut-off of a setpoint filter about the servo's own bandwidth, and of its damping ratio
+/// about 1.
+const CUTOFF_WITHIN: f64 = 30.0;
+const DAMPING_WITHIN: f64 = 5.0;
+
 /// Number of alternating fits of gains and of inertia.
-const TURNS: usize = 4;
+const TURNS: usize = 2;
+
+/// Ratio of the cost of a simpler path of the setpoint to that of the best one from which on the best one is clear, and
+/// smallest ratio for which a path is tried with all delays.
+const CLEARLY: f64 = 1.5;
+const TRIED: f64 = 1.2;
+
+/// Ratio of the costs of a delay and of the best one, after one turn, up to which a delay is fitted in all turns.
+const REFINED: f64 = 4.0;
+
+/// Smallest fraction of fed-forward velocity that is reported.
+const LEAST_FEED_FORWARD: f64 = 0.03;
+
+/// Largest noise of a torque over its value of lines whose errors are those of the model.
+const HEARD: f64 = 0.03;
+
+/// Ratio of the costs of a delay and of the best one below which the delay is in its interval.
+const LIKELY_DELAY: f64 = 1.1;
 
 /// Frequency responses at one amplitude.
 #[derive(Clone, Debug)]
@@ -70,8 +100,90 @@ impl Lag {
             Setpoints::Interpolated => 2.0 * half,
         };
         let error = self.per_speed - rates.servo_period_s * (f64::from(rates.delay) + late);
-        (self.per_speed > 0.0 && error > 0.0).then_some(error)
+        (self.per_speed > 0.0).then_some(error)
     }
+}
+
+/// Path of the setpoint to the position loop.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+#[non_exhaustive]
+pub enum SetpointPath {
+    /// The setpoint acts on the position error only.
+    Direct,
+    /// Its velocity is fed forward as well.
+    FeedForward,
+    /// It passes a filter of first order.
+    FilterOfFirstOrder,
+    /// It passes a filter of second order.
+    FilterOfSecondOrder,
+    /// It passes a filter of first order, after which its velocity is fed forward as well.
+    FilterAndFeedForward,
+}
+
+impl SetpointPath {
+    /// All paths, the simplest first.
+    pub const ALL: [Self; 5] = [
+        Self::Direct,
+        Self::FeedForward,
+        Self::FilterOfFirstOrder,
+        Self::FilterOfSecondOrder,
+        Self::FilterAndFeedForward,
+    ];
+
+    /// Parameters from which a fit starts, of a servo with the gain `kp` (1/s).
+    fn start(self, kp: f64) -> Vec<f64> {
+        let cutoff = (2.0 * kp / TAU).ln();
+        match self {
+            Self::Direct => vec![],
+            Self::FeedForward => vec![0.5],
+            Self::FilterOfFirstOrder => vec![cutoff],
+            Self::FilterOfSecondOrder => vec![cutoff, 0.0],
+            Self::FilterAndFeedForward => vec![cutoff, 0.5],
+        }
+    }
+
+    /// Drive with this path.
+    fn of(self, x: &[f64], drive: Drive) -> Drive {
+        let first = |x: f64| SetpointFilterModel::FirstOrder { cutoff_hz: x.exp() };
+        match self {
+            Self::Direct => drive,
+            Self::FeedForward => Drive { velocity_feed_forward: x[0], ..drive },
+            Self::FilterOfFirstOrder => Drive { setpoint_filter: first(x[0]), ..drive },
+            Self::FilterOfSecondOrder => Drive {
+                setpoint_filter: SetpointFilterModel::SecondOrder {
+                    natural_frequency_hz: x[0].exp(),
+                    damping_ratio: x[1].exp(),
+                },
+                ..drive
+            },
+            Self::FilterAndFeedForward => {
+                Drive { setpoint_filter: first(x[0]), velocity_feed_forward: x[1], ..drive }
+            }
+        }
+    }
+
+    /// Residuals of weak priors, which keep parameters within their range if the data don't determine them.
+    fn priors(self, x: &[f64], kp: f64) -> Vec<f64> {
+        let cutoff = |x: f64| beyond(x, kp / TAU, CUTOFF_WITHIN);
+        match self {
+            Self::Direct => vec![],
+            Self::FeedForward => vec![0.1 * x[0]],
+            Self::FilterOfFirstOrder => vec![cutoff(x[0])],
+            Self::FilterOfSecondOrder => vec![cutoff(x[0]), beyond(x[1], 1.0, DAMPING_WITHIN)],
+            Self::FilterAndFeedForward => vec![cutoff(x[0]), 0.1 * x[1]],
+        }
+    }
+}
+
+/// Comparison of a path of the setpoint with the selected one.
+#[derive(Clone, Copy, Debug, Serialize)]
+#[non_exhaustive]
+pub struct PathComparison {
+    /// The path.
+    pub path: SetpointPath,
+    /// Its sum of squared errors over that of the best path.
+    pub cost_over_best: f64,
 }
 
 /// Fitted servo.
@@ -82,15 +194,53 @@ pub struct Gains {
     pub drive: Drive,
     /// Delay until a setpoint acts, in servo ticks.
     pub delay: u32,
+    /// Least and largest delay that explain the responses about as well.
+    pub delays: [u32; 2],
     /// Relative standard deviations of kp and kv.
     pub deviation: [f64; 2],
+    /// 95 % intervals of kp, of kv and of the cut-off of the velocity filter (Hz).
+    pub intervals: [Interval95; 3],
+    /// Path of the setpoint.
+    pub path: SetpointPath,
+    /// 95 % intervals of the parameters of the path: cut-off or natural frequency (Hz), damping ratio, feed-forward.
+    pub path_intervals: Vec<Interval95>,
+    /// Comparison of the paths that were tried.
+    pub comparisons: Vec<PathComparison>,
     /// Viscous friction equivalent to the joint's friction, for each level, Nms/rad (Ns/m), or 1/s if torque was not
     /// measured.
     pub friction: Vec<f64>,
+    /// Relative standard deviation of the inertia, if torque was measured.
+    pub inertia_deviation: Option<f64>,
+    /// Elastic gear, if torque was measured and shows one.
+    pub gear: Option<Gear>,
     /// Relative rms error of the modelled torque, if torque was measured.
     pub torque_residual: Option<f64>,
     /// Ratio of the cost with the second-best delay to the cost with the best one.
     pub delay_margin: f64,
+}
+
+/// Fit of a path and a delay.
+#[derive(Clone)]
+struct Candidate {
+    path: SetpointPath,
+    rates: Rates,
+    drive: Drive,
+    minimum: Minimum,
+    /// Equivalent friction at each level, without measured torque.
+    friction: Vec<f64>,
+}
+
+impl Candidate {
+    fn cost(&self) -> f64 {
+        self.minimum.cost
+    }
+
+    /// True if the parameters of its path are those of a path: a feed-forward from zero to about one.
+    fn is_plausible(&self) -> bool {
+        let forward = self.drive.velocity_feed_forward;
+        let feeds = matches!(self.path, SetpointPath::FeedForward | SetpointPath::FilterAndFeedForward);
+        !feeds || (LEAST_FEED_FORWARD..1.2).contains(&forward)
+    }
 }
 
 /// Fits the servo and its delay, which replaces that of `rates`. The `lag` of the joint behind its setpoint, and its `viscous`
@@ -98,33 +248,160 @@ pub struct Gains {
 /// determine the servo.
 #[must_use]
 pub fn fit(levels: &[AmplitudeLevel], rates: Rates, lag: Lag, viscous: f64) -> Option<Gains> {
-    let measured = levels.iter().all(|l| l.torque.is_some());
-    let mut fitted: Vec<(f64, Gains)> = Vec::new();
-    for delay in 0..=rates.servo_ticks_per_cycle {
-        let rates = Rates { delay, ..rates };
-        let one =
-            if measured { with_torque(levels, rates) } else { without_torque(levels, rates, lag, viscous) };
-        fitted.extend(one);
+    let responses = Measurement { levels, lag, viscous };
+    let least = |all: &[Candidate]| all.iter().map(Candidate::cost).fold(f64::INFINITY, f64::min);
+    let all_delays = |path: SetpointPath, start: Option<&Candidate>| -> Vec<Candidate> {
+        let delays = 0..=rates.servo_ticks_per_cycle;
+        delays.filter_map(|delay| responses.candidate(path, Rates { delay, ..rates }, start)).collect()
+    };
+    let best_of = |all: &[Candidate]| all.iter().min_by(|a, b| a.cost().total_cmp(&b.cost())).cloned();
+    let mut direct = all_delays(SetpointPath::Direct, None);
+    let mut first = best_of(&direct)?;
+    if responses.measures_torque() {
+        // The motion within an interval depends on the inertia, which the first fit gives.
+        for _ in 0..TURNS {
+            first.drive.inertia = load::fit(levels, &first.drive, first.rates)?.fast_inertia;
+            first = responses.candidate(SetpointPath::Direct, first.rates, Some(&first))?;
+        }
+        let bound = REFINED * first.cost();
+        let near = direct.iter().filter(|c| c.cost() <= bound || c.rates == first.rates);
+        direct = near
+            .filter_map(|c| responses.candidate(SetpointPath::Direct, c.rates, Some(&first)))
+            .collect();
+        first = best_of(&direct)?;
     }
-    fitted.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let second = fitted.get(1).map_or(f64::INFINITY, |(cost, _)| *cost);
-    let (cost, gains) = fitted.into_iter().next()?;
-    Some(Gains { delay_margin: second / cost, ..gains })
+    let mut paths = vec![direct];
+    for path in SetpointPath::ALL.into_iter().skip(1) {
+        let trial = responses.candidate(path, first.rates, Some(&first));
+        if trial.is_some_and(|trial| TRIED * trial.cost() < first.cost()) {
+            let fitted = all_delays(path, Some(&first));
+            paths.push(fitted.into_iter().filter(Candidate::is_plausible).collect());
+        }
+    }
+    paths.retain(|fitted| !fitted.is_empty());
+    let best = paths.iter().map(|fitted| least(fitted)).fold(f64::INFINITY, f64::min);
+    let comparisons = paths.iter().map(|fitted| PathComparison {
+        path: fitted[0].path,
+        cost_over_best: least(fitted) / best,
+    });
+    let comparisons: Vec<PathComparison> = comparisons.collect();
+    let mut selected = paths.into_iter().find(|fitted| least(fitted) < CLEARLY * best)?;
+    selected.sort_by(|a, b| a.cost().total_cmp(&b.cost()));
+    let mut gains = responses.gains(&selected)?;
+    gains.comparisons = comparisons;
+    Some(gains)
 }
 
-fn with_torque(levels: &[AmplitudeLevel], rates: Rates) -> Option<(f64, Gains)> {
-    let mut drive = rough(levels, &rates)?;
-    let mut found = None;
-    let mut friction = Vec::new();
-    for _ in 0..TURNS {
-        let drive_of = |x: &[f64]| Drive {
-            kp: x[0].exp(),
-            kv: x[1].exp(),
-            velocity_filter_hz: x[2].exp(),
-            current_loop_hz: x[3].exp(),
-            inertia: drive.inertia,
+/// Measurements to which a servo is fitted.
+struct Measurement<'a> {
+    levels: &'a [AmplitudeLevel],
+    lag: Lag,
+    viscous: f64,
+}
+
+impl Measurement<'_> {
+    /// Estimates and intervals from fits of one path with several delays, the best one first.
+    fn gains(&self, fitted: &[Candidate]) -> Option<Gains> {
+        let mut best = fitted.first()?.clone();
+        let load = match self.measures_torque() {
+            true => Some(load::fit(self.levels, &best.drive, best.rates)?),
+            false => None,
         };
-        let start = [drive.kp.ln(), drive.kv.ln(), drive.velocity_filter_hz.ln(), drive.current_loop_hz.ln()];
+        if let Some(load) = &load {
+            best.drive.inertia = load.fast_inertia;
+        }
+        let likely = |c: &&Candidate| c.cost() < LIKELY_DELAY * best.cost();
+        let measured = load.is_some();
+        let logarithms = if measured { 4 } else { 3 };
+        let mut all: Option<Vec<Interval95>> = None;
+        let mut deviation = None;
+        for candidate in fitted.iter().filter(likely) {
+            let deviations = candidate.minimum.deviations(&self.places(), CORRELATED_OVER)?;
+            deviation.get_or_insert([deviations[0], deviations[1]]);
+            let of = |(i, (x, d)): (usize, (&f64, &f64))| {
+                let is_forward = i >= logarithms
+                    && candidate.drive.velocity_feed_forward != 0.0
+                    && i + 1 == candidate.minimum.x.len();
+                if is_forward { Interval95::of(*x, *d) } else { Interval95::of_logarithm(x.exp(), *d) }
+            };
+            let intervals: Vec<Interval95> =
+                candidate.minimum.x.iter().zip(&deviations).enumerate().map(of).collect();
+            all = Some(match all {
+                None => intervals,
+                Some(before) => before.iter().zip(&intervals).map(|(a, b)| a.union(b)).collect(),
+            });
+        }
+        let all = all?;
+        let delays = || fitted.iter().filter(likely).map(|c| c.rates.delay);
+        let second = fitted.get(1).map_or(f64::INFINITY, Candidate::cost);
+        let interval = Interval::new(&best.drive, best.rates);
+        let heard = |(_, torque): &(&Point, &Point)| torque.noise < HEARD * torque.value.norm();
+        let torque = pairs(self.levels)
+            .filter(heard)
+            .filter_map(|(p, t)| Some((interval.responses(p.hz)?.torque(p.value), t.value)))
+            .collect::<Vec<_>>();
+        let load = load.as_ref();
+        Some(Gains {
+            drive: Drive { inertia: load.map_or(1.0, |load| load.inertia), ..best.drive },
+            delay: best.rates.delay,
+            delays: [delays().min()?, delays().max()?],
+            deviation: deviation?,
+            intervals: [all[0], all[1], all[2]],
+            path: best.path,
+            path_intervals: all[logarithms..].to_vec(),
+            comparisons: Vec::new(),
+            friction: load.map_or_else(|| best.friction.clone(), |load| load.friction.clone()),
+            inertia_deviation: load.map(|load| load.deviation),
+            gear: load.and_then(|load| load.gear),
+            torque_residual: measured.then(|| relative(torque.into_iter())),
+            delay_margin: second / best.cost(),
+        })
+    }
+
+    /// Places of the residuals of the responses: the logarithm of the frequency.
+    fn places(&self) -> Vec<f64> {
+        let points = self.levels.iter().flat_map(|level| &level.position);
+        points.flat_map(|point| [point.hz.ln(); 2]).collect()
+    }
+
+    fn measures_torque(&self) -> bool {
+        self.levels.iter().all(|level| level.torque.is_some())
+    }
+
+    /// Fits a path and a delay, from the parameters of another fit if there is one.
+    fn candidate(&self, path: SetpointPath, rates: Rates, from: Option<&Candidate>) -> Option<Candidate> {
+        match self.measures_torque() {
+            true => self.with_torque(path, rates, from),
+            false => self.without_torque(path, rates, from),
+        }
+    }
+
+    /// Fits a path and a delay to measured torques. The gains do not depend on the load, apart from the motion within an
+    /// interval, for which the inertia is that of the drive.
+    fn with_torque(&self, path: SetpointPath, rates: Rates, from: Option<&Candidate>) -> Option<Candidate> {
+        let levels = self.levels;
+        let drive = match from {
+            Some(from) => from.drive,
+            None => rough(levels, &rates)?,
+        };
+        let drive_of = |x: &[f64]| {
+            let direct = Drive {
+                kp: x[0].exp(),
+                kv: x[1].exp(),
+                velocity_filter_hz: x[2].exp(),
+                current_loop_hz: x[3].exp(),
+                inertia: drive.inertia,
+                velocity_feed_forward: 0.0,
+                setpoint_filter: SetpointFilterModel::None,
+            };
+            path.of(&x[4..], direct)
+        };
+        let mut start =
+            vec![drive.kp.ln(), drive.kv.ln(), drive.velocity_filter_hz.ln(), drive.current_loop_hz.ln()];
+        match from.filter(|from| from.path == path) {
+            Some(from) => start.extend(&from.minimum.x[4..]),
+            None => start.extend(path.start(drive.kp)),
+        }
         let minimum = minimise(&start, |x| {
             let interval = Interval::new(&drive_of(x), rates);
             let mut residuals = Vec::new();
@@ -137,82 +414,80 @@ fn with_torque(levels: &[AmplitudeLevel], rates: Rates) -> Option<(f64, Gains)> 
             }
             residuals.push(beyond(x[2], FILTER_OF_RATE / rates.servo_period_s, FILTER_WITHIN));
             residuals.push(beyond(x[3], CURRENT_LOOP_HZ, CURRENT_LOOP_WITHIN));
+            residuals.extend(path.priors(&x[4..], drive.kp));
             Some(residuals)
         })?;
-        drive = drive_of(&minimum.x);
-        let (more, viscous) = joint(levels, &drive, rates)?;
-        drive.inertia = (drive.inertia + more).max(0.1 * drive.inertia);
-        friction = viscous;
-        found = Some(minimum);
+        let drive = drive_of(&minimum.x);
+        Some(Candidate { path, rates, drive, minimum, friction: Vec::new() })
     }
-    let minimum = found?;
-    let interval = Interval::new(&drive, rates);
-    let torque = pairs(levels)
-        .filter_map(|(p, t)| Some((interval.responses(p.hz)?.torque(p.value), t.value)))
-        .collect::<Vec<_>>();
-    let residual = relative(torque.into_iter());
-    Some(gains(drive, rates, &minimum, friction, Some(residual)))
-}
 
-fn without_torque(levels: &[AmplitudeLevel], rates: Rates, lag: Lag, viscous: f64) -> Option<(f64, Gains)> {
-    let corner = corner_hz(&levels.first()?.position)?;
-    let drive_of = |x: &[f64]| Drive {
-        kp: x[0].exp(),
-        kv: x[1].exp(),
-        velocity_filter_hz: x[2].exp(),
-        current_loop_hz: CURRENT_LOOP_HZ,
-        inertia: 1.0,
-    };
-    let friction_of = |x: &[f64], level: &AmplitudeLevel| {
-        viscous + (2.0 / std::f64::consts::PI).sqrt() * lag.at_rest * (x[0] + x[1]).exp() / level.speed
-    };
-    let error_per_speed = lag.error_per_speed(rates);
-    let filter_hz = FILTER_OF_RATE / rates.servo_period_s;
-    let residuals = |x: &[f64]| {
-        let interval = Interval::new(&drive_of(x), rates);
-        let mut residuals = Vec::new();
-        for level in levels {
-            let b = friction_of(x, level);
-            for point in &level.position {
-                let model = interval.responses(point.hz)?.position_with_friction(b, TAU * point.hz);
-                let size = f64::hypot(point.noise, MODEL_ERROR * point.value.norm());
-                let error = (model - point.value) / size;
-                residuals.extend([error.re, error.im]);
+    /// Fits a path and a delay to positions alone: kv is divided by the inertia.
+    fn without_torque(&self, path: SetpointPath, rates: Rates, from: Option<&Candidate>) -> Option<Candidate> {
+        let Self { levels, lag, viscous } = *self;
+        let corner = corner_hz(&levels.first()?.position)?;
+        let drive_of = |x: &[f64]| {
+            let direct = Drive {
+                kp: x[0].exp(),
+                kv: x[1].exp(),
+                velocity_filter_hz: x[2].exp(),
+                current_loop_hz: CURRENT_LOOP_HZ,
+                inertia: 1.0,
+                velocity_feed_forward: 0.0,
+                setpoint_filter: SetpointFilterModel::None,
+            };
+            path.of(&x[3..], direct)
+        };
+        let friction_of = |x: &[f64], level: &AmplitudeLevel| {
+            viscous + (2.0 / std::f64::consts::PI).sqrt() * lag.at_rest * (x[0] + x[1]).exp() / level.speed
+        };
+        let error_per_speed = lag.error_per_speed(rates);
+        let filter_hz = FILTER_OF_RATE / rates.servo_period_s;
+        let start_kp = TAU * corner;
+        let residuals = |x: &[f64]| {
+            let drive = drive_of(x);
+            let interval = Interval::new(&drive, rates);
+            let mut residuals = Vec::new();
+            for level in levels {
+                let b = friction_of(x, level);
+                for point in &level.position {
+                    let model = interval.responses(point.hz)?.position_with_friction(b, TAU * point.hz);
+                    let size = f64::hypot(point.noise, MODEL_ERROR * point.value.norm());
+                    let error = (model - point.value) / size;
+                    residuals.extend([error.re, error.im]);
+                }
             }
-        }
-        residuals.push(beyond(x[2], filter_hz, FILTER_WITHIN));
-        if let Some(measured) = error_per_speed {
-            let Drive { kp, kv, .. } = drive_of(x);
-            residuals.push(((kv + viscous) / (kp * kv * measured) - 1.0) / SLOW_ERROR);
-        }
-        Some(residuals)
-    };
-    let starts = [2.0, 5.0].into_iter().filter_map(|stiffer| {
-        let kp = TAU * corner;
-        minimise(&[kp.ln(), (stiffer * kp).ln(), filter_hz.ln()], residuals)
-    });
-    let minimum = starts.min_by(|a, b| a.cost.total_cmp(&b.cost))?;
-    let friction = levels.iter().map(|level| friction_of(&minimum.x, level)).collect();
-    Some(gains(drive_of(&minimum.x), rates, &minimum, friction, None))
+            residuals.push(beyond(x[2], filter_hz, FILTER_WITHIN));
+            if let Some(measured) = error_per_speed {
+                let Drive { kp, kv, velocity_feed_forward: forward, .. } = drive;
+                let model = ((1.0 - forward) * kv + viscous) / (kp * kv) + drive.setpoint_filter.lag_s();
+                residuals.push((model - measured) * kp / SLOW_ERROR);
+            }
+            residuals.extend(path.priors(&x[3..], start_kp));
+            Some(residuals)
+        };
+        let start = |kp: f64, kv: f64, filter_hz: f64| {
+            let direct = [kp.ln(), kv.ln(), filter_hz.ln()];
+            minimise(&[&direct[..], &path.start(kp)].concat(), residuals)
+        };
+        let minimum = match from {
+            Some(from) if from.path == path => minimise(&from.minimum.x, residuals)?,
+            Some(from) => start(from.drive.kp, from.drive.kv, from.drive.velocity_filter_hz)?,
+            None => {
+                let starts = [2.0, 5.0].into_iter();
+                let found = starts.filter_map(|stiffer| start(start_kp, stiffer * start_kp, filter_hz));
+                found.min_by(|a, b| a.cost.total_cmp(&b.cost))?
+            }
+        };
+        let friction = levels.iter().map(|level| friction_of(&minimum.x, level)).collect();
+        let drive = drive_of(&minimum.x);
+        Some(Candidate { path, rates, drive, minimum, friction })
+    }
 }
 
 /// Frequency at which the phase reaches −45°, near the corner of the position loop, Hz.
 #[must_use]
 pub fn corner_hz(position: &[Point]) -> Option<f64> {
     Some(position.iter().find(|p| p.value.arg() < -TAU / 8.0).or(position.last())?.hz)
-}
-
-fn gains(
-    drive: Drive,
-    rates: Rates,
-    minimum: &Minimum,
-    friction: Vec<f64>,
-    torque_residual: Option<f64>,
-) -> (f64, Gains) {
-    let deviation = [minimum.deviation[0], minimum.deviation[1]];
-    let (delay, delay_margin) = (rates.delay, f64::INFINITY);
-    let gains = Gains { drive, delay, deviation, friction, torque_residual, delay_margin };
-    (minimum.cost, gains)
 }
 
 /// Residual of a prior on a logarithm: its distance from the logarithm of the `likely` value, divided by the logarithm
@@ -249,40 +524,9 @@ fn rough(levels: &[AmplitudeLevel], rates: &Rates) -> Option<Drive> {
         velocity_filter_hz: FILTER_OF_RATE / rates.servo_period_s,
         current_loop_hz: CURRENT_LOOP_HZ,
         inertia,
+        velocity_feed_forward: 0.0,
+        setpoint_filter: SetpointFilterModel::None,
     })
-}
-
-/// Returns the joint's inertia in addition to that of `drive`, and the viscous friction at each level, from the force
-/// that the model needs to explain the positions. Inertia is fitted above the frequencies dominated by friction and
-/// below those dominated by encoder noise; friction is fitted at low frequencies.
-fn joint(levels: &[AmplitudeLevel], drive: &Drive, rates: Rates) -> Option<(f64, Vec<f64>)> {
-    let interval = Interval::new(drive, rates);
-    let within = |from: f64, to: f64| {
-        move |p: &&Point| (from..to).contains(&(p.hz * rates.period_s())) && p.coherence > 0.95
-    };
-    let mut rows = Vec::new();
-    for point in levels.iter().flat_map(|l| &l.position).filter(within(0.03, 0.25)) {
-        let omega = TAU * point.hz;
-        let force = interval.responses(point.hz)?.force(point.value);
-        let size = drive.inertia * omega * omega * point.value.norm();
-        let y = point.value / size;
-        rows.push(([y * (omega * omega), -y * Complex::new(0.0, omega)], force / size));
-    }
-    let [more, _] = linear(&rows)?;
-    let mut friction = Vec::new();
-    for level in levels {
-        let (mut power, mut work) = (0.0, 0.0);
-        for point in level.position.iter().filter(within(0.0, 0.1)) {
-            let omega = TAU * point.hz;
-            let force =
-                interval.responses(point.hz)?.force(point.value) - point.value * (more * omega * omega);
-            let velocity = point.value * Complex::new(0.0, omega);
-            power += velocity.norm_sqr();
-            work -= (force * velocity.conj()).re;
-        }
-        friction.push((work / power).max(0.0));
-    }
-    Some((more, friction))
 }
 
 /// Solves for two real coefficients of complex columns, by least squares.

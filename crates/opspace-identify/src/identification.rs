@@ -1,8 +1,11 @@
 //! Result of an identification, and its parameters.
 
+use crate::confidence::ServoIntervals;
 use crate::friction::{ConstantVelocityRun, Friction};
 use crate::gains;
-use crate::interval::{Drive, Interval, Rates, Responses};
+use crate::gains::PathComparison;
+use crate::interval::{Drive, Interval, Rates, Responses, SetpointFilterModel};
+use crate::load::Gear;
 use crate::response::{Distortion, Point};
 use crate::session::AbortReason;
 use crate::transfer_function::DelayedTransferFunction;
@@ -63,6 +66,8 @@ pub struct ExcitationPlan {
     pub lines_per_decade: f64,
     /// Number of speeds at which friction is measured.
     pub speeds: usize,
+    /// Largest number of times that as many speeds are added, if they do not separate Coulomb and viscous friction.
+    pub extra_rounds: u32,
     /// Seed of the phases.
     pub seed: u64,
 }
@@ -76,6 +81,7 @@ impl Default for ExcitationPlan {
             amplitudes: vec![1.0, 0.4],
             lines_per_decade: 14.0,
             speeds: 8,
+            extra_rounds: 2,
             seed: 1,
         }
     }
@@ -136,6 +142,16 @@ pub enum IdentificationFailure {
         /// Largest allowed relative rms error.
         allowed: f64,
     },
+    /// Inertia identified with the motor current that is not that of URDF and rotor.
+    #[error(
+        "the inertia that its motor current and its motion show is {ratio:.2} times that of URDF and rotor: the torque \
+         constant of the current, the inertia of its links, or the rotor inertia is wrong, and gains and friction may be \
+         wrong by the same factor"
+    )]
+    WrongScale {
+        /// Identified inertia over the nearest one between that with the other joints free and held.
+        ratio: f64,
+    },
     /// Responses that do not determine the gains.
     #[error("its responses do not identify a servo; check that torque and position are synchronised")]
     Undetermined,
@@ -157,6 +173,8 @@ pub struct FitQuality {
     pub torque_residual: Option<f64>,
     /// Relative standard deviations of kp and kv.
     pub deviation: [f64; 2],
+    /// Comparison of the paths of the setpoint that were tried.
+    pub setpoint_paths: Vec<PathComparison>,
     /// Ratio of the cost with the second-best delay to the cost with the best one.
     pub delay_margin: f64,
     /// Ratio of identified inertia to that of URDF and rotor; `None` if one of them is missing.
@@ -179,8 +197,16 @@ pub struct Servo {
     pub current_loop_hz: Option<f64>,
     /// Inertia that the drive moves, including the rotor, kg m² (kg), or 1 if the scale of torque is unknown.
     pub inertia: f64,
+    /// Fraction of the setpoint's velocity that the servo feeds forward; 0 if the responses show none.
+    pub velocity_feed_forward: f64,
+    /// Filter of the setpoint, if the responses show one.
+    pub setpoint_filter: SetpointFilterModel,
+    /// Elastic gear, if motor current is measured and shows one.
+    pub gear: Option<Gear>,
     /// Friction of the joint, Nm (N), or rad/s² (m/s²) if divided by the inertia.
     pub friction: Option<Friction>,
+    /// 95 % intervals of these estimates.
+    pub intervals: ServoIntervals,
     /// Runs from which friction is identified.
     pub passes: Vec<ConstantVelocityRun>,
 }
@@ -222,6 +248,8 @@ pub struct Identification {
     pub fit_quality: Option<FitQuality>,
     /// Reason why the servo cannot be inverted, if any.
     pub refused: Option<String>,
+    /// Reasons to doubt the results; empty if there are none.
+    pub doubts: Vec<String>,
 }
 
 impl Identification {
@@ -247,7 +275,13 @@ impl Identification {
     /// Response T of the identified servo at the frequency `hz` (Hz).
     #[must_use]
     pub fn model(&self, told: &KnownParameters, hz: f64) -> Option<Complex<f64>> {
-        Some(self.responses(told, hz)?.position_with_friction(self.equivalent_friction, TAU * hz))
+        let servo = self.servo.as_ref()?;
+        let omega = TAU * hz;
+        let beyond_rotor = servo.gear.map_or(Complex::new(0.0, 0.0), |gear| {
+            (gear.inertia_share(omega) - gear.rotor_share) * (servo.inertia * omega * omega)
+        });
+        let force = beyond_rotor - Complex::new(0.0, omega * self.equivalent_friction);
+        Some(self.responses(told, hz)?.position_with_load(force))
     }
 
     fn responses(&self, told: &KnownParameters, hz: f64) -> Option<Responses> {
@@ -257,7 +291,9 @@ impl Identification {
             kv: servo.kv,
             velocity_filter_hz: servo.velocity_filter_hz,
             current_loop_hz: servo.current_loop_hz.unwrap_or(gains::CURRENT_LOOP_HZ),
-            inertia: servo.inertia,
+            inertia: servo.inertia * servo.gear.map_or(1.0, |gear| gear.rotor_share),
+            velocity_feed_forward: servo.velocity_feed_forward,
+            setpoint_filter: servo.setpoint_filter,
         };
         Interval::new(&drive, told.rates(servo.delay)).responses(hz)
     }

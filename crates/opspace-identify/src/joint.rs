@@ -1,6 +1,7 @@
 //! Identification of one joint, which moves about its initial position: amplitudes within its limits, multisines, slow
 //! runs.
 
+use crate::confidence::{Interval95, ServoIntervals};
 use crate::excitation::{Multisine, odd_lines};
 use crate::friction;
 use crate::friction::ConstantVelocityRun;
@@ -42,6 +43,7 @@ pub fn identify(
         rational_residual: None,
         fit_quality: None,
         refused: None,
+        doubts: Vec::new(),
     };
     match (Joint { session, known: told, plan }).identify(&mut found) {
         Ok(()) => Ok(found),
@@ -97,6 +99,30 @@ const TURNS_WITHIN: f64 = 8.0;
 const TORQUE_EXPLAINED: f64 = 0.10;
 const POSITION_EXPLAINED: f64 = 0.10;
 
+/// Time in which a motion at constant speed settles, in time constants of the position loop, and the longest such time, s.
+const SETTLES_IN: f64 = 6.0;
+const SETTLES_AT_LAST_S: f64 = 3.0;
+
+/// Displacement over which friction builds up after a reversal, at least, rad (m), and the longest time for it, s.
+const PRESLIDING: f64 = 0.5e-3;
+const TURNED_AT_LAST_S: f64 = 3.0;
+
+/// Ratio of a speed to the next larger one.
+const BETWEEN: f64 = 0.55;
+
+/// Largest half-width of Coulomb friction, and of viscous friction at the highest speed, over the friction at that speed, at
+/// which the two are separated.
+const SEPARATED: f64 = 0.15;
+
+/// Errors of declared values that intervals without motor current include: of the viscous friction and of the inertia.
+const VISCOUS_WITHIN: f64 = 0.5;
+const INERTIA_WITHIN: f64 = 0.02;
+
+/// Factors between the inertias from motor current and from URDF and rotor: from which on, by the nearer end of the interval,
+/// the results are refused, and, by the farther end, doubted.
+const SCALE_REFUSED: f64 = 1.15;
+const SCALE_DOUBTED: f64 = 1.12;
+
 /// Distortion (rms outside the excited lines over rms at them) above which no linear servo can be inverted.
 const LINEAR: f64 = 0.5;
 
@@ -142,17 +168,30 @@ impl Joint<'_, '_> {
             gains::fit(&levels, rates, lag, viscous / scale).ok_or(IdentificationFailure::Undetermined)
         };
         let rough = fit(Lag::default())?;
-        let sweeps = self.sweeps(&rough)?;
+        let mut sweeps = self.sweeps(&rough, 1.0)?;
+        let runs = |joint: &Self, sweeps: &[Sweep], gains: &Gains| -> Vec<ConstantVelocityRun> {
+            let lag = joint.lag(sweeps);
+            (sweeps.iter())
+                .filter_map(|sweep| sweep.friction(gains, lag, joint.session.period_s()))
+                .map(|p| ConstantVelocityRun { torque: scale * p.torque + viscous * p.speed, ..p })
+                .collect()
+        };
+        // The motion is made longer until it separates Coulomb and viscous friction: runs at speeds between the others.
+        for round in 1..=self.plan.extra_rounds {
+            if is_separated(&runs(self, &sweeps, &rough)) {
+                break;
+            }
+            let between = BETWEEN.powf(f64::from(round) / f64::from(self.plan.extra_rounds + 1));
+            sweeps.extend(self.sweeps(&rough, between)?);
+            sweeps.sort_by(|a, b| b.speed.total_cmp(&a.speed));
+        }
         let lag = self.lag(&sweeps);
         let gains = match self.session.measures_torque() {
             true => rough,
             false => fit(lag)?,
         };
         self.rational(found, gains.delay);
-        let passes: Vec<ConstantVelocityRun> = (sweeps.iter())
-            .filter_map(|sweep| sweep.friction(&gains, lag, self.session.period_s()))
-            .map(|p| ConstantVelocityRun { torque: scale * p.torque + viscous * p.speed, ..p })
-            .collect();
+        let passes = runs(self, &sweeps, &gains);
         found.equivalent_friction = scale * gains.friction[0];
         let drive = gains.drive;
         found.servo = Some(Servo {
@@ -162,13 +201,111 @@ impl Joint<'_, '_> {
             delay: gains.delay,
             current_loop_hz: self.session.measures_torque().then_some(drive.current_loop_hz),
             inertia: scale * drive.inertia,
+            velocity_feed_forward: drive.velocity_feed_forward,
+            setpoint_filter: drive.setpoint_filter,
+            gear: gains.gear,
             friction: friction::fit(&passes),
+            intervals: self.intervals(found.scale, &gains, scale, &passes),
             passes,
         });
+        if !is_separated(&found.servo.as_ref().map_or(&[][..], |s| &s.passes)) {
+            found.doubts.push(
+                "its motion does not separate Coulomb and viscous friction: their speeds are too few or too close".to_owned(),
+            );
+        }
         let trust = self.fit_quality(found, &gains);
         let explained = check_explained(&trust);
         found.fit_quality = Some(trust);
-        explained
+        explained?;
+        self.check_scale(found)
+    }
+
+    /// Returns the 95 % intervals of the estimates.
+    fn intervals(
+        &self,
+        source: TorqueScale,
+        gains: &Gains,
+        scale: f64,
+        passes: &[ConstantVelocityRun],
+    ) -> ServoIntervals {
+        let [kp, kv, velocity_filter_hz] = gains.intervals;
+        let [least, most] = gains.delays.map(f64::from);
+        let friction = friction::intervals(passes).filter(|_| is_separated(passes));
+        let inertia = gains.inertia_deviation.map(|d| Interval95::of_logarithm(gains.drive.inertia, d));
+        let mut all = ServoIntervals {
+            kp: Some(kp),
+            kv: Some(kv.scaled(scale)),
+            velocity_filter_hz: Some(velocity_filter_hz),
+            delay: Some(Interval95 { lower: least, upper: most }),
+            inertia,
+            coulomb: friction.map(|[coulomb, _]| coulomb),
+            viscous: friction.map(|[_, viscous]| viscous),
+        };
+        if source == TorqueScale::Urdf {
+            self.add_declared(&mut all, gains, scale);
+        }
+        all
+    }
+
+    /// Adds the errors of declared values to intervals without motor current: of the inertia, between that with the other
+    /// joints free and held, and of the viscous friction, which is not estimated.
+    fn add_declared(&self, all: &mut ServoIntervals, gains: &Gains, scale: f64) {
+        let Some([free, held]) = self.known.inertia else { return };
+        let viscous = VISCOUS_WITHIN * self.known.viscous_friction / (scale * gains.drive.kv);
+        let inertia = INERTIA_WITHIN + (held / free - 1.0).abs();
+        let widen = |interval: Option<Interval95>, by: f64| {
+            interval.map(|i| Interval95 { lower: i.lower / (1.0 + by), upper: i.upper * (1.0 + by) })
+        };
+        all.kp = widen(all.kp, viscous);
+        all.kv = widen(all.kv, viscous + inertia);
+        all.coulomb = widen(all.coulomb, gains.deviation[1] + inertia);
+        all.viscous = None;
+        all.inertia = None;
+    }
+
+    /// Compares the scale of torque of the motor current with that of the inertia.
+    fn check_scale(&self, found: &mut Identification) -> Result<(), IdentificationFailure> {
+        match (found.scale, self.known.inertia) {
+            (TorqueScale::Unknown, _) => return Ok(()),
+            (TorqueScale::Urdf, _) => {
+                found.doubts.push(
+                    "without motor current nothing checks the inertia of URDF and rotor: an error of it is the same \
+                     relative error of kv and friction"
+                        .to_owned(),
+                );
+                return Ok(());
+            }
+            (TorqueScale::MotorCurrent, None) => {
+                found.doubts.push(
+                    "without a rotor inertia nothing checks the torque constant of the motor current".to_owned(),
+                );
+                return Ok(());
+            }
+            (TorqueScale::MotorCurrent, Some(range)) => {
+                let Some(servo) = &found.servo else { return Ok(()) };
+                let Some(interval) = servo.intervals.inertia else { return Ok(()) };
+                let ratio = |inertia: f64| inertia / inertia.clamp(range[0].min(range[1]), range[1].max(range[0]));
+                let distance = |inertia: f64| ratio(inertia).ln().abs();
+                let [near, far] = {
+                    let [a, b] = [distance(interval.lower), distance(interval.upper)];
+                    let spans = interval.lower < range[1] && interval.upper > range[0];
+                    [if spans { 0.0 } else { a.min(b) }, a.max(b)]
+                };
+                if near > SCALE_REFUSED.ln() {
+                    return Err(IdentificationFailure::WrongScale { ratio: ratio(servo.inertia) });
+                }
+                if far > SCALE_DOUBTED.ln() {
+                    let percent = |x: f64| 100.0 * (ratio(x) - 1.0);
+                    found.doubts.push(format!(
+                        "the torque constant of the motor current is not confirmed: the identified inertia is {:+.0} to {:+.0} % \
+                         from that of URDF and rotor",
+                        percent(interval.lower),
+                        percent(interval.upper)
+                    ));
+                }
+                Ok(())
+            }
+        }
     }
 
     fn bounds(&self) -> Bounds {
@@ -325,11 +462,11 @@ impl Joint<'_, '_> {
 
     fn check_following(&self, found: &Identification) -> Result<(), IdentificationFailure> {
         let Some(largest) = found.measured.first() else { return Err(IdentificationFailure::Undetermined) };
-        for point in largest.position.iter().take(3) {
-            let gain = point.value.norm();
-            if gain < FOLLOWS {
-                return Err(IdentificationFailure::DoesNotFollow { hz: point.hz, gain });
-            }
+        // Far below the bandwidth of any position loop.
+        let gain = largest.position.first().map_or(0.0, |point| point.value.norm());
+        if gain < FOLLOWS {
+            let hz = largest.position.first().map_or(0.0, |point| point.hz);
+            return Err(IdentificationFailure::DoesNotFollow { hz, gain });
         }
         let distortion = largest.distortion.total();
         if distortion > LINEAR { Err(IdentificationFailure::NotLinear { distortion }) } else { Ok(()) }
@@ -359,28 +496,33 @@ impl Joint<'_, '_> {
         }
     }
 
-    /// Moves back and forth at constant speeds, from fast to slow. At a slower speed, friction makes a reversal take
-    /// longer.
-    fn sweeps(&mut self, gains: &Gains) -> Result<Vec<Sweep>, IdentificationFailure> {
+    /// Moves back and forth at constant speeds, from fast to slow, `slower` times the largest one first. At a slower speed,
+    /// friction makes a reversal take longer.
+    fn sweeps(&mut self, gains: &Gains, slower: f64) -> Result<Vec<Sweep>, IdentificationFailure> {
         let period_s = self.session.period_s();
         let told = self.known;
         let drive = gains.drive;
-        let settle_s = f64::max(0.15, 5.0 / drive.kp);
+        let settle_s = (SETTLES_IN / drive.kp).clamp(0.15, SETTLES_AT_LAST_S);
         let window_s = 0.25;
-        let mut speed = (0.15 * told.speed_limit).min(2.0 * self.travel() / (settle_s + window_s));
+        let fastest = (0.15 * told.speed_limit).min(self.travel() / (settle_s + 0.5 * window_s));
+        let mut speed = slower * fastest;
         let mut sweeps: Vec<Sweep> = Vec::new();
         while sweeps.len() < self.plan.speeds && speed * window_s > MIN_COUNTS * told.resolution {
             let friction = sweeps.last().and_then(|s| s.friction(gains, self.lag(&sweeps), period_s));
             let behind = friction.map_or(0.0, |p| p.torque.max(0.0)) / (drive.kv * drive.kp);
-            let turned_s = TURNS_WITHIN * behind / speed;
-            let seconds = settle_s + turned_s.min(2.0) + window_s;
-            match self.sweep(speed, 0.5 * speed * seconds, gains) {
+            let turned_s = (TURNS_WITHIN * behind.max(PRESLIDING)) / speed;
+            // Slower, a reversal would not be over, and friction too small.
+            if turned_s > TURNED_AT_LAST_S {
+                break;
+            }
+            let seconds = settle_s.max(turned_s) + 0.5 * window_s;
+            match self.sweep(speed, speed * seconds, gains) {
                 Ok(record) => sweeps.push(Sweep { speed, half: 0.5 * speed * window_s, record }),
                 // Speeds that are too high are skipped.
                 Err(stop) if !stop.is_final() => {}
                 Err(stop) => return Err(stop.into()),
             }
-            speed *= 0.55;
+            speed *= BETWEEN;
         }
         Ok(sweeps)
     }
@@ -454,6 +596,7 @@ impl Joint<'_, '_> {
             position_residual: self.position_residual(found),
             torque_residual: gains.torque_residual,
             deviation: gains.deviation,
+            setpoint_paths: gains.comparisons.clone(),
             delay_margin: gains.delay_margin,
             inertia_over_urdf: identified
                 .zip(self.known.inertia)
@@ -471,6 +614,18 @@ fn speed(realisations: &[Realisation], period_s: f64) -> f64 {
         count += 1.0;
     }
     f64::sqrt(power / f64::max(count, 1.0)).max(f64::MIN_POSITIVE)
+}
+
+/// True if runs at constant speeds separate Coulomb and viscous friction.
+fn is_separated(passes: &[ConstantVelocityRun]) -> bool {
+    let Some([coulomb, viscous]) = friction::intervals(passes) else { return false };
+    let (mut fastest, mut largest) = (0.0, 0.0);
+    for pass in passes {
+        fastest = f64::max(fastest, pass.speed);
+        largest = f64::max(largest, pass.torque);
+    }
+    let widest = f64::max(coulomb.half_width(), fastest * viscous.half_width());
+    widest < SEPARATED * largest
 }
 
 fn check_explained(trust: &FitQuality) -> Result<(), IdentificationFailure> {

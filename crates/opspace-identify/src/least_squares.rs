@@ -11,13 +11,59 @@ const GAIN: f64 = 1e-9;
 
 /// Minimum of the sum of squared residuals.
 #[derive(Clone, Debug)]
+#[non_exhaustive]
 pub struct Minimum {
     /// Parameters at the minimum.
     pub x: Vec<f64>,
     /// Sum of squared residuals.
     pub cost: f64,
-    /// Standard deviation of each parameter, if the residuals are independent noise of equal variance.
-    pub deviation: Vec<f64>,
+    residuals: DVector<f64>,
+    jacobian: DMatrix<f64>,
+}
+
+impl Minimum {
+    /// Returns the standard deviation of each parameter, from the residuals: the larger of that of independent residuals
+    /// of equal variance, and of residuals that are correlated with those at neighbouring places (W. Newey, K. West, *A
+    /// simple, positive semi-definite, heteroskedasticity and autocorrelation consistent covariance matrix*, Econometrica
+    /// 55(3), 1987). `places` has the places of the first residuals; the others are independent. The correlation ends at
+    /// the distance `width`. Errors of a model are correlated, and move the parameters more than independent noise of the same size. `None` if the residuals
+    /// do not determine the parameters.
+    #[must_use]
+    pub fn deviations(&self, places: &[f64], width: f64) -> Option<Vec<f64>> {
+        let (n, p) = self.jacobian.shape();
+        let normal = self.jacobian.tr_mul(&self.jacobian);
+        let decomposed = SVD::try_new_unordered(normal, true, true, 5.0 * f64::EPSILON, MAX_ITERATIONS)?;
+        let bread = decomposed.pseudo_inverse(1e-300).ok()?;
+        let spread = n as f64 / n.saturating_sub(p).max(1) as f64;
+        let independent = self.cost / n as f64 * spread;
+        let scores: Vec<DVector<f64>> =
+            (0..n).map(|k| self.jacobian.row(k).transpose() * self.residuals[k]).collect();
+        let weight = |k: usize, l: usize| match (places.get(k), places.get(l)) {
+            (Some(here), Some(there)) => 1.0 - (here - there).abs() / width,
+            _ => f64::from(u8::from(k == l)),
+        };
+        let mut meat = DMatrix::zeros(p, p);
+        for (k, one) in scores.iter().enumerate() {
+            for (l, other) in scores.iter().enumerate().filter(|(l, _)| weight(k, *l) > 0.0) {
+                meat.ger(weight(k, l), one, other, 1.0);
+            }
+        }
+        let correlated = &bread * meat * &bread * spread;
+        let deviation = |i: usize| f64::max(independent * bread[(i, i)], correlated[(i, i)]).max(0.0).sqrt();
+        Some((0..p).map(deviation).collect())
+    }
+
+    /// Residuals at the minimum.
+    #[must_use]
+    pub fn residuals(&self) -> &[f64] {
+        self.residuals.as_slice()
+    }
+
+    /// Rms of the residuals.
+    #[must_use]
+    pub fn rms(&self) -> f64 {
+        (self.cost / self.residuals.len().max(1) as f64).sqrt()
+    }
 }
 
 /// Minimizes |r(x)|² from `start`; `None` if the residuals at `start` are not finite.
@@ -54,13 +100,7 @@ pub fn minimise(start: &[f64], residuals: impl Fn(&[f64]) -> Option<Vec<f64>>) -
         }
     }
     let jacobian = jacobian(&x, &r, &finite)?;
-    let cost = r.norm_squared();
-    let degrees = r.len().saturating_sub(x.len()).max(1) as f64;
-    let normal = jacobian.tr_mul(&jacobian);
-    let decomposed = SVD::try_new_unordered(normal, true, true, 5.0 * f64::EPSILON, MAX_ITERATIONS)?;
-    let covariance = decomposed.pseudo_inverse(1e-300).ok()?;
-    let deviation = covariance.diagonal().iter().map(|v| (v.max(0.0) * cost / degrees).sqrt()).collect();
-    Some(Minimum { x, cost, deviation })
+    Some(Minimum { x, cost: r.norm_squared(), residuals: r, jacobian })
 }
 
 fn jacobian(

@@ -60,6 +60,7 @@
 
 #![forbid(unsafe_code)]
 
+pub mod confidence;
 pub mod excitation;
 pub mod friction;
 pub mod gains;
@@ -67,11 +68,13 @@ pub mod identification;
 pub mod interval;
 pub mod joint;
 pub mod least_squares;
+pub mod load;
 pub mod response;
 pub mod session;
 mod sweep;
 pub mod transfer_function;
 
+pub use confidence::{Interval95, ServoIntervals};
 pub use identification::{ExcitationPlan, Identification, KnownParameters, TorqueScale};
 pub use joint::identify;
 

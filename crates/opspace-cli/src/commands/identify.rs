@@ -17,7 +17,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 pub fn identify(args: &IdentifyArgs, console: Console) -> Outcome {
-    let robot = RobotDefinition::load(Files::Disk, &args.robot, &args.set)?;
+    let robot = RobotDefinition::load_to_identify(Files::Disk, &args.robot, &args.set)?;
     for warning in &robot.warnings {
         console.detail(&format!("{}: {warning}", robot.urdf.name()));
     }
@@ -49,6 +49,9 @@ pub fn identify(args: &IdentifyArgs, console: Console) -> Outcome {
     for joint in &identified.joints {
         if let Some(reason) = &joint.no_torque_mode {
             console.note(&format!("{}: torque control refused: {reason}", joint.name));
+        }
+        for doubt in &joint.found.doubts {
+            console.note(&format!("{}: doubtful: {doubt}", joint.name));
         }
     }
     console.note(&format!(

@@ -135,6 +135,15 @@ struct Missing {
     defaults: Option<Vec<String>>,
 }
 
+/// Use of a robot file, which decides on the values that it needs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Purpose {
+    /// Control, or simulation.
+    Control,
+    /// Identification of the position servos and of friction: the file may lack both.
+    Identification,
+}
+
 /// Checks that an expanded document has all values that a robot needs.
 ///
 /// # Errors
@@ -143,8 +152,9 @@ pub(crate) fn check_complete(
     source: &Source,
     document: &DeTable<'_>,
     model: &Model,
+    purpose: Purpose,
 ) -> Result<(), FileError> {
-    let missing = missing(document, model);
+    let missing = missing(document, model, purpose);
     let values: usize = missing.iter().map(|kind| kind.tables.len()).sum();
     match missing.as_slice() {
         [] => Ok(()),
@@ -187,7 +197,7 @@ fn words(path: &[&str]) -> Vec<String> {
     path.iter().map(|&word| word.to_owned()).collect()
 }
 
-fn missing(document: &DeTable<'_>, model: &Model) -> Vec<Missing> {
+fn missing(document: &DeTable<'_>, model: &Model, purpose: Purpose) -> Vec<Missing> {
     let mut all = Vec::new();
     let of_file = OF_FILE.iter().chain([&SETPOINTS]);
     for of in of_file.filter(|of| lacks(document, &[], of.path)) {
@@ -225,7 +235,10 @@ fn missing(document: &DeTable<'_>, model: &Model) -> Vec<Missing> {
         let of_tables: [(&str, bool, &'static [Required]); 2] = [
             (
                 "servo",
-                has("servo") || !has("velocity_servo") && (is_position || command.is_none()),
+                has("servo")
+                    || purpose == Purpose::Control
+                        && !has("velocity_servo")
+                        && (is_position || command.is_none()),
                 &OF_SERVO,
             ),
             ("velocity_servo", has("velocity_servo") || !has("servo") && is_velocity, &OF_VELOCITY_SERVO),

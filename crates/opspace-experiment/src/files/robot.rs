@@ -4,7 +4,7 @@ use crate::files::collision::{CollisionFile, RobotCapsules, robot_capsules};
 use crate::files::interface::InterfaceParameters;
 use crate::files::joint_layers::{Groups, UrdfValue, check_layers, expand, groups, urdf_layer, urdf_values};
 use crate::files::layered_path::{inner, stated_path};
-use crate::files::missing::check_complete;
+use crate::files::missing::{Purpose, check_complete};
 use crate::files::origin::{Files, Kind, beside};
 use crate::files::overrides;
 use crate::files::robot_part::{PartKeys, UsedPart, load_part, urdf_error};
@@ -158,13 +158,31 @@ impl RobotDefinition {
     /// # Errors
     /// Mistakes in the file or its URDF, each with its place.
     pub fn load(files: Files, path: &Path, settings: &[String]) -> Result<Self, FileError> {
+        Self::load_for(Purpose::Control, files, path, settings)
+    }
+
+    /// Reads a robot whose servos and friction are to be identified. The file may lack the gains of its position servos, and
+    /// friction, which is then zero.
+    ///
+    /// # Errors
+    /// As [`load`](Self::load).
+    pub fn load_to_identify(files: Files, path: &Path, settings: &[String]) -> Result<Self, FileError> {
+        Self::load_for(Purpose::Identification, files, path, settings)
+    }
+
+    fn load_for(
+        purpose: Purpose,
+        files: Files,
+        path: &Path,
+        settings: &[String],
+    ) -> Result<Self, FileError> {
         let path = files.robot_file(path);
         let source = files.read(&path)?;
         Kind::Robot.require(&source)?;
         let source = overrides::apply_below(&source, "robot", settings)?;
         let path_of_urdf = parse::<PartKeys>(&source)?.urdf;
         let urdf = files.read_named(&beside(&path, &path_of_urdf), &source, "urdf")?;
-        Self::new(source, urdf, None)
+        Self::new(source, urdf, None, purpose)
     }
 
     /// Creates a robot definition from the texts of its files.
@@ -172,7 +190,7 @@ impl RobotDefinition {
     /// # Errors
     /// As [`load`](Self::load).
     pub fn from_sources(source: Source, urdf: Source) -> Result<Self, FileError> {
-        Self::new(source, urdf, None)
+        Self::new(source, urdf, None, Purpose::Control)
     }
 
     /// Creates a robot definition from the texts of its files and capsules that were generated before: the meshes may be
@@ -182,13 +200,18 @@ impl RobotDefinition {
         urdf: Source,
         generated: Option<Vec<LinkCapsule>>,
     ) -> Result<Self, FileError> {
-        Self::new(source, urdf, generated)
+        Self::new(source, urdf, generated, Purpose::Control)
     }
 
-    fn new(source: Source, urdf: Source, generated: Option<Vec<LinkCapsule>>) -> Result<Self, FileError> {
+    fn new(
+        source: Source,
+        urdf: Source,
+        generated: Option<Vec<LinkCapsule>>,
+        purpose: Purpose,
+    ) -> Result<Self, FileError> {
         let loaded = load_part(&source, &urdf, &parse(&source)?)?;
         let mut model = loaded.model;
-        let (file, urdf_values) = read(&source, &model, &loaded.dynamics)?;
+        let (file, urdf_values) = read(&source, &model, &loaded.dynamics, purpose)?;
         check_assumed(&source, &file.assumed)?;
         let mut rotors = Vec::new();
         for (i, joint) in joints_of(&source, &model, &file.joint, &["joint"])?.into_iter().enumerate() {
@@ -337,7 +360,7 @@ impl RobotDefinition {
 
     /// Value at a path of the robot file, with the values of its groups, defaults and URDF, as TOML.
     pub(crate) fn value_of(&self, path: &[&str]) -> Option<toml_edit::Value> {
-        let value = with_expanded(&self.source, &self.model, &self.urdf_values, |_, expanded, _| {
+        let value = with_expanded(&self.source, &self.model, &self.urdf_values, "", |_, expanded, _| {
             Ok(inner(&expanded, path).map(|value| inline_text(value.get_ref())))
         });
         value.ok()??.parse().ok()
@@ -431,16 +454,18 @@ pub fn load_urdf(urdf: &Source, options: UrdfOptions) -> Result<ParsedUrdf, File
     Model::from_urdf_with(urdf.text(), options).map_err(|error| urdf_error(urdf, &error))
 }
 
-/// Expands the document of a robot file, with the values of its URDF, and passes it on, after the document itself.
+/// Expands the document of a robot file, with the values of its URDF and the lines `unknown`, and passes it on, after the
+/// document itself.
 fn with_expanded<T>(
     source: &Source,
     model: &Model,
     values: &[UrdfValue],
+    unknown: &str,
     then: impl FnOnce(&DeTable<'_>, DeTable<'_>, &Groups) -> Result<T, FileError>,
 ) -> Result<T, FileError> {
     let document = checked(source)?;
     let document = document.get_ref();
-    let stated = urdf_layer(values) + &derived_values(document);
+    let stated = urdf_layer(values) + &derived_values(document) + unknown;
     let stated = DeTable::parse(&stated)
         .map_err(|error| FileError::of_file(source.name(), error.message().to_owned(), None))?;
     let groups = groups(source, document, model)?;
@@ -454,9 +479,14 @@ fn read(
     source: &Source,
     model: &Model,
     dynamics: &[JointDynamics],
+    purpose: Purpose,
 ) -> Result<(RobotFile, Vec<UrdfValue>), FileError> {
     let mut values = urdf_values(model, dynamics);
-    let file = with_expanded(source, model, &values, |document, expanded, groups| {
+    let unknown = match purpose {
+        Purpose::Control => String::new(),
+        Purpose::Identification => no_friction(model, &values),
+    };
+    let file = with_expanded(source, model, &values, &unknown, |document, expanded, groups| {
         // A misspelt key is reported before the value that it leaves missing.
         check_layers(source, document, &expanded, groups, model)?;
         let file = RobotFile::deserialize(toml::de::Deserializer::from(Spanned::new(0..0, expanded.clone())));
@@ -465,7 +495,7 @@ fn read(
                 Err(explain::<RobotFile>(source, document, &error))
             }
             file => {
-                check_complete(source, &expanded, model)?;
+                check_complete(source, &expanded, model, purpose)?;
                 file.map_err(|error| explain::<RobotFile>(source, document, &error))
             }
         }
@@ -473,6 +503,20 @@ fn read(
     // Values that the file states are not those of the URDF.
     values.retain(|value| !states(source, &value.joint, value.key));
     Ok((file, values))
+}
+
+/// Returns a document with a friction of zero for joints whose URDF states none.
+fn no_friction(model: &Model, values: &[UrdfValue]) -> String {
+    let mut text = String::new();
+    for joint in model.joints() {
+        for key in ["friction.coulomb_nm", "friction.viscous_nms_per_rad"] {
+            if !values.iter().any(|value| value.joint == joint.name && value.key == key) {
+                let joint = toml_edit::Key::new(&joint.name);
+                text += &format!("joint.{joint}.{key} = 0.0\n");
+            }
+        }
+    }
+    text
 }
 
 /// True if a robot file states a value of a joint, in one of its layers.

@@ -5,6 +5,7 @@ use crate::report::figure::{Figure, Panel, Scale, Series, Style};
 use crate::report::html::Page;
 use nalgebra::Complex;
 use opspace_identify::TorqueScale;
+use opspace_identify::interval::SetpointFilterModel;
 
 /// Number of points of a drawn curve.
 const CURVE: usize = 300;
@@ -21,12 +22,16 @@ impl IdentificationResults {
             if let Some(reason) = &joint.no_torque_mode {
                 page = page.warning(&format!("{}: torque control refused. {reason}.", joint.name));
             }
+            for doubt in &joint.found.doubts {
+                page = page.warning(&format!("{}: {doubt}.", joint.name));
+            }
         }
         page = page.section("Results").table(
             "Identified parameters of each joint",
             &self.table(),
             &[
-                "Torque mode is refused for a joint whose servo cannot be inverted, and if the scale of torque is unknown: \
+                "Doubtful: a warning above says what the measurement does not confirm. \
+                 Torque mode is refused for a joint whose servo cannot be inverted, and if the scale of torque is unknown: \
                  all torques are then relative to the inertia.",
                 "T: closed loop from setpoint (commanded position) to position. T error: relative error of the modelled T at \
                  the largest amplitude, rms over coherent frequencies, up to the given bandwidth. Torque error: relative \
@@ -65,6 +70,7 @@ impl IdentificationResults {
                 format!("{free:.4} and {held:.4} kg m²"),
             ));
         }
+        facts.extend(servo_facts(joint));
         if let Some(trust) = &joint.found.fit_quality {
             let [kp, kv] = trust.deviation;
             facts.push((
@@ -92,6 +98,62 @@ impl IdentificationResults {
             ));
         }
         facts
+    }
+}
+
+/// 95 % intervals of the estimates, and what the responses show of setpoint path and gear.
+fn servo_facts(joint: &JointIdentification) -> Vec<(&'static str, String)> {
+    let Some(servo) = &joint.found.servo else { return Vec::new() };
+    let all = &servo.intervals;
+    let mut facts: Vec<(&'static str, String)> = [
+        ("95 % interval of kp (1/s)", all.kp),
+        ("95 % interval of kv (Nms/rad)", all.kv),
+        ("95 % interval of the velocity filter (Hz)", all.velocity_filter_hz),
+        ("95 % interval of the delay (servo ticks)", all.delay),
+        ("95 % interval of the inertia (kg m²)", all.inertia),
+        ("95 % interval of Coulomb friction (Nm)", all.coulomb),
+        ("95 % interval of viscous friction (Nms/rad)", all.viscous),
+    ]
+    .map(|(name, interval)| {
+        let withheld = || "not determined by this measurement".to_owned();
+        (name, interval.map_or_else(withheld, |i| format!("{:.4} to {:.4}", i.lower, i.upper)))
+    })
+    .into();
+    facts.push(("path of the setpoint", setpoint_path(joint)));
+    if let Some(gear) = &servo.gear {
+        facts.push((
+            "elastic gear: antiresonance and resonance, stiffness with 95 % interval",
+            format!(
+                "{:.1} and {:.1} Hz, {:.0} ({:.0} to {:.0}) Nm/rad",
+                gear.antiresonance_hz,
+                gear.resonance_hz,
+                gear.stiffness,
+                gear.stiffness_interval.lower,
+                gear.stiffness_interval.upper
+            ),
+        ));
+    }
+    facts
+}
+
+/// Feed-forward and filter of the setpoint that the responses show.
+fn setpoint_path(joint: &JointIdentification) -> String {
+    let Some(servo) = &joint.found.servo else { return String::new() };
+    let filter = match servo.setpoint_filter {
+        SetpointFilterModel::FirstOrder { cutoff_hz } => format!("filter of first order, {cutoff_hz:.1} Hz"),
+        SetpointFilterModel::SecondOrder { natural_frequency_hz, damping_ratio } => {
+            format!("filter of second order, {natural_frequency_hz:.1} Hz, damping ratio {damping_ratio:.2}")
+        }
+        SetpointFilterModel::None => String::new(),
+    };
+    let forward = match servo.velocity_feed_forward {
+        0.0 => String::new(),
+        share => format!("{:.0} % of its velocity fed forward", 100.0 * share),
+    };
+    match (filter.is_empty(), forward.is_empty()) {
+        (true, true) => "direct".to_owned(),
+        (false, false) => format!("{filter}; {forward}"),
+        _ => filter + &forward,
     }
 }
 

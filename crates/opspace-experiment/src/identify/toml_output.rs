@@ -2,7 +2,9 @@
 
 use super::{IdentificationResults, JointIdentification, Structure};
 use crate::files::source::{FileError, KeyPath};
-use opspace_identify::TorqueScale;
+use opspace_identify::identification::Servo;
+use opspace_identify::interval::SetpointFilterModel;
+use opspace_identify::{Interval95, TorqueScale};
 use std::fmt::Write as _;
 use std::path::Path;
 use toml_edit::{Array, DocumentMut, InlineTable, Item, Table, Value};
@@ -29,7 +31,7 @@ impl IdentificationResults {
         let _ = writeln!(text, "\n[profile.{profile}.servo]");
         for joint in &self.joints {
             text += &match &joint.no_torque_mode {
-                None => format!("# {}\n{} = {}\n", remark(joint), joint.name, servo(joint)),
+                None => format!("# {}\n{}{} = {}\n", remark(joint), doubts(joint), joint.name, servo(joint)),
                 Some(reason) => format!("# {}: {reason}.\n{}", joint.name, ratios(joint)),
             };
         }
@@ -75,7 +77,7 @@ impl IdentificationResults {
         if let Some((delay, _)) = self.delay() {
             put(driven, "delay_servo_ticks", i64::from(delay).into());
         }
-        let servos = table(driven, "servo").ok_or_else(|| wrong("`servo` is not a table"))?;
+        let servos = table_or_new(driven, "servo").ok_or_else(|| wrong("`servo` is not a table"))?;
         for joint in &self.joints {
             put(servos, &joint.name, servo(joint));
         }
@@ -137,7 +139,9 @@ impl IdentificationResults {
 
     /// Identified friction of a joint; its presliding displacement is that of the robot's file.
     fn friction(&self, joint: &JointIdentification) -> Option<Value> {
-        let friction = joint.found.servo.as_ref()?.friction?;
+        let servo = joint.found.servo.as_ref()?;
+        // Friction that the motion does not separate is not written.
+        let friction = servo.friction.filter(|_| servo.intervals.coulomb.is_some())?;
         let presliding = self.robot.file.joint.get(&joint.name)?.friction.presliding_rad;
         let mut values = InlineTable::new();
         values.insert("coulomb_nm", rounded(friction.coulomb));
@@ -154,8 +158,11 @@ impl IdentificationResults {
         let mut frictions = Vec::new();
         for joint in &self.joints {
             let value = |path: &[&str]| self.robot.value_of(path)?.as_inline_table().cloned();
-            servos.push((joint.name.clone(), value(&["profile", &self.profile_name, "servo", &joint.name])?));
-            frictions.push((joint.name.clone(), value(&["joint", &joint.name, "friction"])?));
+            // A file to identify may lack both; the plant then states its own.
+            let servo = value(&["profile", &self.profile_name, "servo", &joint.name]);
+            servos.extend(servo.map(|servo| (joint.name.clone(), servo)));
+            let friction = value(&["joint", &joint.name, "friction"]);
+            frictions.extend(friction.map(|friction| (joint.name.clone(), friction)));
         }
         let simulated = table(file, "simulated")?;
         let delay = i64::from(self.profile.delay());
@@ -200,6 +207,11 @@ fn without_schema(text: &str) -> String {
     text.lines().filter(|line| !line.starts_with("#:schema")).map(|line| line.to_owned() + "\n").collect()
 }
 
+/// Doubts about a joint, as comments.
+fn doubts(joint: &JointIdentification) -> String {
+    joint.found.doubts.iter().map(|doubt| format!("# doubtful: {doubt}\n")).collect()
+}
+
 /// Source of a servo's torque scale, and its fit quality.
 fn remark(joint: &JointIdentification) -> String {
     let scale = match joint.found.scale {
@@ -215,7 +227,20 @@ fn remark(joint: &JointIdentification) -> String {
             t.torque_residual.map_or_else(String::new, |r| format!(", of torque {:.1} %", 100.0 * r))
         )
     });
-    format!("torque scale from {scale}{trust}")
+    let within = |interval: Option<Interval95>| {
+        interval.map_or_else(|| "?".to_owned(), |i| format!("{} to {}", rounded(i.lower), rounded(i.upper)))
+    };
+    let intervals = joint.found.servo.as_ref().map_or_else(String::new, |servo| {
+        let all = &servo.intervals;
+        format!(
+            "; 95 %: kp {}, kv {}, Coulomb {}, viscous {}",
+            within(all.kp),
+            within(all.kv),
+            within(all.coulomb),
+            within(all.viscous)
+        )
+    });
+    format!("torque scale from {scale}{trust}{intervals}")
 }
 
 fn servo(joint: &JointIdentification) -> Value {
@@ -227,17 +252,38 @@ fn servo(joint: &JointIdentification) -> Value {
                 values.insert("kp_per_s", rounded(servo.kp));
                 values.insert("kv_nms_per_rad", rounded(servo.kv));
                 values.insert("velocity_filter_hz", filter);
+                add_setpoint_path(&mut values, servo);
                 kind.insert("cascaded", values.into());
             }
             Structure::Pid => {
                 values.insert("stiffness_nm_per_rad", rounded(servo.kp * servo.kv));
                 values.insert("damping_nms_per_rad", rounded(servo.kv));
                 values.insert("derivative_filter_hz", filter);
+                add_setpoint_path(&mut values, servo);
                 kind.insert("pid", values.into());
             }
         }
     }
     kind.into()
+}
+
+/// Adds feed-forward and filter of the setpoint.
+fn add_setpoint_path(values: &mut InlineTable, servo: &Servo) {
+    if servo.velocity_feed_forward > 0.0 {
+        values.insert("velocity_feed_forward", rounded(servo.velocity_feed_forward.min(1.0)));
+    }
+    let (kind, keys): (&str, &[(&str, f64)]) = match servo.setpoint_filter {
+        SetpointFilterModel::None => return,
+        SetpointFilterModel::FirstOrder { cutoff_hz } => ("first-order", &[("cutoff_hz", cutoff_hz)]),
+        SetpointFilterModel::SecondOrder { natural_frequency_hz, damping_ratio } => (
+            "second-order",
+            &[("natural_frequency_hz", natural_frequency_hz), ("damping_ratio", damping_ratio)],
+        ),
+    };
+    let (mut filter, mut parameters) = (InlineTable::new(), InlineTable::new());
+    keys.iter().for_each(|(key, value)| drop(parameters.insert(*key, rounded(*value))));
+    filter.insert(kind, parameters.into());
+    values.insert("setpoint_filter", filter.into());
 }
 
 /// Identified ratios of a servo whose torque scale is unknown; empty for other servos.
