@@ -5,7 +5,7 @@
 use crate::drivetrain::Drivetrain;
 use nalgebra::DVector;
 use opspace_backend::{CommandKind, Setpoints};
-use opspace_transformer::{ServoLaw, ServoState};
+use opspace_transformer::{ServoLaw, ServoState, SetpointAverage};
 
 /// Parts of one arm that run at servo rate or faster.
 pub(crate) struct Drives {
@@ -47,6 +47,24 @@ enum Mode {
 struct Servo {
     law: ServoLaw,
     memory: ServoState,
+    average: SetpointAverage,
+}
+
+impl Servo {
+    /// Returns a servo at rest at `position` (rad, m) with this torque (Nm, N), and its setpoint.
+    fn at_rest(law: ServoLaw, position: f64, torque: f64) -> (Self, f64) {
+        let mut servo = Self { law, memory: ServoState::default(), average: law.setpoint_average() };
+        let setpoint = servo.rest(position, torque);
+        (servo, setpoint)
+    }
+
+    /// Sets the servo to rest, and returns its setpoint.
+    fn rest(&mut self, position: f64, torque: f64) -> f64 {
+        let (memory, setpoint) = self.law.rest(position, torque);
+        self.memory = memory;
+        self.average.rest(setpoint);
+        setpoint
+    }
 }
 
 /// Command in effect.
@@ -121,10 +139,7 @@ impl Drives {
         let DrivesConfig { takes, has_brakes, q, holding, .. } = config;
         let n = q.len();
         let position = DVector::from_fn(n, |i, _| config.drivetrains[i].read_encoder(q[i]));
-        let rest = |(i, law): (usize, ServoLaw)| {
-            let (memory, setpoint) = law.rest(position[i], holding[i]);
-            (Servo { law, memory }, setpoint)
-        };
+        let rest = |(i, law): (usize, ServoLaw)| Servo::at_rest(law, position[i], holding[i]);
         let (servos, setpoints): (Vec<Servo>, Vec<f64>) =
             config.laws.into_iter().enumerate().map(rest).unzip();
         let braked = has_brakes && takes != CommandKind::Position;
@@ -211,11 +226,7 @@ impl Drives {
         } else {
             self.mode = Mode::Servo;
             let Self { servos, active, position, asked, .. } = self;
-            active.replace(command, |i| {
-                let (memory, setpoint) = servos[i].law.rest(position[i], asked[i]);
-                servos[i].memory = memory;
-                setpoint
-            });
+            active.replace(command, |i| servos[i].rest(position[i], asked[i]));
         }
     }
 
@@ -248,7 +259,7 @@ impl Drives {
                 Mode::Braked => 0.0,
                 Mode::Torque => self.active.values[i],
                 Mode::Servo => {
-                    let setpoint = self.active.setpoint(i, self.ratio);
+                    let setpoint = servo.average.step(self.active.setpoint(i, self.ratio));
                     servo.law.step(&mut servo.memory, setpoint, self.position[i])
                 }
             };
@@ -277,7 +288,7 @@ impl Drives {
         if self.mode == Mode::Braked {
             self.drivetrains.iter_mut().for_each(Drivetrain::release_brake);
             for (servo, &position) in self.servos.iter_mut().zip(&self.position) {
-                servo.memory = servo.law.rest(position, 0.0).0;
+                servo.rest(position, 0.0);
             }
         }
         self.mode = match self.takes {

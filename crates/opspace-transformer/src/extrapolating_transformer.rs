@@ -35,6 +35,20 @@
 //! δ is the mean torque in excess of the desired one, low-passed at [`SETTLED_HZ`]. The servo's two gains, and the fraction
 //! of the setpoint's velocity that it feeds forward, are estimated from the same measurements ([`gain_adaptation`](crate::gain_adaptation)). While their uncertainty matters for the torque, δ is
 //! low-passed at up to [`UNSETTLED_HZ`] instead.
+//!
+//! # Twist of gears
+//!
+//! A drive that closes its loops on the motor does not see the positions q that the interface reports if they are those of the
+//! links: the difference is the twist of the gear. Setpoints that follow q are then a feedback over the spring of the gear, and
+//! with few setpoints per second its resonance grows. The measured torque shows the motor: what it exceeds the torque by that
+//! the law computes from q, ε, is the effect of the twist. With ε low-passed at [`TWIST_HZ`],
+//!
+//! ```text
+//! q_desired = q + (τ − δ − ε − Y₀)/Y₁
+//! ```
+//!
+//! follows the motor above the bandwidth of δ. Where positions are those of the motor, ε is the effect of all else that the law
+//! does not know, as a setpoint filter that is not declared.
 
 use crate::active_setpoints::ActiveSetpoints;
 use crate::drive_timing::DriveTiming;
@@ -44,6 +58,7 @@ use crate::motion_estimator::{MotionEstimator, MotionGains};
 use crate::servo::{ServoGains, ServoParameters};
 use crate::servo_inversion::{EmulationError, quiet_horizon};
 use crate::servo_law::{MAX_ORDER, ServoLaw, ServoState};
+use crate::setpoint_average::SetpointAverage;
 use crate::transformer::Transformer;
 use nalgebra::DVector;
 use opspace_backend::low_pass::{self, LowPass};
@@ -55,6 +70,10 @@ pub const SETTLED_HZ: f64 = 4.0;
 
 /// Cut-off frequency of the correction by current with unknown gains, Hz.
 pub const UNSETTLED_HZ: f64 = 16.0;
+
+/// Cut-off frequency of ε, Hz: high enough for the resonances that sampled positions of links make grow, and as low as that
+/// allows, since a late current and the noise of rounded positions are in ε too.
+pub const TWIST_HZ: f64 = 40.0;
 
 /// Largest cut-off frequency of the correction by current, as a fraction of the lowest antiresonance.
 const OF_ANTIRESONANCE: f64 = 0.25;
@@ -206,10 +225,15 @@ struct Joint {
     reference: Reference,
     /// Memory of the drive at the last sample.
     memory: ServoState,
-    /// Setpoint at the servo tick before the last sample.
+    /// Moving averages of the drive's setpoint at the last sample, and those of the ticks that are extrapolated.
+    average: SetpointAverage,
+    ahead: SetpointAverage,
+    /// Setpoint at the servo tick before the last sample, averaged.
     setpoint: f64,
     /// Number of intervals whose mean torque is matched.
     horizon: u32,
+    /// Time by which setpoints lead a joint of constant velocity, s.
+    lead_s: f64,
     /// Sum of the torques of these intervals per unit of setpoint.
     response: f64,
     torque_limit: f64,
@@ -221,6 +245,9 @@ struct Joint {
 struct Correction {
     /// Excess torque δ, Nm (N).
     excess: f64,
+    /// Excess torque ε over that of the law at the measured positions, Nm (N), and its gain per interval.
+    twist: f64,
+    twist_gain: f64,
     /// Desired torques minus δ of the last two setpoints, the latest first, Nm (N).
     asked: [f64; 2],
     /// Gain of δ per interval, from settled to unsettled.
@@ -274,8 +301,11 @@ impl Joint {
             motion: MotionEstimator::new(gains, period_s),
             reference: Reference::new(gains, period_s),
             horizon,
+            lead_s: servo.setpoint_lead_s(),
             response: response(&law, ticks, horizon),
             memory: [0.0; MAX_ORDER],
+            average: law.setpoint_average(),
+            ahead: law.setpoint_average(),
             setpoint: 0.0,
             torque_limit: setup.torque_limits[i],
             current: setup.current.map(|parameters| Correction::new(setup, i, &law, horizon, &parameters)),
@@ -285,6 +315,10 @@ impl Joint {
 
     fn excess(&self) -> f64 {
         self.current.as_ref().map_or(0.0, |current| current.excess)
+    }
+
+    fn twist(&self) -> f64 {
+        self.current.as_ref().map_or(0.0, |current| current.twist)
     }
 
     /// Corrects the joint with the `measured` mean torque of the last interval. `was_asked` is true if its setpoints were
@@ -305,6 +339,8 @@ impl Joint {
         let excess = current.excess + gain * (measured - expected - current.excess);
         let limit = LIMIT * self.torque_limit;
         current.excess = excess.clamp(-limit, limit);
+        let twist = current.twist + current.twist_gain * (measured - interval.torque - current.twist);
+        current.twist = twist.clamp(-limit, limit);
     }
 }
 
@@ -323,6 +359,8 @@ impl Correction {
             servo.has_two_gains().then(|| Estimation::new(setup, joint, law, horizon, parameters));
         Self {
             excess: 0.0,
+            twist: 0.0,
+            twist_gain: low_pass::gain(TWIST_HZ, period_s),
             asked: [0.0; 2],
             gains: [SETTLED_HZ, UNSETTLED_HZ].map(|hz| low_pass::gain(hz.min(fastest_hz), period_s)),
             estimation,
@@ -395,8 +433,8 @@ impl Estimation {
 /// Sum of the torques of `horizon` intervals per unit of setpoint.
 fn response(law: &ServoLaw, timing: DriveTiming, horizon: u32) -> f64 {
     let ratio = timing.servo_ticks_per_cycle;
-    let mut memory = [0.0; MAX_ORDER];
-    let unit = |tick| timing.setpoints.at(0.0, 1.0, tick, ratio);
+    let (mut memory, mut average) = ([0.0; MAX_ORDER], law.setpoint_average());
+    let mut unit = |tick| average.step(timing.setpoints.at(0.0, 1.0, tick, ratio));
     (0..horizon * ratio).map(|tick| law.step(&mut memory, unit(tick), 0.0)).sum()
 }
 
@@ -473,7 +511,7 @@ impl ExtrapolatingTransformer {
             let setpoint_before = joint.setpoint;
             for tick in 0..all_ticks {
                 let new = self.was_sent.then_some(self.sent.as_slice());
-                let setpoint = self.active.during(ticks, i, tick, new);
+                let setpoint = joint.average.step(self.active.during(ticks, i, tick, new));
                 let position = from + step * f64::from(tick);
                 mean.torque += share * joint.law.step(&mut joint.memory, setpoint, position);
                 mean.error += share * (setpoint - position);
@@ -498,6 +536,7 @@ impl ExtrapolatingTransformer {
             let load = if is_loaded { data.gravity[i] } else { 0.0 };
             let (memory, setpoint) = joint.law.rest(joint.motion.position, load);
             joint.memory = memory;
+            joint.average.rest(setpoint);
             joint.setpoint = setpoint;
             self.active.hold(i, setpoint);
         }
@@ -543,23 +582,31 @@ impl Transformer for ExtrapolatingTransformer {
                 q + t * (v + 0.5 * t * acceleration)
             };
             let mut memory = joint.memory;
+            joint.ahead.copy_from(&joint.average);
             for tick in 0..ticks.delay {
-                joint.law.step(&mut memory, self.active.at(ticks, i, tick), position(tick));
+                let setpoint = joint.ahead.step(self.active.at(ticks, i, tick));
+                joint.law.step(&mut memory, setpoint, position(tick));
             }
             // Y₀ is computed with the measured position or velocity as setpoint, so that the solution is a small
             // difference with little rounding.
             let about = if self.takes == CommandKind::Velocity { v } else { q };
-            // Later setpoints move with the joint.
-            let moves = if self.takes == CommandKind::Velocity { acceleration } else { v } * self.period_s;
-            let mut missing = f64::from(joint.horizon * ratio) * torque;
+            // Later setpoints move with the joint, and lead it by what its velocity takes.
+            let period_s = self.period_s;
+            let lead_s = joint.lead_s + f64::from(ticks.delay) * ticks.servo_period_s + 0.5 * period_s;
+            let (mut rate, rate_change) = match self.takes {
+                CommandKind::Velocity => (acceleration, 0.0),
+                _ => (v + acceleration * lead_s, acceleration * period_s),
+            };
+            let mut missing = f64::from(joint.horizon * ratio) * (torque - joint.twist());
             let (mut from, mut to) = (self.active.left(ticks, i), about);
             for interval in 0..joint.horizon {
                 for tick in 0..ratio {
-                    let setpoint = ticks.setpoints.at(from, to, tick, ratio);
+                    let setpoint = joint.ahead.step(ticks.setpoints.at(from, to, tick, ratio));
                     let at = ticks.delay + interval * ratio + tick;
                     missing -= joint.law.step(&mut memory, setpoint, position(at));
                 }
-                (from, to) = (to, to + moves);
+                (from, to) = (to, to + rate * period_s);
+                rate += rate_change;
             }
             q_desired[i] = about + missing / joint.response;
             if let Some(current) = &mut joint.current {
@@ -596,7 +643,7 @@ impl Transformer for ExtrapolatingTransformer {
         }
         self.active.settle(self.ticks);
         for current in self.joints.iter_mut().filter_map(|joint| joint.current.as_mut()) {
-            current.excess = 0.0;
+            (current.excess, current.twist) = (0.0, 0.0);
         }
     }
 }

@@ -61,6 +61,7 @@ pub mod servo;
 pub mod servo_inversion;
 pub mod servo_law;
 pub mod servo_model_transformer;
+pub mod setpoint_average;
 pub mod setpoint_governor;
 pub mod setpoint_limits;
 pub mod torque_observer;
@@ -86,6 +87,7 @@ pub use servo::{CascadedServo, ServoGains, ServoParameters, SetpointFilter, Velo
 pub use servo_inversion::{EmulationError, TorqueObjective};
 pub use servo_law::{ServoError, ServoLaw, ServoState};
 pub use servo_model_transformer::{EmulatingTransformer, EmulationSetup};
+pub use setpoint_average::SetpointAverage;
 pub use setpoint_limits::{
     JointSetpointLimits, SetpointLimit, SetpointLimitParameters, SetpointReaction, SetpointStream,
 };

@@ -4,6 +4,7 @@ use crate::active_setpoints::ActiveSetpoints;
 use crate::drive_timing::DriveTiming;
 use crate::estimator::VelocityEstimator;
 use crate::servo_law::{ServoLaw, ServoState};
+use crate::setpoint_average::SetpointAverage;
 use crate::transformer::Transformer;
 use opspace_backend::Sample;
 use opspace_model::Data;
@@ -13,6 +14,7 @@ use opspace_model::Data;
 pub struct SampledDrive {
     law: ServoLaw,
     memory: ServoState,
+    average: SetpointAverage,
     timing: DriveTiming,
     active: ActiveSetpoints,
     tick: u32,
@@ -26,14 +28,16 @@ impl SampledDrive {
         let mut active = ActiveSetpoints::new(1, timing);
         let (memory, setpoint) = law.rest(position, torque);
         active.hold(0, setpoint);
-        Self { law, memory, timing, active, tick: 0, torques: 0.0 }
+        let mut average = law.setpoint_average();
+        average.rest(setpoint);
+        Self { law, memory, average, timing, active, tick: 0, torques: 0.0 }
     }
 
     /// Returns the torque (Nm, N) of the next servo tick at `position` (rad, m); `setpoint` is the one sent at the present
     /// interface cycle.
     pub fn step(&mut self, setpoint: f64, position: f64) -> f64 {
         let now = self.active.during(self.timing, 0, self.tick, Some(&[setpoint]));
-        let torque = self.law.step(&mut self.memory, now, position);
+        let torque = self.law.step(&mut self.memory, self.average.step(now), position);
         self.tick += 1;
         self.torques += torque;
         torque

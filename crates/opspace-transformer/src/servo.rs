@@ -82,8 +82,8 @@ pub struct PidServo {
     pub setpoint_filter: Option<SetpointFilter>,
 }
 
-/// Low-pass filter of a drive's setpoint, exact for setpoints that are constant over each servo period. Its output at a
-/// servo tick is the value at the end of the period that begins there.
+/// Filter of a drive's setpoint. Low-pass filters are exact for setpoints that are constant over each servo period; their output
+/// at a servo tick is the value at the end of the period that begins there.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
@@ -101,6 +101,36 @@ pub enum SetpointFilter {
         /// Damping ratio; 1 is critical.
         damping_ratio: Positive,
     },
+    /// Mean of the setpoints of the last `time_s`, and of these means over `second_time_s`: what drives call jerk time or
+    /// smoothing time. A step of the setpoint's velocity becomes an acceleration that is constant for `time_s`, or, with a second
+    /// average, one that rises and falls with a bounded jerk. Both times are rounded to servo periods, at least one.
+    MovingAverage {
+        /// Time over which setpoints are averaged, s.
+        time_s: Positive,
+        /// Time over which the averages are averaged again, s; once only if absent.
+        #[serde(default)]
+        second_time_s: Option<Positive>,
+    },
+}
+
+impl SetpointFilter {
+    /// Time by which the output lags behind a setpoint of constant velocity, s.
+    fn lag_s(&self) -> f64 {
+        match self {
+            Self::FirstOrder { cutoff_hz } => 1.0 / (TAU * cutoff_hz.get()),
+            Self::SecondOrder { natural_frequency_hz, damping_ratio } => {
+                2.0 * damping_ratio.get() / (TAU * natural_frequency_hz.get())
+            }
+            Self::MovingAverage { time_s, second_time_s } => {
+                0.5 * (time_s.get() + second_time_s.map_or(0.0, Positive::get))
+            }
+        }
+    }
+
+    /// True if the filter's output is no state of the servo's law: a moving average, which precedes it.
+    pub(crate) fn precedes_law(&self) -> bool {
+        matches!(self, Self::MovingAverage { .. })
+    }
 }
 
 /// `τ = kv (q̇_desired − q̇) + ki ∫ (q̇_desired − q̇)`, with q̇ from a filtered finite difference.
@@ -215,24 +245,28 @@ impl ServoParameters {
     }
 
     /// True if the servo consists of these two gains only: stiffness on the position error, and damping on the filtered
-    /// velocity, or on its difference from a fraction of the setpoint's velocity.
+    /// velocity, or on its difference from a fraction of the setpoint's velocity. The setpoint may be a moving average.
     #[must_use]
     pub fn has_two_gains(&self) -> bool {
         match self {
             Self::Cascaded(servo) => {
                 servo.velocity_integral_time_s.is_none()
                     && servo.acceleration_feed_forward_kg_m2.get() == 0.0
-                    && servo.setpoint_filter.is_none()
+                    && !self.filters_within_law()
             }
             Self::Pid(servo) => {
                 servo.integral_nm_per_rad_s.get() == 0.0
                     && servo.derivative_of == DerivativeOf::Position
                     && servo.damping_nms_per_rad.get() > 0.0
                     && servo.acceleration_feed_forward_kg_m2.get() == 0.0
-                    && servo.setpoint_filter.is_none()
+                    && !self.filters_within_law()
             }
             Self::TransferFunction(_) | Self::Velocity(_) => false,
         }
+    }
+
+    fn filters_within_law(&self) -> bool {
+        self.setpoint_filter().is_some_and(|filter| !filter.precedes_law())
     }
 
     /// Fraction of the setpoint's velocity that is fed forward; 0 for a transfer function and a velocity servo.
@@ -263,6 +297,21 @@ impl ServoParameters {
             Self::Pid(servo) => servo.setpoint_filter,
             Self::TransferFunction(_) | Self::Velocity(_) => None,
         }
+    }
+
+    /// Time by which the setpoint for a constant torque leads a joint of constant velocity, s: `1/kp` of a cascade, less what
+    /// is fed forward, and the lag of the setpoint's filter. Zero for a transfer function and a velocity servo.
+    #[must_use]
+    pub fn setpoint_lead_s(&self) -> f64 {
+        let of_velocity_s = match self {
+            Self::Cascaded(servo) => 1.0 / servo.kp_per_s.get(),
+            Self::Pid(servo) if servo.derivative_of == DerivativeOf::Position => {
+                servo.damping_nms_per_rad.get() / servo.stiffness_nm_per_rad.get()
+            }
+            Self::Pid(_) | Self::TransferFunction(_) | Self::Velocity(_) => 0.0,
+        };
+        let lag_s = self.setpoint_filter().map_or(0.0, |filter| filter.lag_s());
+        (1.0 - self.velocity_feed_forward()) * of_velocity_s + lag_s
     }
 
     /// True if the setpoint acts on the position error only, and unfiltered: no feed-forward and no setpoint filter.

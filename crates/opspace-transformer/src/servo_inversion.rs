@@ -103,24 +103,34 @@ struct Inverse {
 }
 
 /// Analyses the setpoints of which each matches the torques of the next `intervals`, for a joint that
-/// doesn't move. The state is the servo's memory and the previous setpoint; each setpoint is chosen so that the torque is
-/// zero.
+/// doesn't move. The state is the servo's memory and the previous setpoint, or all previous setpoints that count in its
+/// averages; each setpoint is chosen so that the torque is zero.
 fn inverse(
     law: &ServoLaw,
     ticks: DriveTiming,
     matching: TorqueObjective,
     intervals: u32,
 ) -> Result<Inverse, EmulationError> {
-    let run = |memory: ServoState, before: f64, new: f64, intervals: u32| {
-        let mut memory = memory;
-        let torques: Vec<f64> = (0..intervals * ticks.servo_ticks_per_cycle)
+    let ratio = ticks.servo_ticks_per_cycle;
+    // Setpoints before these have left the averages; interpolation begins at the last one.
+    let previous = 1 + law.average_ticks().div_ceil(ratio) as usize;
+    // Torques after `before`, the previous setpoints from the latest on, and the servo's memory after them.
+    let run = |memory: ServoState, before: &[f64], new: f64, intervals: u32| {
+        let (mut memory, mut average) = (memory, law.setpoint_average());
+        let mut from = 0.0;
+        for &to in before.iter().rev() {
+            (0..ratio).for_each(|tick| _ = average.step(ticks.setpoints.at(from, to, tick, ratio)));
+            from = to;
+        }
+        let torques: Vec<f64> = (0..intervals * ratio)
             .map(|tick| {
-                law.step(&mut memory, ticks.setpoints.at(before, new, tick, ticks.servo_ticks_per_cycle), 0.0)
+                let setpoint = average.step(ticks.setpoints.at(before[0], new, tick, ratio));
+                law.step(&mut memory, setpoint, 0.0)
             })
             .collect();
         (memory, torques)
     };
-    let (_, unit) = run([0.0; MAX_ORDER], 0.0, 1.0, intervals);
+    let (_, unit) = run([0.0; MAX_ORDER], &vec![0.0; previous], 1.0, intervals);
     let weigh = |torques: &[f64]| -> f64 {
         match matching {
             TorqueObjective::IntervalMean => torques.iter().sum(),
@@ -130,19 +140,21 @@ fn inverse(
     let response = weigh(&unit);
     let largest = unit.iter().fold(0.0, |largest: f64, torque| largest.max(torque.abs()));
     if response.abs() <= f64::EPSILON * largest || largest == 0.0 {
-        return Err(EmulationError::NoTorque { ratio: ticks.servo_ticks_per_cycle });
+        return Err(EmulationError::NoTorque { ratio });
     }
-    // State: servo memory, then the previous setpoint.
+    // State: servo memory, then the previous setpoints.
     let order = law.order();
-    let mut growth = DMatrix::zeros(order + 1, order + 1);
-    for column in 0..=order {
-        let mut memory = [0.0; MAX_ORDER];
-        let mut before = 0.0;
-        *memory[..order].get_mut(column).unwrap_or(&mut before) = 1.0;
-        let (_, torques) = run(memory, before, 0.0, intervals);
+    let mut growth = DMatrix::zeros(order + previous, order + previous);
+    for column in 0..order + previous {
+        let (mut memory, mut before) = ([0.0; MAX_ORDER], vec![0.0; previous]);
+        match column.checked_sub(order) {
+            None => memory[column] = 1.0,
+            Some(setpoint) => before[setpoint] = 1.0,
+        }
+        let (_, torques) = run(memory, &before, 0.0, intervals);
         let new = -weigh(&torques) / response;
-        let (after, _) = run(memory, before, new, 1);
-        for (row, &value) in after[..order].iter().chain([&new]).enumerate() {
+        let (after, _) = run(memory, &before, new, 1);
+        for (row, &value) in after[..order].iter().chain([&new]).chain(&before[..previous - 1]).enumerate() {
             growth[(row, column)] = value;
         }
     }

@@ -5,14 +5,17 @@
 //! ```
 //!
 //! y is the position that the servo reads at the servo tick, x is its memory. For a velocity servo, the setpoint is a
-//! velocity instead of q_desired. The simulated drives run this law, and the emulating transformer predicts with it.
+//! velocity instead of q_desired. A servo that [averages](crate::setpoint_average) its setpoints has their mean in place of
+//! q_desired. The simulated drives run this law, and the emulating transformer predicts with it.
 
 use crate::servo::{
     CascadedServo, DerivativeOf, PidServo, ServoGains, ServoParameters, SetpointFilter,
     TransferFunctionServo, VelocityServo,
 };
+use crate::setpoint_average::{self, AverageTicks, MAX_TICKS, SetpointAverage};
 use nalgebra::{Complex, DMatrix, DVector};
 use opspace_backend::low_pass;
+use opspace_backend::quantity::Positive;
 use std::f64::consts::TAU;
 use std::ops::{Add, Mul, Sub};
 use thiserror::Error;
@@ -51,6 +54,12 @@ pub enum ServoError {
         "derivative_of = \"error\" differentiates the setpoint already: velocity_feed_forward must be 0 or absent"
     )]
     FeedForwardTwice,
+    /// Moving average over more servo ticks than [`MAX_TICKS`].
+    #[error("a moving average of the setpoint over {ticks} servo ticks; at most {MAX_TICKS} are supported")]
+    Average {
+        /// Number of servo ticks.
+        ticks: f64,
+    },
     /// Servo that has no setpoint for a constant torque at rest.
     #[error("this servo cannot hold a torque at rest: no constant position error produces one")]
     HoldsNothing,
@@ -62,6 +71,7 @@ pub struct ServoLaw {
     order: usize,
     next: [Form; MAX_ORDER],
     torque: Form,
+    average: AverageTicks,
     /// Memory and setpoint at rest: at position 1 with torque 0, and at position 0 with torque 1.
     rest: [(ServoState, f64); 2],
 }
@@ -135,13 +145,14 @@ impl ServoLaw {
             ServoParameters::Velocity(servo) => Self::velocity(servo, period_s),
         };
         let rest = [law.solve_rest(1.0, 0.0)?, law.solve_rest(0.0, 1.0)?];
-        Ok(Self { rest, ..law })
+        Ok(Self { rest, average: average_ticks(servo, period_s)?, ..law })
     }
 
     fn of(next: &[Form], torque: Form) -> Self {
         let mut all = [Form::default(); MAX_ORDER];
         all[..next.len()].copy_from_slice(next);
-        Self { order: next.len(), next: all, torque, rest: [([0.0; MAX_ORDER], 0.0); 2] }
+        let rest = [([0.0; MAX_ORDER], 0.0); 2];
+        Self { order: next.len(), next: all, torque, average: [1; 2], rest }
     }
 
     /// Returns the law of a loop behind a setpoint path, whose memory follows that of the loop.
@@ -268,6 +279,18 @@ impl ServoLaw {
         Ok(Self::of(&next, torque))
     }
 
+    /// Returns the moving averages of the servo's setpoint, with setpoints of zero; the setpoint itself if it has none.
+    #[must_use]
+    pub fn setpoint_average(&self) -> SetpointAverage {
+        SetpointAverage::new(self.average)
+    }
+
+    /// Number of servo ticks until a setpoint no longer counts in the averages.
+    pub(crate) fn average_ticks(&self) -> u32 {
+        let [first, second] = self.average;
+        first + second - 2
+    }
+
     /// Number of memory entries.
     #[must_use]
     pub fn order(&self) -> usize {
@@ -296,7 +319,7 @@ impl ServoLaw {
     }
 
     /// Advances `memory` by one servo tick and returns the torque (Nm or N). `setpoint` is in rad or m (rad/s or m/s
-    /// for a velocity servo); `position` is the encoder reading of this tick (rad or m).
+    /// for a velocity servo), after the [averages](Self::setpoint_average) if the servo has some; `position` is the encoder reading of this tick (rad or m).
     pub fn step(&self, memory: &mut ServoState, setpoint: f64, position: f64) -> f64 {
         let now = *memory;
         let now = &now[..self.order];
@@ -319,7 +342,8 @@ impl ServoLaw {
         (memory, position * there + torque * further)
     }
 
-    /// Frequency response: torque per unit of setpoint and torque per unit of position, for z = exp(jωTs).
+    /// Frequency response: torque per unit of setpoint, before averages, and torque per unit of position, for z =
+    /// exp(jωTs).
     #[must_use]
     pub fn response(&self, z: Complex<f64>) -> [Complex<f64>; 2] {
         let n = self.order;
@@ -335,8 +359,20 @@ impl ServoLaw {
             let remembered = memory.iter().zip(self.torque.memory).map(|(x, weight)| x * weight);
             remembered.sum::<Complex<f64>>() + given(&self.torque)
         };
-        [of(|form| form.setpoint), of(|form| form.position)]
+        [of(|form| form.setpoint) * setpoint_average::response(self.average, z), of(|form| form.position)]
     }
+}
+
+/// Numbers of servo ticks of the moving averages of a servo's setpoint.
+fn average_ticks(servo: &ServoParameters, period_s: f64) -> Result<AverageTicks, ServoError> {
+    let Some(SetpointFilter::MovingAverage { time_s, second_time_s }) = servo.setpoint_filter() else {
+        return Ok([1; 2]);
+    };
+    let ticks = |time_s: Positive| {
+        let ticks = (time_s.get() / period_s).round().max(1.0);
+        if ticks <= f64::from(MAX_TICKS) { Ok(ticks as u32) } else { Err(ServoError::Average { ticks }) }
+    };
+    Ok([ticks(time_s)?, second_time_s.map_or(Ok(1), ticks)?])
 }
 
 /// Path of a setpoint to the loop: filter and feed-forward.
@@ -363,7 +399,7 @@ impl SetpointPath {
     ) -> Self {
         let before = Form::memory(first);
         let mut next = match filter {
-            None => vec![Form::SET_POINT],
+            None | Some(SetpointFilter::MovingAverage { .. }) => vec![Form::SET_POINT],
             Some(SetpointFilter::FirstOrder { cutoff_hz }) => {
                 vec![before + (Form::SET_POINT - before) * low_pass::gain(cutoff_hz.get(), period_s)]
             }
@@ -384,7 +420,7 @@ impl SetpointPath {
             next.push(rate);
             change * (acceleration_feed_forward / period_s)
         });
-        if filter.is_none() && velocity.is_none() && acceleration.is_none() {
+        if filter.is_none_or(|filter| filter.precedes_law()) && velocity.is_none() && acceleration.is_none() {
             next.clear();
         }
         Self { setpoint, velocity, acceleration, next }

@@ -32,6 +32,7 @@ use crate::observer::{ObservedJoint, ObserverGain};
 use crate::servo::{ServoGains, ServoParameters};
 use crate::servo_inversion::{EmulationError, TorqueObjective, check_inverse};
 use crate::servo_law::{MAX_ORDER, ServoLaw, ServoState};
+use crate::setpoint_average::SetpointAverage;
 use crate::transformer::Transformer;
 use nalgebra::{DMatrix, DVector};
 use opspace_backend::{CommandKind, GravityCompensation, Sample, Setpoints};
@@ -151,31 +152,45 @@ struct State {
     q: DVector<f64>,
     dq: DVector<f64>,
     memory: Vec<ServoState>,
+    /// Moving averages of the drives' setpoints.
+    averages: Vec<SetpointAverage>,
+    /// Averaged setpoints of the last servo tick (n; rad, m or rad/s, m/s).
+    setpoint: DVector<f64>,
     torque: DVector<f64>,
 }
 
 impl State {
-    fn new(n: usize) -> Self {
-        let zero = DVector::zeros(n);
-        Self { q: zero.clone(), dq: zero.clone(), memory: vec![[0.0; MAX_ORDER]; n], torque: zero }
+    fn new(drives: &[Drive]) -> Self {
+        let zero = DVector::zeros(drives.len());
+        Self {
+            q: zero.clone(),
+            dq: zero.clone(),
+            memory: vec![[0.0; MAX_ORDER]; drives.len()],
+            averages: drives.iter().map(|drive| drive.law.setpoint_average()).collect(),
+            setpoint: zero.clone(),
+            torque: zero,
+        }
     }
 
     fn copy_from(&mut self, other: &Self) {
         self.q.copy_from(&other.q);
         self.dq.copy_from(&other.dq);
         self.memory.copy_from_slice(&other.memory);
+        self.averages.iter_mut().zip(&other.averages).for_each(|(to, from)| to.copy_from(from));
         self.torque.copy_from(&other.torque);
     }
 
     fn clear(&mut self) {
         [&mut self.q, &mut self.dq, &mut self.torque].into_iter().for_each(|v| v.fill(0.0));
         self.memory.fill([0.0; MAX_ORDER]);
+        self.averages.iter_mut().for_each(|average| average.rest(0.0));
     }
 
     /// Computes the drives' torques at this servo tick for their setpoints, without limits.
     fn drive(&mut self, drives: &[Drive], setpoint: impl Fn(usize) -> f64) {
         for (i, drive) in drives.iter().enumerate() {
-            self.torque[i] = drive.law.step(&mut self.memory[i], setpoint(i), self.q[i]);
+            self.setpoint[i] = self.averages[i].step(setpoint(i));
+            self.torque[i] = drive.law.step(&mut self.memory[i], self.setpoint[i], self.q[i]);
         }
     }
 
@@ -234,22 +249,22 @@ impl EmulatingTransformer {
             });
             Ok(Drive { law, torque_limit: setup.torque_limits[i], gain, adapted })
         };
-        let drives: Result<Vec<Drive>, _> = (0..n).map(|i| drive(i).map_err(|e| (i, e))).collect();
+        let drives: Vec<Drive> = (0..n).map(|i| drive(i).map_err(|e| (i, e))).collect::<Result<_, _>>()?;
         let zero = DVector::zeros(n);
         let matrix = DMatrix::zeros(n, n);
         let each_tick = setup.servo_ticks_per_cycle as usize;
         Ok(Self {
             takes,
-            drives: drives?,
             friction: setup.friction.clone(),
             ticks,
             matching: setup.matching,
             gravity_compensated_by: setup.gravity_compensated_by,
             has_brakes: setup.has_brakes && takes == CommandKind::Velocity,
             current: setup.current.then(|| CurrentObserver::new(&setup.torque_limits)),
-            state: State::new(n),
-            predicted: State::new(n),
-            rollout: State::new(n),
+            state: State::new(&drives),
+            predicted: State::new(&drives),
+            rollout: State::new(&drives),
+            drives,
             disturbance: zero.clone(),
             in_force: ActiveSetpoints::new(n, ticks),
             begun: false,
@@ -324,6 +339,7 @@ impl EmulatingTransformer {
         let law = &self.drives[joint].law;
         let (memory, setpoint) = law.rest(self.state.q[joint], torque);
         self.state.memory[joint] = memory;
+        self.state.averages[joint].rest(setpoint);
         self.in_force.hold(joint, setpoint);
     }
 
@@ -385,11 +401,10 @@ impl EmulatingTransformer {
         self.mean_error *= self.intervals;
         for tick in braked_ticks..ticks.servo_ticks_per_cycle {
             let in_force = &self.in_force;
-            let setpoint = |i: usize| in_force.during(ticks, i, tick, q_desired);
+            self.rollout.drive(&self.drives, |i| in_force.during(ticks, i, tick, q_desired));
             for (i, error) in self.mean_error.iter_mut().enumerate() {
-                *error += share * (setpoint(i) - self.rollout.q[i]);
+                *error += share * (self.rollout.setpoint[i] - self.rollout.q[i]);
             }
-            self.rollout.drive(&self.drives, setpoint);
             // The limit applies to the motor torque, which is the emulated torque plus δ.
             for (i, drive) in self.drives.iter().enumerate() {
                 let more = self.current.as_ref().map_or(0.0, |current| current.torque_disturbance()[i]);

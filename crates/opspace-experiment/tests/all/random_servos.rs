@@ -114,6 +114,28 @@ fn run(rounds: usize, seed: u64) {
     }
 }
 
+/// Encoders on the links, 200 setpoints per second, and gears whose resonance is near an odd multiple of half of that: without
+/// the correction for their twist the arm errs by several hundred per cent.
+#[test]
+fn extrapolation_masters_encoders_on_links() {
+    let task = format!("{}/../../tasks/gravity-compensation.toml", env!("CARGO_MANIFEST_DIR"));
+    for softness in [1.0, 0.93] {
+        let gears =
+            [("shoulder_pitch", 20e3), ("shoulder_roll", 12e3), ("shoulder_yaw", 8e3), ("elbow", 5e3)];
+        let gear = |(joint, stiffness): (&str, f64)| {
+            format!(
+                "robot.simulated.gear.{joint}={{ stiffness_nm_per_rad = {:?}, damping_nms_per_rad = {:?} }}",
+                softness * stiffness,
+                0.25e-3 * stiffness
+            )
+        };
+        let mut settings: Vec<String> = gears.into_iter().map(gear).collect();
+        settings.push("robot.default_profile=b-soft".to_owned());
+        settings.push("robot.simulated.encoder.interface=link".to_owned());
+        check(Path::new(&task), &settings, "encoders on links");
+    }
+}
+
 #[test]
 fn extrapolation_masters_random_servos() {
     run(4, 1);

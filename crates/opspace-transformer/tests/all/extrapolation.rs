@@ -174,6 +174,9 @@ fn feed_forward_and_filters_are_inverted_exactly() {
         "setpoint_filter = { second-order = { natural_frequency_hz = 100.0, damping_ratio = 1.0 } }",
         "setpoint_filter = { second-order = { natural_frequency_hz = 20.0, damping_ratio = 0.7 } }",
         "setpoint_filter = { first-order = { cutoff_hz = 50.0 } }, velocity_feed_forward = 1.0",
+        "setpoint_filter = { moving-average = { time_s = 0.001 } }",
+        "setpoint_filter = { moving-average = { time_s = 0.01 } }",
+        "setpoint_filter = { moving-average = { time_s = 0.005, second_time_s = 0.004 } }, velocity_feed_forward = 1.0",
     ] {
         let servo: ServoParameters = toml::from_str(&format!("cascaded = {{ {cascade}, {more} }}")).unwrap();
         for setpoints in [Setpoints::Held, Setpoints::Interpolated] {

@@ -264,6 +264,51 @@ fn setpoint_filters_have_continuous_step_responses() {
     assert!((last - (1.0 - (-slow * 0.08).exp())).abs() < 1e-5, "{last}");
 }
 
+/// Compared: averaged setpoints, and the means of the last setpoints, taken anew at each tick; the frequency response of the
+/// servo that averages, and the Fourier coefficient of its torques; the torque at rest before and after a step.
+#[test]
+fn averaged_setpoints_are_means_of_the_last_ones() {
+    let average = |times: &str| {
+        law(&format!(
+            "cascaded = {{ kp_per_s = 50.0, kv_nms_per_rad = 90.0, velocity_filter_hz = 200.0, setpoint_filter = {{ \
+             moving-average = {{ {times} }} }} }}"
+        ))
+    };
+    for (times, [first, second]) in [
+        ("time_s = 0.0068", [7, 1]),
+        ("time_s = 0.012, second_time_s = 0.005", [12, 5]),
+        ("time_s = 1e-9", [1, 1]),
+    ] {
+        let law = average(times);
+        let mut setpoints = law.setpoint_average();
+        setpoints.rest(desired(0));
+        let mean = |of: &dyn Fn(usize) -> f64, ticks: usize, k: usize| {
+            (0..ticks).map(|back| of(k.saturating_sub(back))).sum::<f64>() / ticks as f64
+        };
+        let once = |k: usize| mean(&desired, first, k);
+        for k in 1..=60 {
+            let (averaged, expected) = (setpoints.step(desired(k)), mean(&once, second, k));
+            assert!((averaged - expected).abs() < 1e-14, "{times}, {k}: {averaged} for {expected}");
+        }
+        let ticks = 50_usize;
+        let z = nalgebra::Complex::from_polar(1.0, TAU / ticks as f64);
+        let (mut memory, mut setpoints) = (law.rest(0.0, 0.0).0, law.setpoint_average());
+        let mut sum = nalgebra::Complex::new(0.0, 0.0);
+        for k in 0..40 * ticks {
+            let torque = law.step(&mut memory, setpoints.step(z.powu(k as u32).re), 0.0);
+            if k >= 39 * ticks {
+                sum += z.powu(k as u32).conj() * torque * 2.0 / ticks as f64;
+            }
+        }
+        let [response, _] = law.response(z);
+        assert!((sum - response).norm() < 1e-6 * response.norm(), "{times}: {sum} for {response}");
+    }
+    let text = "cascaded = { kp_per_s = 50.0, kv_nms_per_rad = 90.0, velocity_filter_hz = 200.0, setpoint_filter = { \
+                moving-average = { time_s = 5.0 } } }";
+    let refused = ServoLaw::new(&toml::from_str(text).unwrap(), PERIOD_S).unwrap_err();
+    assert_eq!(refused, ServoError::Average { ticks: 5000.0 });
+}
+
 /// Compared: a servo whose gains and feed-forward were changed, and a servo that was built with the gains, at rest and under
 /// the motion of the other tests.
 #[test]
