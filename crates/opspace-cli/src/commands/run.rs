@@ -85,7 +85,7 @@ pub fn run(args: &RunArgs, extensions: &Extensions, console: Console) -> Outcome
 }
 
 /// Refuses a run on a real robot whose margins are too small.
-fn refuse_margins(experiment: &Experiment) -> Result<(), Failure> {
+pub fn refuse_margins(experiment: &Experiment) -> Result<(), Failure> {
     let Some(mut refused) = refusal(experiment) else { return Ok(()) };
     refused.help += "; --accept-margins runs it nevertheless";
     Err(refused.placed(experiment).into())

@@ -1,6 +1,7 @@
 //! `opspace run` of an experiment with several robots.
 
 use crate::cli::RunArgs;
+use crate::commands::run::refuse_margins;
 use crate::commands::run_progress::{exit_code, with_bar};
 use crate::console::{Console, Exit, Failure, Outcome, render};
 use crate::interrupt;
@@ -8,6 +9,7 @@ use crate::output::pretty;
 use crate::plant::PlantChoice;
 use crate::result_folder::prepare;
 use opspace_experiment::report::coupled_table::coupling_table;
+use opspace_experiment::run::coupled_experiment::Member;
 use opspace_experiment::run::coupled_summary::CoupledSummary;
 use opspace_experiment::run::folder::{LOG, REPORT, SUMMARY};
 use opspace_experiment::{ControllerKind, CoupledExperiment, Extensions, Files};
@@ -19,6 +21,20 @@ pub fn run_coupled(args: &RunArgs, extensions: &Extensions, console: Console) ->
     settings.extend(args.seed.map(|seed| format!("seed={seed}")));
     settings.extend(args.duration_s.map(|duration_s| format!("duration_s={duration_s}")));
     let mut experiment = CoupledExperiment::load(extensions, Files::Disk, &args.task, &settings)?;
+    let real = if args.simulate { Vec::new() } else { experiment.real_robots() };
+    if let (Some(robot), true) = (real.first(), args.plant != PlantChoice::Own) {
+        let text = format!("robot '{robot}' is real, as its [driver] says: add --simulate to choose a plant");
+        return Err(Failure::Other(text, Exit::Bad));
+    }
+    if !args.accept_margins {
+        let is_real = |member: &&Member| real.contains(&member.name.as_str());
+        experiment
+            .members
+            .iter()
+            .filter(is_real)
+            .try_for_each(|member| refuse_margins(&member.experiment))?;
+    }
+    let on_drivers = !real.is_empty();
     if let Some(engine) = args.plant.open()? {
         experiment = experiment.on_engine(&engine)?;
     }
@@ -39,7 +55,11 @@ pub fn run_coupled(args: &RunArgs, extensions: &Extensions, console: Console) ->
         .collect();
     console.note(&format!("{name}: {}", robots.join(", ")));
     let summary = with_bar((&name, experiment.ticks()), &progress, console, || {
-        experiment.run_in_folder(&results, &progress)
+        if on_drivers {
+            experiment.run_on_drivers(extensions, &results, &progress)
+        } else {
+            experiment.run_in_folder(&results, &progress)
+        }
     })?;
     args.output
         .json
@@ -77,8 +97,12 @@ fn refuse_options_of_one_robot(args: &RunArgs) -> Result<(), Failure> {
         ("--controller", args.controller != ControllerKind::Osc, "controller"),
         ("--transformer", args.transformer.is_some(), "transformer"),
         ("--profile", args.profile.is_some(), "profile"),
-        ("--move-to-start", args.move_to_start, "set"),
     ];
+    if args.move_to_start {
+        let text =
+            "--move-to-start is for a task of one robot: move each robot by its own task first".to_owned();
+        return Err(Failure::Other(text, Exit::Bad));
+    }
     match given.into_iter().find(|(_, is_given, _)| *is_given) {
         None => Ok(()),
         Some((option, _, key)) => Err(Failure::Other(
