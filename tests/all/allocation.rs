@@ -443,7 +443,7 @@ fn no_cycle_of_coupled_robots_allocates() {
         let experiment = CoupledExperiment::load(&Extensions::default(), Files::Disk, &path, &settings);
         let experiment = experiment.unwrap_or_else(|e| panic!("{e}"));
         let counts = RefCell::new(Vec::with_capacity(1 << 16));
-        let driven = experiment.drive(&Progress::default(), |robot, _| {
+        let driven = experiment.drive(&Progress::default(), |robot, _, _| {
             let control = experiment.members[robot].experiment.control_loop()?;
             Ok((control, OneOfSeveral { robot, counts: &counts }))
         });

@@ -2,6 +2,7 @@
 
 mod capabilities;
 pub mod collision;
+mod coupled_drivers;
 pub mod coupled_experiment;
 pub mod coupled_logs;
 pub mod coupled_run;

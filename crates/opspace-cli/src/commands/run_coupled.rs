@@ -21,6 +21,17 @@ pub fn run_coupled(args: &RunArgs, extensions: &Extensions, console: Console) ->
     let allow = &args.allow.allow;
     let mut experiment =
         CoupledExperiment::load_allowing(extensions, Files::Disk, &args.task, &settings, allow)?;
+    let real: Vec<String> = if args.simulate {
+        Vec::new()
+    } else {
+        experiment.real_robots().into_iter().map(str::to_owned).collect()
+    };
+    if let (Some(robot), true) = (real.first(), args.plant != PlantChoice::Own) {
+        let text = format!("robot '{robot}' is real, as its [driver] says: add --simulate to choose a plant");
+        return Err(Failure::Other(text, Exit::Bad));
+    }
+    experiment = experiment.checked_for_real_robots(&real)?;
+    let on_drivers = !real.is_empty();
     if let Some(engine) = args.plant.open()? {
         experiment = experiment.on_engine(&engine)?;
     }
@@ -44,7 +55,11 @@ pub fn run_coupled(args: &RunArgs, extensions: &Extensions, console: Console) ->
         console.note(&format!("warning: {refusal}"));
     }
     let summary = with_bar((&name, experiment.ticks()), &progress, console, || {
-        experiment.run_in_folder(&results, &progress)
+        if on_drivers {
+            experiment.run_on_drivers(extensions, &results, &progress)
+        } else {
+            experiment.run_in_folder(&results, &progress)
+        }
     })?;
     args.output
         .json
@@ -83,8 +98,12 @@ fn refuse_options_of_one_robot(args: &RunArgs) -> Result<(), Failure> {
         ("--controller", args.controller != ControllerKind::Osc, "controller"),
         ("--transformer", args.transformer.is_some(), "transformer"),
         ("--profile", args.profile.is_some(), "profile"),
-        ("--move-to-start", args.move_to_start, "set"),
     ];
+    if args.move_to_start {
+        let text =
+            "--move-to-start is for a task of one robot: move each robot by its own task first".to_owned();
+        return Err(Failure::Other(text, Exit::Bad));
+    }
     match given.into_iter().find(|(_, is_given, _)| *is_given) {
         None => Ok(()),
         Some((option, _, key)) => Err(Failure::Other(

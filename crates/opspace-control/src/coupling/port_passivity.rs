@@ -73,9 +73,9 @@ pub struct PortPassivityParameters {
     pub store_j: NonNegative,
     /// Change of the energy of a port that is not counted as flow, J; 0.002 if absent.
     pub hysteresis_j: NonNegative,
-    /// Largest acceleration of a port along linear axes, m/s²; 50 if absent.
+    /// Largest acceleration of a port along linear axes, m/s²; 25 if absent.
     pub acceleration_at_most_m_per_s2: Positive,
-    /// Largest acceleration of a port about angular axes, rad/s²; 250 if absent.
+    /// Largest acceleration of a port about angular axes, rad/s²; 125 if absent.
     pub acceleration_at_most_rad_per_s2: Positive,
     /// Time constant with which a gap of the reference is closed, s; 0.2 if absent.
     pub repair_s: Positive,
@@ -90,8 +90,8 @@ impl Default for PortPassivityParameters {
         Self {
             store_j: NonNegative::literal(0.05),
             hysteresis_j: NonNegative::literal(0.002),
-            acceleration_at_most_m_per_s2: Positive::literal(50.0),
-            acceleration_at_most_rad_per_s2: Positive::literal(250.0),
+            acceleration_at_most_m_per_s2: Positive::literal(25.0),
+            acceleration_at_most_rad_per_s2: Positive::literal(125.0),
             repair_s: Positive::literal(0.2),
             repair_at_most_m_per_s: Positive::literal(0.1),
             repair_at_most_rad_per_s: Positive::literal(0.5),

@@ -17,7 +17,7 @@ use opspace_sim::{EnvironmentObjectParameters, HeldObjectParameters, OperatorMot
 use std::f64::consts::{PI, TAU};
 
 /// Frequencies between which the felt stiffness is summarised, Hz: above, the inertia of arm and hand dominates.
-const FELT_HZ: [f64; 2] = [0.5, 2.0];
+pub(crate) const FELT_HZ: [f64; 2] = [0.5, 2.0];
 
 /// Frequency above which the motion of a hand is neither the operator's nor his tremor, Hz.
 const FAST_HZ: f64 = 20.0;

@@ -1,6 +1,7 @@
 //! Page about an experiment with several robots.
 
-use crate::evaluate::coupling_metrics::FeltLine;
+use crate::evaluate::coupling::FELT_HZ;
+use crate::evaluate::coupling_metrics::{CouplingMetrics, FeltLine};
 use crate::report::coupled_table::{coupling_notes, coupling_table};
 use crate::report::document::{run_blocks, with_assumed};
 use crate::report::figure::{Figure, Panel, Series, Style};
@@ -66,19 +67,31 @@ fn felt_figure(summary: &CoupledSummary) -> Option<Figure> {
                 series,
                 ..Panel::default()
             };
-            [
-                panel("stiffness (kN/m)", line(|line| line.stiffness_n_per_m / 1e3)),
-                panel("phase (rad)", line(|line| line.phase_rad)),
-            ]
+            let mut stiffness = line(|line| line.stiffness_n_per_m / 1e3);
+            stiffness.extend(in_series(metrics));
+            [panel("stiffness (kN/m)", stiffness), panel("phase (rad)", line(|line| line.phase_rad))]
         })
         .collect();
     (!panels.is_empty()).then(|| Figure {
         title: "Felt impedance".to_owned(),
-        caption: "Force of the operator over the motion of the leader, at the lines of the probe. A phase of zero is a spring, \
-                  half π a damper, and π a mass."
+        caption: "Force of the operator over the motion of the leader, at the lines of the probe, and the stiffness of the \
+                  coupling's spring and the wall in series. A phase of zero is a spring, half π a damper, and π a mass."
             .to_owned(),
         panels,
         columns: Some(2),
         ..Figure::default()
     })
+}
+
+/// Stiffness of the coupling's spring and the wall in series, at the frequencies at which it is compared with the felt one.
+fn in_series(metrics: &CouplingMetrics) -> Option<Series> {
+    let stiffness_n_per_m = metrics.felt_least_n_per_m? / metrics.felt_over_series_least?;
+    let x: Vec<f64> = metrics
+        .felt
+        .iter()
+        .map(|line| line.frequency_hz)
+        .filter(|hz| (FELT_HZ[0]..=FELT_HZ[1]).contains(hz))
+        .collect();
+    let y = vec![stiffness_n_per_m / 1e3; x.len()];
+    Some(Series::new("spring and wall in series", x, y).style(Style::Desired))
 }

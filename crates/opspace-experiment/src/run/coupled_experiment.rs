@@ -19,7 +19,9 @@ use crate::run::execute::Progress;
 use crate::run::experiment::{ControllerKind, Experiment, RunOptions};
 use crate::run::membership::Membership;
 use opspace_backend::quantity::{NonNegative, Positive};
-use opspace_backend::{Backend, GroundTruth, Layout, Signal, Sink, TICK, TruthLayouts, signal_names};
+use opspace_backend::{
+    Backend, Capabilities, GroundTruth, Layout, Signal, Sink, TICK, TruthLayouts, signal_names,
+};
 use opspace_control::{CouplingKind, CouplingSide, Reflected, TeleoperationParameters};
 use opspace_loop::{ChannelParameters, ControlLoop, Driven, Link, Run, RunOutcome, Timeline, drive_together};
 use opspace_model::Placement;
@@ -40,7 +42,7 @@ pub struct Member {
     pub name: String,
     /// Its task.
     pub experiment: Experiment,
-    rate_hz: u32,
+    pub(super) rate_hz: u32,
 }
 
 /// Coupling of a coupled experiment.
@@ -249,21 +251,33 @@ impl CoupledExperiment {
         Ok(self)
     }
 
-    /// Runs the experiment in simulation. `open` returns the control loop and the sink of each robot; the sinks and outcomes
-    /// are returned in the order of the robots.
+    /// Runs the experiment in simulation. `open` gets the number of a robot, its capabilities and the layouts of its true state,
+    /// and returns its control loop and its sink; the sinks and outcomes are returned in the order of the robots.
     ///
     /// # Errors
     /// A robot that cannot be simulated, and the errors of `open`.
     pub fn drive<S: Sink>(
         &self,
         progress: &Progress,
-        mut open: impl FnMut(usize, &SimulatedArm) -> Result<(ControlLoop, S), RunError>,
+        open: impl FnMut(usize, &Capabilities, Option<TruthLayouts>) -> Result<(ControlLoop, S), RunError>,
     ) -> Result<Vec<(S, RunOutcome)>, RunError> {
         let mut arms = self.simulated_arms()?;
+        let mut robots: Vec<&mut dyn Backend> = arms.iter_mut().map(|arm| arm as &mut dyn Backend).collect();
+        self.drive_robots(&mut robots, progress, open)
+    }
+
+    /// Runs the experiment on these robots, in their order, as [`drive`](Self::drive) does.
+    pub(crate) fn drive_robots<S: Sink>(
+        &self,
+        robots: &mut [&mut dyn Backend],
+        progress: &Progress,
+        mut open: impl FnMut(usize, &Capabilities, Option<TruthLayouts>) -> Result<(ControlLoop, S), RunError>,
+    ) -> Result<Vec<(S, RunOutcome)>, RunError> {
         let mut loops = Vec::new();
         let mut sinks = Vec::new();
-        for (number, arm) in arms.iter().enumerate() {
-            let (control, sink) = open(number, arm)?;
+        for (number, robot) in robots.iter().enumerate() {
+            let truth = robot.ground_truth().map(GroundTruth::layouts);
+            let (control, sink) = open(number, robot.capabilities(), truth)?;
             loops.push(control);
             sinks.push(sink);
         }
@@ -278,10 +292,10 @@ impl CoupledExperiment {
                 Run::new(control, self.duration_s(), sink).with_stop_request(&progress.interrupt)
             })
             .collect();
-        let mut driven: Vec<Driven<'_, '_>> = arms
+        let mut driven: Vec<Driven<'_, '_>> = robots
             .iter_mut()
             .zip(&mut runs)
-            .map(|(arm, run)| Driven { backend: arm as &mut dyn Backend, run })
+            .map(|(robot, run)| Driven { backend: &mut **robot, run })
             .collect();
         drive_together(&mut driven, &mut links, &mut timeline);
         drop(driven);
@@ -290,7 +304,7 @@ impl CoupledExperiment {
     }
 
     /// Arms of the simulation: each in a plant of its own, or all in one if hands hold an object.
-    fn simulated_arms(&self) -> Result<Vec<SimulatedArm>, FileError> {
+    pub(crate) fn simulated_arms(&self) -> Result<Vec<SimulatedArm>, FileError> {
         if self.file.objects.is_empty() {
             return self.members.iter().map(|member| member.experiment.simulated_arm()).collect();
         }
@@ -319,11 +333,6 @@ impl CoupledExperiment {
             Key::Simulation(key) => FileError::at_key(&self.source, key, error.to_string(), None),
             _ => FileError::of_file(self.source.name(), error.to_string(), None),
         }
-    }
-
-    /// Layouts of the rows of a simulated arm's true state.
-    pub(crate) fn truth(arm: &SimulatedArm) -> Option<TruthLayouts> {
-        arm.ground_truth().map(GroundTruth::layouts)
     }
 
     /// Links in both directions between all robots: with the packets of a coupling between two that have one.

@@ -30,6 +30,18 @@ impl CoupledExperiment {
         folder: &ResultFolder,
         progress: &Progress,
     ) -> Result<CoupledSummary, RunError> {
+        let mut arms = self.simulated_arms()?;
+        let mut robots: Vec<&mut dyn Backend> = arms.iter_mut().map(|arm| arm as &mut dyn Backend).collect();
+        self.run_robots(&mut robots, folder, progress)
+    }
+
+    /// Runs the experiment on these robots, in their order, as [`run_in_folder`](Self::run_in_folder) does.
+    pub(super) fn run_robots(
+        &self,
+        robots: &mut [&mut dyn Backend],
+        folder: &ResultFolder,
+        progress: &Progress,
+    ) -> Result<CoupledSummary, RunError> {
         let mut folders = Vec::new();
         let mut logs = Vec::new();
         let mut files: Vec<Option<BufWriter<File>>> = Vec::new();
@@ -46,10 +58,10 @@ impl CoupledExperiment {
             logs.push(log);
             files.push(Some(file));
         }
-        let driven = self.drive(progress, |number, arm| {
+        let driven = self.drive_robots(robots, progress, |number, capabilities, truth| {
             let file =
                 files[number].take().ok_or_else(|| RunError::Incomplete { what: "a log".to_owned() })?;
-            self.members[number].experiment.open(arm.capabilities(), Self::truth(arm), file, progress)
+            self.members[number].experiment.open(capabilities, truth, file, progress)
         });
         let driven = match driven {
             Ok(driven) => driven,
@@ -75,9 +87,9 @@ impl CoupledExperiment {
         let evaluators: Vec<RefCell<Evaluator<'_>>> =
             self.members.iter().map(|member| RefCell::new(Evaluator::new(&member.experiment))).collect();
         let coupled = RefCell::new(CoupledEvaluator::new(self));
-        let driven = self.drive(progress, |number, arm| {
+        let driven = self.drive(progress, |number, capabilities, truth| {
             let member = &self.members[number].experiment;
-            let (control, layouts) = member.loop_and_layouts(arm.capabilities(), Self::truth(arm))?;
+            let (control, layouts) = member.loop_and_layouts(capabilities, truth)?;
             let (evaluators, coupled) = (&evaluators, &coupled);
             let receive = move |segment: &Recording, is_last: bool| {
                 evaluators[number].borrow_mut().add(segment, is_last);

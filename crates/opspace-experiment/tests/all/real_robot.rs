@@ -2,10 +2,13 @@
 //! clock can start at any time.
 #![expect(clippy::unwrap_used, reason = "a test that can't go on has failed")]
 
+use crate::coupled_common::{LOWERED, NEAR_TABLE, load, project, run};
 use opspace_backend::{
     Backend, Capabilities, Command, CommandKind, DeviceFault, Driver, DriverError, GroundTruth, Sample,
     Settings, TruthLayouts, TruthRow, World,
 };
+use opspace_experiment::run::replay::replay;
+use opspace_experiment::run::result_files::ResultFolder;
 use opspace_experiment::{Experiment, Extensions, Files, Metrics, Progress, RunError, RunOptions};
 use opspace_log::Recording;
 use opspace_sim::SimulatedArm;
@@ -211,4 +214,53 @@ fn robot_without_driver_cannot_move_to_start() {
     let refused = experiment.move_to_start(&Extensions::default(), folder.path(), &Progress::default());
     let words = refused.map(|_| ()).unwrap_err().to_string();
     assert!(words.contains(ROBOT) && words.contains("no [driver]"), "{words}");
+}
+
+/// Compared: displacements of two coupled robots in simulation, and with one of them opened by a driver, which is read once before
+/// the run; the log of each, and its replay. The real robot has to be at its start, and objects are refused.
+#[test]
+fn one_of_coupled_robots_is_real() {
+    /// Distance of two runs with other noise and with samples that are a cycle apart, at 0.2 m/s.
+    const OTHER_NOISE_M: f64 = 5e-4;
+    let load = |name: &str, settings: &[&str]| {
+        let own = ["expect={}", "settle_s=0.1", "duration_s=1.0", NEAR_TABLE, LOWERED];
+        let settings = if name == "teleop-wall" { [&own[..], settings].concat() } else { settings.to_vec() };
+        load(&project(&format!("experiments/{name}.toml")), &settings)
+    };
+    let driver = "leader.robot.driver.name=one-arm";
+    let experiment = load("teleop-wall", &[driver]);
+    assert_eq!(experiment.real_robots(), ["leader"]);
+    let simulated = run(&experiment);
+    let folder = tempfile::tempdir().unwrap();
+    let on_drivers = |offset_rad: f64| {
+        let leader = &experiment.members[1].experiment;
+        let (arm, extensions) = arm_away_from_start(leader, offset_rad);
+        arm.borrow_mut().clock_start_s = 0.0;
+        let results = ResultFolder::open(folder.path()).unwrap();
+        experiment.run_on_drivers(&extensions, &results, &Progress::default())
+    };
+    let away = on_drivers(0.3).unwrap_err().to_string();
+    assert!(away.contains("start"), "{away}");
+    let summary = on_drivers(0.0).unwrap();
+    assert!(!summary.has_failed(), "{:?}", summary.failures());
+    for name in ["leader", "follower"] {
+        let log = Recording::read(folder.path().join(name).join("run.mcap")).unwrap();
+        let replayed = replay(&Experiment::of_log(&log).unwrap(), &log).unwrap();
+        assert!(replayed.differing == 0 && replayed.compared > 1000, "{name}: {replayed:?}");
+        let displacement = |log: &Recording, k: usize| -> Vec<f64> {
+            log.tick().unwrap().signal("hand.displacement").unwrap().row(k).to_vec()
+        };
+        for k in 0..log.tick().unwrap().len() {
+            let pair = displacement(&log, k).into_iter().zip(displacement(&simulated.logs[name], k));
+            let apart = pair.fold(0.0, |most: f64, (a, b)| most.max((a - b).abs()));
+            assert!(apart < OTHER_NOISE_M, "{name}: {apart} m in row {k}");
+        }
+    }
+    // The real robot has no true state.
+    let leader = Recording::read(folder.path().join("leader/run.mcap")).unwrap();
+    assert!(leader.channel("truth").is_none());
+    let carry = load("two-arms-carry", &["left.robot.driver.name=one-arm"]);
+    let results = ResultFolder::open(folder.path()).unwrap();
+    let refused = carry.run_on_drivers(&Extensions::default(), &results, &Progress::default()).unwrap_err();
+    assert!(refused.to_string().contains("robot 'left' is real"), "{refused}");
 }
