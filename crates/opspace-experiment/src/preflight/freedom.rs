@@ -60,7 +60,8 @@ pub(crate) fn drifting(case: &PreflightCase<'_>) -> Vec<Diagnostic> {
                 object.frame() == parameters.frame
                     && !matches!(object, EnvironmentObjectParameters::Pushes(_))
             };
-            if case.experiment.task().file.environment.values().any(holds) {
+            let is_held = case.experiment.task().file.environment.values().any(holds);
+            if is_held || returns_later(case, number, motion.name, compliant) {
                 continue;
             }
             named.push(motion.name);
@@ -83,6 +84,15 @@ pub(crate) fn drifting(case: &PreflightCase<'_>) -> Vec<Diagnostic> {
         }
     }
     found
+}
+
+/// True if a task set after this one controls the compliant axes of the task by a motion: their reference then brings them back.
+fn returns_later(case: &PreflightCase<'_>, number: usize, name: &str, compliant: [bool; 6]) -> bool {
+    let later = case.task_sets[number + 1..].iter().flat_map(|stack| &stack.motions);
+    later.filter(|motion| motion.name == name).any(|motion| {
+        let moves = motion.parameters.axes.with_mode(AxisMode::Motion);
+        compliant.into_iter().zip(moves).all(|(is_compliant, moves)| moves || !is_compliant)
+    })
 }
 
 /// Number of sampled postures.

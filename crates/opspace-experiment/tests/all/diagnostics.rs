@@ -99,7 +99,7 @@ fn assert_says(finding: &Diagnostic, key: &str, words: &[&str]) {
 }
 
 /// Files of the project that cause diagnostics intentionally, with words of the diagnostics.
-const MADE_TO_GO_WRONG: [(&str, &str); 9] = [
+const MADE_TO_GO_WRONG: [(&str, &str); 10] = [
     ("panda-out-of-reach", "cannot be reached"),
     ("panda-unreachable", "cannot be reached"),
     ("ur5e-out-of-reach", "cannot be reached"),
@@ -110,6 +110,7 @@ const MADE_TO_GO_WRONG: [(&str, &str); 9] = [
     // The path around a singular posture requires high speeds.
     ("ur5e-wrist", "the references move joint"),
     ("ur5e-straight", "it leaves towards a goal"),
+    ("ur5e-pulled-straight", "nothing brings 'flange' back along x"),
 ];
 
 #[test]
