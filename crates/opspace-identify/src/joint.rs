@@ -263,6 +263,8 @@ impl Joint<'_, '_> {
         all.kp = widen(all.kp, viscous);
         all.kv = widen(all.kv, viscous + inertia);
         all.coulomb = widen(all.coulomb, gains.deviation[1] + inertia);
+        // Errors of the model of friction look like another filter.
+        all.velocity_filter_hz = None;
         all.viscous = None;
         all.inertia = None;
     }

@@ -1,7 +1,6 @@
 //! Compared: 95 % intervals of identifications of simulated single joints through the library, and the parameters of the
 //! simulation. The example `random-joints` does the same with any number of joints and any seed.
 
-#[expect(dead_code, reason = "the example uses all of it")]
 #[path = "../../examples/random-joints/cases.rs"]
 mod cases;
 #[expect(dead_code, reason = "the example uses all of it")]
