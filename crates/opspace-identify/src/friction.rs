@@ -105,7 +105,8 @@ pub fn intervals(passes: &[ConstantVelocityRun]) -> Option<[Interval95; 2]> {
 fn columns_and_velocities(passes: &[ConstantVelocityRun]) -> impl Iterator<Item = ([bool; 3], f64)> {
     let highest = passes.iter().map(|p| p.speed).fold(0.0, f64::max);
     // Grid from a hundredth to a half of the highest speed.
-    let velocities = (0..GRID).map(move |step| highest * 0.01 * 50f64.powf(f64::from(step) / f64::from(GRID - 1)));
+    let velocities =
+        (0..GRID).map(move |step| highest * 0.01 * 50f64.powf(f64::from(step) / f64::from(GRID - 1)));
     let with_peak = velocities.map(|stribeck| ([true, true, true], stribeck));
     [([true, true, false], NO_STRIBECK)].into_iter().chain(with_peak)
 }

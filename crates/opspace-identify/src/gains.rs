@@ -14,7 +14,7 @@
 //! b must be known: if it is taken as zero, the identified kv is too high by b, and the identified kp is too low
 //! accordingly, by some percent.
 //!
-//! The setpoint may reach the loop directly, with its velocity fed forward, or through a filter: the [paths](SetpointPath)
+//! With measured current, the setpoint may reach the loop directly, with its velocity fed forward, or through a filter: the [paths](SetpointPath)
 //! are compared, and the simplest is selected that no other one explains the responses clearly better than.
 
 use crate::confidence::Interval95;
@@ -265,13 +265,14 @@ pub fn fit(levels: &[AmplitudeLevel], rates: Rates, lag: Lag, viscous: f64) -> O
         }
         let bound = REFINED * first.cost();
         let near = direct.iter().filter(|c| c.cost() <= bound || c.rates == first.rates);
-        direct = near
-            .filter_map(|c| responses.candidate(SetpointPath::Direct, c.rates, Some(&first)))
-            .collect();
+        direct =
+            near.filter_map(|c| responses.candidate(SetpointPath::Direct, c.rates, Some(&first))).collect();
         first = best_of(&direct)?;
     }
     let mut paths = vec![direct];
-    for path in SetpointPath::ALL.into_iter().skip(1) {
+    // Without torque, errors of the model of friction look like other paths.
+    let others = if responses.measures_torque() { &SetpointPath::ALL[1..] } else { &[] };
+    for &path in others {
         let trial = responses.candidate(path, first.rates, Some(&first));
         if trial.is_some_and(|trial| TRIED * trial.cost() < first.cost()) {
             let fitted = all_delays(path, Some(&first));
@@ -280,10 +281,9 @@ pub fn fit(levels: &[AmplitudeLevel], rates: Rates, lag: Lag, viscous: f64) -> O
     }
     paths.retain(|fitted| !fitted.is_empty());
     let best = paths.iter().map(|fitted| least(fitted)).fold(f64::INFINITY, f64::min);
-    let comparisons = paths.iter().map(|fitted| PathComparison {
-        path: fitted[0].path,
-        cost_over_best: least(fitted) / best,
-    });
+    let comparisons = paths
+        .iter()
+        .map(|fitted| PathComparison { path: fitted[0].path, cost_over_best: least(fitted) / best });
     let comparisons: Vec<PathComparison> = comparisons.collect();
     let mut selected = paths.into_iter().find(|fitted| least(fitted) < CLEARLY * best)?;
     selected.sort_by(|a, b| a.cost().total_cmp(&b.cost()));
@@ -422,7 +422,12 @@ impl Measurement<'_> {
     }
 
     /// Fits a path and a delay to positions alone: kv is divided by the inertia.
-    fn without_torque(&self, path: SetpointPath, rates: Rates, from: Option<&Candidate>) -> Option<Candidate> {
+    fn without_torque(
+        &self,
+        path: SetpointPath,
+        rates: Rates,
+        from: Option<&Candidate>,
+    ) -> Option<Candidate> {
         let Self { levels, lag, viscous } = *self;
         let corner = corner_hz(&levels.first()?.position)?;
         let drive_of = |x: &[f64]| {

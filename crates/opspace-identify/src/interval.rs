@@ -108,7 +108,9 @@ impl SetpointFilterModel {
                 let natural = TAU * natural_frequency_hz;
                 let decay = damping_ratio * natural;
                 // Imaginary below critical damping. The offset avoids the quotient 0/0 at critical damping.
-                let split = Complex::new(natural * natural * (damping_ratio * damping_ratio - 1.0) + 1e-9, 0.0).sqrt();
+                let split =
+                    Complex::new(natural * natural * (damping_ratio * damping_ratio - 1.0) + 1e-9, 0.0)
+                        .sqrt();
                 let fading = (-decay * period_s).exp();
                 let cosine = fading * (split * period_s).cosh().re;
                 let sine = fading * ((split * period_s).sinh() / split).re;
@@ -243,7 +245,8 @@ impl Interval {
             push_torque += phase * *torque;
         }
         let inputs = self.inputs_at(z)?;
-        let (mut drive, mut drive_torque) = (SVector::<Complex<f64>, MEMORY>::zeros(), Complex::new(0.0, 0.0));
+        let (mut drive, mut drive_torque) =
+            (SVector::<Complex<f64>, MEMORY>::zeros(), Complex::new(0.0, 0.0));
         for (i, input) in inputs.iter().enumerate() {
             drive += self.inputs.column(i).map(|v| input * v);
             drive_torque += input * self.inputs_torque[i];

@@ -6,7 +6,7 @@ use crate::excitation::{Multisine, odd_lines};
 use crate::friction;
 use crate::friction::ConstantVelocityRun;
 use crate::gains;
-use crate::gains::{AmplitudeLevel, Gains, Lag};
+use crate::gains::{AmplitudeLevel, Gains, Lag, SetpointPath};
 use crate::identification::{
     COHERENT, ExcitationPlan, FitQuality, Identification, IdentificationFailure, KnownParameters, Measured,
     Servo, TorqueScale,
@@ -98,6 +98,9 @@ const TURNS_WITHIN: f64 = 8.0;
 /// torque, strong coupling with other joints also exceeds them: the gains would be wrong.
 const TORQUE_EXPLAINED: f64 = 0.10;
 const POSITION_EXPLAINED: f64 = 0.10;
+
+/// Relative error of the torque above which the structure of the servo is doubtful.
+const TORQUE_DOUBTED: f64 = 0.03;
 
 /// Time in which a motion at constant speed settles, in time constants of the position loop, and the longest such time, s.
 const SETTLES_IN: f64 = 6.0;
@@ -217,6 +220,7 @@ impl Joint<'_, '_> {
         let explained = check_explained(&trust);
         found.fit_quality = Some(trust);
         explained?;
+        doubt_model(found, gains.path, gains.torque_residual);
         self.check_scale(found)
     }
 
@@ -259,6 +263,8 @@ impl Joint<'_, '_> {
         all.kp = widen(all.kp, viscous);
         all.kv = widen(all.kv, viscous + inertia);
         all.coulomb = widen(all.coulomb, gains.deviation[1] + inertia);
+        // Errors of the model of friction look like another filter.
+        all.velocity_filter_hz = None;
         all.viscous = None;
         all.inertia = None;
     }
@@ -277,14 +283,16 @@ impl Joint<'_, '_> {
             }
             (TorqueScale::MotorCurrent, None) => {
                 found.doubts.push(
-                    "without a rotor inertia nothing checks the torque constant of the motor current".to_owned(),
+                    "without a rotor inertia nothing checks the torque constant of the motor current"
+                        .to_owned(),
                 );
                 return Ok(());
             }
             (TorqueScale::MotorCurrent, Some(range)) => {
                 let Some(servo) = &found.servo else { return Ok(()) };
                 let Some(interval) = servo.intervals.inertia else { return Ok(()) };
-                let ratio = |inertia: f64| inertia / inertia.clamp(range[0].min(range[1]), range[1].max(range[0]));
+                let ratio =
+                    |inertia: f64| inertia / inertia.clamp(range[0].min(range[1]), range[1].max(range[0]));
                 let distance = |inertia: f64| ratio(inertia).ln().abs();
                 let [near, far] = {
                     let [a, b] = [distance(interval.lower), distance(interval.upper)];
@@ -626,6 +634,21 @@ fn is_separated(passes: &[ConstantVelocityRun]) -> bool {
     }
     let widest = f64::max(coulomb.half_width(), fastest * viscous.half_width());
     widest < SEPARATED * largest
+}
+
+/// Adds doubts about the structure of the servo.
+fn doubt_model(found: &mut Identification, path: SetpointPath, torque_residual: Option<f64>) {
+    if path != SetpointPath::Direct {
+        let words = "its responses show feed-forward or a filter of the setpoint, which may stand for another structure: \
+                     compare it with the settings of the drive";
+        found.doubts.push(words.to_owned());
+    }
+    if let Some(error) = torque_residual.filter(|error| *error > TORQUE_DOUBTED) {
+        found.doubts.push(format!(
+            "the servo explains its torque only within {:.1} %, and its intervals may be too narrow",
+            100.0 * error
+        ));
+    }
 }
 
 fn check_explained(trust: &FitQuality) -> Result<(), IdentificationFailure> {

@@ -157,7 +157,13 @@ fn lines(levels: &[AmplitudeLevel], drive: &Drive, rates: Rates) -> Option<Vec<L
         for (position, torque) in responses.position.iter().zip(torque) {
             if BAND.contains(&(position.hz * rates.period_s())) && position.coherence > COHERENT {
                 let force = interval.responses(position.hz)?.force_of_torque(position.value, torque.value);
-                lines.push(Line { level, speed: responses.speed, omega: TAU * position.hz, position: position.value, force });
+                lines.push(Line {
+                    level,
+                    speed: responses.speed,
+                    omega: TAU * position.hz,
+                    position: position.value,
+                    force,
+                });
             }
         }
     }
@@ -208,13 +214,7 @@ fn rigid(lines: &[Line], levels: usize, drive: &Drive) -> Option<(f64, Minimum)>
 }
 
 /// Solves the rigid load without relaxation of the bristles by linear least squares: [ln I, ln δ, k, then b of each level].
-fn linear_start(
-    lines: &[Line],
-    levels: usize,
-    inertia: f64,
-    b: &[f64],
-    drive: &Drive,
-) -> Option<Vec<f64>> {
+fn linear_start(lines: &[Line], levels: usize, inertia: f64, b: &[f64], drive: &Drive) -> Option<Vec<f64>> {
     let mut matrix = DMatrix::zeros(2 * lines.len(), 2 + levels);
     let mut right = DVector::zeros(2 * lines.len());
     for (k, line) in lines.iter().enumerate() {
@@ -258,11 +258,16 @@ fn elastic(lines: &[Line], rigid: &Minimum, levels: usize, drive: &Drive) -> Opt
         residuals.push(presliding_prior(x));
         // Weak bounds of what the lines do not determine.
         let gear = &x[at..];
-        residuals.extend([gear[0] / 3.0, (gear[1] - highest.ln()) / 2.0, (gear[2] - LIGHT_DAMPING.ln()) / 2.0]);
+        residuals.extend([
+            gear[0] / 3.0,
+            (gear[1] - highest.ln()) / 2.0,
+            (gear[2] - LIGHT_DAMPING.ln()) / 2.0,
+        ]);
         Some(residuals)
     };
     let start = |k: usize| {
-        let antiresonance = 4.0 * lowest * (1.5 * highest / (4.0 * lowest)).powf(k as f64 / (STARTS - 1) as f64);
+        let antiresonance =
+            4.0 * lowest * (1.5 * highest / (4.0 * lowest)).powf(k as f64 / (STARTS - 1) as f64);
         let gear = [0.0, antiresonance.ln(), LIGHT_DAMPING.ln()];
         minimise(&[&rigid.x[..], &gear[..]].concat(), residuals)
     };

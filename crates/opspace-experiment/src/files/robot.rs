@@ -170,12 +170,7 @@ impl RobotDefinition {
         Self::load_for(Purpose::Identification, files, path, settings)
     }
 
-    fn load_for(
-        purpose: Purpose,
-        files: Files,
-        path: &Path,
-        settings: &[String],
-    ) -> Result<Self, FileError> {
+    fn load_for(purpose: Purpose, files: Files, path: &Path, settings: &[String]) -> Result<Self, FileError> {
         let path = files.robot_file(path);
         let source = files.read(&path)?;
         Kind::Robot.require(&source)?;

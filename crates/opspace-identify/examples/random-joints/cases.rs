@@ -97,7 +97,8 @@ impl Truth {
     }
 
     fn draw(random: &mut ChaCha8Rng, elastic: bool) -> Self {
-        let mut times = |nominal: f64| nominal * 10f64.powf(random.random_range(0.3f64.log10()..3f64.log10()));
+        let mut times =
+            |nominal: f64| nominal * 10f64.powf(random.random_range(0.3f64.log10()..3f64.log10()));
         let (coulomb, stiffness) = (times(1.0), times(10_000.0));
         let mut truth = Self {
             kp: times(30.0),
@@ -163,7 +164,8 @@ impl Case {
         let mut arm = self.arm();
         let plan = ExcitationPlan { seed: self.seed, ..ExcitationPlan::default() };
         let interrupted = |_ticks: u64| false;
-        let mut session = ExcitationSession::begin(&mut arm, 1, &interrupted).expect("a robot that holds itself");
+        let mut session =
+            ExcitationSession::begin(&mut arm, 1, &interrupted).expect("a robot that holds itself");
         identify(&mut session, &self.known(), &plan).expect("a robot without faults")
     }
 

@@ -29,9 +29,7 @@ fn kind(name: &str) -> Kind {
         "inertia" => of(Deceit { inertia: Some(0.5), ..Deceit::default() }),
         "short-motion" => of(Deceit { speed_limit: Some(0.1), ..Deceit::default() }),
         "feed-forward" => of(Deceit { feed_forward: Some(0.7), ..Deceit::default() }),
-        "setpoint-filter" => {
-            of(Deceit { setpoint_filter_hz: Some(20.0), ..Deceit::default() })
-        }
+        "setpoint-filter" => of(Deceit { setpoint_filter_hz: Some(20.0), ..Deceit::default() }),
         other => panic!("no kind '{other}'"),
     }
 }

@@ -43,11 +43,19 @@ impl Outcome {
         let servo = found.servo.as_ref();
         let friction = servo.and_then(|s| s.friction);
         let intervals = servo.map(|s| &s.intervals);
-        let of = |truth: f64, value: Option<f64>, interval: Option<Interval95>| Estimate { truth, value, interval };
+        let of = |truth: f64, value: Option<f64>, interval: Option<Interval95>| Estimate {
+            truth,
+            value,
+            interval,
+        };
         let estimates = [
             of(truth.kp, servo.map(|s| s.kp), intervals.and_then(|i| i.kp)),
             of(truth.kv, servo.map(|s| s.kv), intervals.and_then(|i| i.kv)),
-            of(truth.filter_hz, servo.map(|s| s.velocity_filter_hz), intervals.and_then(|i| i.velocity_filter_hz)),
+            of(
+                truth.filter_hz,
+                servo.map(|s| s.velocity_filter_hz),
+                intervals.and_then(|i| i.velocity_filter_hz),
+            ),
             of(f64::from(truth.delay), servo.map(|s| f64::from(s.delay)), intervals.and_then(|i| i.delay)),
             of(truth.inertia(), servo.map(|s| s.inertia), intervals.and_then(|i| i.inertia)),
             of(truth.coulomb, friction.map(|f| f.coulomb), intervals.and_then(|i| i.coulomb)),
