@@ -41,7 +41,7 @@
 //! A drive that closes its loops on the motor does not see the positions q that the interface reports if they are those of the
 //! links: the difference is the twist of the gear. Setpoints that follow q are then a feedback over the spring of the gear, and
 //! with few setpoints per second its resonance grows. The measured torque shows the motor: what it exceeds the torque by that
-//! the law computes from q, ε, is the effect of the twist. With ε low-passed at [`TWIST_HZ`],
+//! the law computes from q, ε, is the effect of the twist. With ε low-passed,
 //!
 //! ```text
 //! q_desired = q + (τ − δ − ε − Y₀)/Y₁
@@ -71,9 +71,10 @@ pub const SETTLED_HZ: f64 = 4.0;
 /// Cut-off frequency of the correction by current with unknown gains, Hz.
 pub const UNSETTLED_HZ: f64 = 16.0;
 
-/// Cut-off frequency of ε, Hz: high enough for the resonances that sampled positions of links make grow, and as low as that
-/// allows, since a late current and the noise of rounded positions are in ε too.
-pub const TWIST_HZ: f64 = 40.0;
+/// Interface period at which the cut-off frequency of ε is the interface rate, s; it is proportional to the period. Long periods
+/// bring the rate near the resonances of gears. With short ones a slow ε suffices, which reacts less to the noise of rounded
+/// positions, to a late current and to delays in the drive.
+const TWIST_PERIOD_S: f64 = 10e-3;
 
 /// Largest cut-off frequency of the correction by current, as a fraction of the lowest antiresonance.
 const OF_ANTIRESONANCE: f64 = 0.25;
@@ -360,7 +361,7 @@ impl Correction {
         Self {
             excess: 0.0,
             twist: 0.0,
-            twist_gain: low_pass::gain(TWIST_HZ, period_s),
+            twist_gain: low_pass::gain(period_s / (TWIST_PERIOD_S * TWIST_PERIOD_S), period_s),
             asked: [0.0; 2],
             gains: [SETTLED_HZ, UNSETTLED_HZ].map(|hz| low_pass::gain(hz.min(fastest_hz), period_s)),
             estimation,
