@@ -211,7 +211,7 @@ impl Joint<'_, '_> {
             intervals: self.intervals(found.scale, &gains, scale, &passes),
             passes,
         });
-        if !is_separated(&found.servo.as_ref().map_or(&[][..], |s| &s.passes)) {
+        if !is_separated(found.servo.as_ref().map_or(&[][..], |s| &s.passes)) {
             found.doubts.push(
                 "its motion does not separate Coulomb and viscous friction: their speeds are too few or too close".to_owned(),
             );
@@ -272,21 +272,21 @@ impl Joint<'_, '_> {
     /// Compares the scale of torque of the motor current with that of the inertia.
     fn check_scale(&self, found: &mut Identification) -> Result<(), IdentificationFailure> {
         match (found.scale, self.known.inertia) {
-            (TorqueScale::Unknown, _) => return Ok(()),
+            (TorqueScale::Unknown, _) => Ok(()),
             (TorqueScale::Urdf, _) => {
                 found.doubts.push(
                     "without motor current nothing checks the inertia of URDF and rotor: an error of it is the same \
                      relative error of kv and friction"
                         .to_owned(),
                 );
-                return Ok(());
+                Ok(())
             }
             (TorqueScale::MotorCurrent, None) => {
                 found.doubts.push(
                     "without a rotor inertia nothing checks the torque constant of the motor current"
                         .to_owned(),
                 );
-                return Ok(());
+                Ok(())
             }
             (TorqueScale::MotorCurrent, Some(range)) => {
                 let Some(servo) = &found.servo else { return Ok(()) };
