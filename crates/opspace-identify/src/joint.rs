@@ -117,6 +117,9 @@ const BETWEEN: f64 = 0.55;
 /// which the two are separated.
 const SEPARATED: f64 = 0.15;
 
+/// Speed that the fastest run exceeds, rad/s (m/s): below it, the Stribeck effect hides viscous friction.
+const ABOVE_STRIBECK: f64 = 0.1;
+
 /// Errors of declared values that intervals without motor current include: of the viscous friction and of the inertia.
 const VISCOUS_WITHIN: f64 = 0.5;
 const INERTIA_WITHIN: f64 = 0.02;
@@ -631,6 +634,9 @@ fn is_separated(passes: &[ConstantVelocityRun]) -> bool {
     for pass in passes {
         fastest = f64::max(fastest, pass.speed);
         largest = f64::max(largest, pass.torque);
+    }
+    if fastest < ABOVE_STRIBECK {
+        return false;
     }
     let widest = f64::max(coulomb.half_width(), fastest * viscous.half_width());
     widest < SEPARATED * largest
