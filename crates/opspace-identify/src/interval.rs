@@ -213,12 +213,12 @@ impl Interval {
         let mut inputs = SMatrix::<f64, MEMORY, 5>::zeros();
         let mut inputs_torque = [0.0; 5];
         let mut path = SMatrix::<f64, 2, 5>::zeros();
-        for i in 0..5 {
+        for (i, input_torque) in inputs_torque.iter_mut().enumerate() {
             let unit: [f64; 5] = std::array::from_fn(|j| f64::from(u8::from(i == j)));
             let end =
                 tick.roll(Memory::zeros(), &rates, [unit[0], unit[1]], [unit[2], unit[3], unit[4]], None);
             inputs.set_column(i, &end.memory);
-            inputs_torque[i] = end.torque;
+            *input_torque = end.torque;
             path.set_column(i, &end.path.into());
         }
         let force = (0..rates.servo_ticks_per_cycle)

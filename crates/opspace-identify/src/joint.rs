@@ -117,6 +117,9 @@ const BETWEEN: f64 = 0.55;
 /// which the two are separated.
 const SEPARATED: f64 = 0.15;
 
+/// Speed that the fastest run exceeds, rad/s (m/s): below it, the Stribeck effect hides viscous friction.
+const ABOVE_STRIBECK: f64 = 0.1;
+
 /// Errors of declared values that intervals without motor current include: of the viscous friction and of the inertia.
 const VISCOUS_WITHIN: f64 = 0.5;
 const INERTIA_WITHIN: f64 = 0.02;
@@ -211,7 +214,7 @@ impl Joint<'_, '_> {
             intervals: self.intervals(found.scale, &gains, scale, &passes),
             passes,
         });
-        if !is_separated(&found.servo.as_ref().map_or(&[][..], |s| &s.passes)) {
+        if !is_separated(found.servo.as_ref().map_or(&[][..], |s| &s.passes)) {
             found.doubts.push(
                 "its motion does not separate Coulomb and viscous friction: their speeds are too few or too close".to_owned(),
             );
@@ -272,21 +275,21 @@ impl Joint<'_, '_> {
     /// Compares the scale of torque of the motor current with that of the inertia.
     fn check_scale(&self, found: &mut Identification) -> Result<(), IdentificationFailure> {
         match (found.scale, self.known.inertia) {
-            (TorqueScale::Unknown, _) => return Ok(()),
+            (TorqueScale::Unknown, _) => Ok(()),
             (TorqueScale::Urdf, _) => {
                 found.doubts.push(
                     "without motor current nothing checks the inertia of URDF and rotor: an error of it is the same \
                      relative error of kv and friction"
                         .to_owned(),
                 );
-                return Ok(());
+                Ok(())
             }
             (TorqueScale::MotorCurrent, None) => {
                 found.doubts.push(
                     "without a rotor inertia nothing checks the torque constant of the motor current"
                         .to_owned(),
                 );
-                return Ok(());
+                Ok(())
             }
             (TorqueScale::MotorCurrent, Some(range)) => {
                 let Some(servo) = &found.servo else { return Ok(()) };
@@ -631,6 +634,9 @@ fn is_separated(passes: &[ConstantVelocityRun]) -> bool {
     for pass in passes {
         fastest = f64::max(fastest, pass.speed);
         largest = f64::max(largest, pass.torque);
+    }
+    if fastest < ABOVE_STRIBECK {
+        return false;
     }
     let widest = f64::max(coulomb.half_width(), fastest * viscous.half_width());
     widest < SEPARATED * largest
