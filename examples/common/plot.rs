@@ -132,7 +132,7 @@ fn draw_panel(canvas: &Canvas<'_>, panel: &Panel) -> Result<(), Box<dyn Error>> 
 
 /// Decimals of the labels of an axis of this length, with some six labels.
 fn digits(length: f64) -> usize {
-    if length >= 4.0 { 0 } else { (0.8 - length.log10()).ceil().max(0.0) as usize }
+    if length >= 3.8 { 0 } else { (0.8 - length.log10()).ceil().max(0.0) as usize }
 }
 
 fn number(value: f64, digits: usize) -> String {
