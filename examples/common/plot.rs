@@ -95,7 +95,7 @@ fn draw_panel(canvas: &Canvas<'_>, panel: &Panel) -> Result<(), Box<dyn Error>> 
     let (low, high) = range(|point| point.1);
     let margin = 0.08 * (high - low);
     // Space for the legend.
-    let above = (panel.lines.len() + 1).max(4) as f64;
+    let above = if panel.lines.len() > 3 { 7.0 } else { 4.0 };
     let (begin, end) = range(|point| point.0);
     let shown = panel.x_range.clone().unwrap_or(begin..end);
     let text = |size: u32| ("sans-serif", size).into_font().color(&GREY);
@@ -132,7 +132,7 @@ fn draw_panel(canvas: &Canvas<'_>, panel: &Panel) -> Result<(), Box<dyn Error>> 
 
 /// Decimals of the labels of an axis of this length, with some six labels.
 fn digits(length: f64) -> usize {
-    if length >= 4.0 { 0 } else { (0.8 - length.log10()).ceil().max(0.0) as usize }
+    if length >= 3.8 { 0 } else { (0.8 - length.log10()).ceil().max(0.0) as usize }
 }
 
 fn number(value: f64, digits: usize) -> String {
