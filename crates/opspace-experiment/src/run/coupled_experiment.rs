@@ -42,7 +42,7 @@ pub struct Member {
     pub name: String,
     /// Its task.
     pub experiment: Experiment,
-    rate_hz: u32,
+    pub(super) rate_hz: u32,
 }
 
 /// Coupling of a coupled experiment.

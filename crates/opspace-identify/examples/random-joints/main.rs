@@ -17,7 +17,7 @@ use cases::{Case, Deceit, Kind};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::thread;
 use std::time::{SystemTime, UNIX_EPOCH};
-use tally::{Outcome, print_summary};
+use tally::{Outcome, summary};
 
 fn kind(name: &str) -> Kind {
     let of = |deceit: Deceit| Kind { deceit, ..Kind::default() };
@@ -67,5 +67,5 @@ fn main() {
     let all = outcomes(cases, seed, kind(name));
     all.iter().for_each(|outcome| println!("{outcome}"));
     println!("\n{cases} cases, seed {seed}, {name}");
-    print_summary(&all);
+    println!("{}", summary(&all));
 }

@@ -96,9 +96,9 @@ impl fmt::Display for Outcome {
     }
 }
 
-/// Prints coverage, median half-width and withheld estimates of each quantity.
-pub fn print_summary(all: &[Outcome]) {
-    println!("quantity   intervals  hold the truth  median half-width  withheld");
+/// Coverage, median half-width and withheld estimates of each quantity, as a table.
+pub fn summary(all: &[Outcome]) -> String {
+    let mut text = "quantity   intervals  hold the truth  median half-width  withheld\n".to_owned();
     let (mut total, mut held) = (0, 0);
     for (index, name) in NAMES.iter().enumerate() {
         let of: Vec<&Estimate> = all.iter().map(|outcome| &outcome.estimates[index]).collect();
@@ -108,8 +108,8 @@ pub fn print_summary(all: &[Outcome]) {
         let median = widths.get(widths.len() / 2).copied().unwrap_or(f64::NAN);
         total += widths.len();
         held += holds;
-        println!(
-            "{name:10} {:9}  {:13.1}%  {:16.2}%  {:7.1}%",
+        text += &format!(
+            "{name:10} {:9}  {:13.1}%  {:16.2}%  {:7.1}%\n",
             widths.len(),
             100.0 * holds as f64 / widths.len() as f64,
             100.0 * median,
@@ -117,15 +117,15 @@ pub fn print_summary(all: &[Outcome]) {
         );
     }
     let possible = NAMES.len() * all.len();
-    println!(
-        "all        {total:9}  {:13.1}%                    {:7.1}%",
+    text += &format!(
+        "all        {total:9}  {:13.1}%                    {:7.1}%\n",
         100.0 * held as f64 / total as f64,
         100.0 * (possible - total) as f64 / possible as f64
     );
-    println!(
+    text + &format!(
         "refused {}, doubtful {}, neither {}",
         all.iter().filter(|o| o.refused.is_some()).count(),
         all.iter().filter(|o| o.refused.is_none() && !o.doubts.is_empty()).count(),
         all.iter().filter(|o| o.refused.is_none() && o.doubts.is_empty()).count()
-    );
+    )
 }
