@@ -33,7 +33,7 @@ const HAND: [f64; 2] = [500.0, 10.0];
 const CONTACT_NS_PER_M: f64 = 20.0;
 const CONTACT_N: f64 = 2.0;
 
-/// What the device gets from the robot in each of its cycles.
+/// Values that the device gets from the robot in each of its cycles.
 #[derive(Clone, Copy, Default)]
 struct FromRobot {
     time_s: f64,

@@ -17,6 +17,7 @@
 //! With measured current, the setpoint may reach the loop directly, with its velocity fed forward, or through a filter: the [paths](SetpointPath)
 //! are compared, and the simplest is selected that no other one explains the responses clearly better than.
 
+use crate::amplitude_level::AmplitudeLevel;
 use crate::confidence::Interval95;
 use crate::interval::{Drive, Interval, Rates, SetpointFilterModel};
 use crate::least_squares::{Minimum, minimise};
@@ -68,18 +69,6 @@ const HEARD: f64 = 0.03;
 
 /// Ratio of the costs of a delay and of the best one below which the delay is in its interval.
 const LIKELY_DELAY: f64 = 1.1;
-
-/// Frequency responses at one amplitude.
-#[derive(Clone, Debug)]
-#[non_exhaustive]
-pub struct AmplitudeLevel {
-    /// Rms of the joint's velocity, rad/s (m/s).
-    pub speed: f64,
-    /// Response of position to setpoint.
-    pub position: Vec<Point>,
-    /// Response of mean torque to setpoint, Nm/rad (N/m), if current is measured.
-    pub torque: Option<Vec<Point>>,
-}
 
 /// Lag of a joint behind its setpoint at constant speed.
 #[derive(Clone, Copy, Debug, Default)]

@@ -1,12 +1,13 @@
 //! Identification of one joint, which moves about its initial position: amplitudes within its limits, multisines, slow
 //! runs.
 
+use crate::amplitude_level::AmplitudeLevel;
 use crate::confidence::{Interval95, ServoIntervals};
 use crate::excitation::{Multisine, odd_lines};
 use crate::friction;
 use crate::friction::ConstantVelocityRun;
 use crate::gains;
-use crate::gains::{AmplitudeLevel, Gains, Lag, SetpointPath};
+use crate::gains::{Gains, Lag, SetpointPath};
 use crate::identification::{
     COHERENT, ExcitationPlan, FitQuality, Identification, IdentificationFailure, KnownParameters, Measured,
     Servo, TorqueScale,

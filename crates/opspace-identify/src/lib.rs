@@ -60,6 +60,7 @@
 
 #![forbid(unsafe_code)]
 
+pub mod amplitude_level;
 pub mod confidence;
 pub mod excitation;
 pub mod friction;

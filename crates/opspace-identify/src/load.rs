@@ -12,8 +12,8 @@
 //!
 //! B and L are the inertias of rotor and link, K and D stiffness and damping of the gear.
 
+use crate::amplitude_level::AmplitudeLevel;
 use crate::confidence::Interval95;
-use crate::gains::AmplitudeLevel;
 use crate::interval::{Drive, Interval, Rates};
 use crate::least_squares::{Minimum, minimise};
 use nalgebra::{Complex, DMatrix, DVector};

@@ -10,7 +10,7 @@ use crate::run::execute::Progress;
 use crate::run::result_files::ResultFolder;
 use opspace_backend::Backend;
 
-/// What is done with all robots, in the order of the experiment, while they are open.
+/// Function of all robots, in the order of the experiment, while they are open.
 type Body<'a, T> = dyn FnMut(&mut [&mut dyn Backend]) -> Result<T, RunError> + 'a;
 
 impl CoupledExperiment {

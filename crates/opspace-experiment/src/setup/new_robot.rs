@@ -53,7 +53,7 @@ pub struct NewFiles {
 }
 
 /// Part of a URDF of which a robot file is made.
-struct Loaded<'a> {
+struct SelectedPart<'a> {
     urdf: &'a Source,
     urdf_name: &'a str,
     used: Option<UsedPart>,
@@ -82,7 +82,7 @@ pub fn new_files(
     }
 }
 
-fn load<'a>(urdf: &'a Source, urdf_name: &'a str, part: Part<'_>) -> Result<Loaded<'a>, FileError> {
+fn load<'a>(urdf: &'a Source, urdf_name: &'a str, part: Part<'_>) -> Result<SelectedPart<'a>, FileError> {
     let joints = urdf_joints(urdf.text()).map_err(|error| urdf_error(urdf, &error))?;
     let used = used_part(urdf, &joints, part)?;
     // A joint whose limits are equal cannot move; a robot of such joints alone has mistakes in its URDF.
@@ -98,18 +98,22 @@ fn load<'a>(urdf: &'a Source, urdf_name: &'a str, part: Part<'_>) -> Result<Load
     if parsed.model.n() == 0 {
         return Err(FileError::of_file(urdf.name(), "the robot has no joints that can move", None));
     }
-    Ok(Loaded { urdf, urdf_name, used, locked_joints: locked, enforce_mimic, parsed })
+    Ok(SelectedPart { urdf, urdf_name, used, locked_joints: locked, enforce_mimic, parsed })
 }
 
 /// Returns a first motion; `torque_limits` (n; Nm, N) are infinite where they are unknown.
-fn motion_of(loaded: &Loaded<'_>, model: &Model, torque_limits: &[f64]) -> Result<FirstMotion, FileError> {
+fn motion_of(
+    loaded: &SelectedPart<'_>,
+    model: &Model,
+    torque_limits: &[f64],
+) -> Result<FirstMotion, FileError> {
     let tip = loaded.used.as_ref().map(|used| used.to.as_str());
     first_motion(model, loaded.urdf, tip, torque_limits)
         .ok_or_else(|| FileError::of_file(loaded.urdf.name(), "no frame of the robot moves", None))
 }
 
 /// Files of a robot whose values are assumed, or missing.
-fn computed(loaded: Loaded<'_>, assume: bool) -> Result<NewFiles, FileError> {
+fn computed(loaded: SelectedPart<'_>, assume: bool) -> Result<NewFiles, FileError> {
     let (model, dynamics) = (&loaded.parsed.model, &loaded.parsed.dynamics);
     let drives = assumed_drives(model, dynamics);
     let limits: Vec<f64> = (model.joints().iter().zip(&drives))
@@ -150,7 +154,7 @@ fn computed(loaded: Loaded<'_>, assume: bool) -> Result<NewFiles, FileError> {
 }
 
 /// Files of a robot with the values of a template. Joints that the template does not have are locked.
-fn like_template(mut loaded: Loaded<'_>, template: &ArmTemplate) -> Result<NewFiles, FileError> {
+fn like_template(mut loaded: SelectedPart<'_>, template: &ArmTemplate) -> Result<NewFiles, FileError> {
     let urdf = loaded.urdf;
     let joints = template.joints_in(urdf, &loaded.parsed.model)?;
     let mut others = Vec::new();

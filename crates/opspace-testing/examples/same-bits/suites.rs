@@ -8,9 +8,10 @@ use serde::de::IgnoredAny;
 use std::path::{Path, PathBuf};
 
 /// Suites by file name in `tasks/suites/`.
-pub const SUITES: [&str; 11] = [
+pub const SUITES: [&str; 12] = [
     "paper",
     "features",
+    "servos-matrix",
     "limits",
     "singularity",
     "force",
@@ -188,8 +189,9 @@ mod tests {
     /// The suites with the most runs are left out.
     #[test]
     fn runs_match_those_of_bench() {
-        for suite in
-            SUITES.into_iter().filter(|suite| !["paper", "transformer", "robustness"].contains(suite))
+        for suite in SUITES
+            .into_iter()
+            .filter(|suite| !["paper", "transformer", "robustness", "servos-matrix"].contains(suite))
         {
             let runs = runs(&checkout(), suite).unwrap();
             let path = checkout().join("tasks/suites").join(suite).with_extension("toml");
