@@ -11,7 +11,11 @@ pub fn check_error(error: &FileError, files: &[&str]) {
     let text = error.to_string();
     assert!(!error.message().trim().is_empty(), "an empty message: {error:?}");
     assert!(files.contains(&error.path()), "names none of {files:?}: {error:?}");
-    assert!(text.starts_with(error.path()) && text.ends_with(error.message()), "{text}");
+    let code = error.code().map_or(String::new(), |code| format!(" [{code}]"));
+    assert!(
+        text.starts_with(error.path()) && text.ends_with(&format!("{}{code}", error.message())),
+        "{text}"
+    );
     assert!(!error.help().is_some_and(|help| help.trim().is_empty()), "an empty help: {error:?}");
     if let Some((shown, range)) = error.excerpt() {
         assert!(shown.get(range.clone()).is_some(), "{range:?} is no part of the text: {error:?}");
