@@ -548,6 +548,11 @@ impl ActiveSet {
         Ok(())
     }
 
+    /// Lets the next solution start with the rows that another solver remembers.
+    pub(crate) fn start_from(&mut self, other: &Self) {
+        self.last.clone_from(&other.last);
+    }
+
     /// Stores the active rows as those that the next solution starts with.
     fn remember(&mut self) {
         self.last.clear();

@@ -170,6 +170,16 @@ enum Problem {
     Scaled,
 }
 
+impl Problem {
+    fn of(residual: &Residual<'_>) -> Self {
+        match residual {
+            Residual::ScaledRows { .. } | Residual::WeightedJoints { reducible: Some(_), .. } => Self::Scaled,
+            Residual::Rows { .. } => Self::Rows,
+            Residual::Joints | Residual::WeightedJoints { .. } => Self::Joints,
+        }
+    }
+}
+
 /// Residual that a level minimises.
 pub(crate) enum Residual<'a> {
     /// |W J_p δ|²_Λ; `heading` is the predicted velocity of the task. Unused rows of J_p and Λ are zero.
@@ -323,6 +333,7 @@ impl HierarchicalQp {
             self.span(data, above);
             match self.solve_within(residual, limits) {
                 Err(QpError::Infeasible { .. }) => {
+                    self.start_from_contradiction(residual);
                     self.relax(data, limits)?;
                     self.solve_within(residual, limits)?;
                 }
@@ -360,16 +371,22 @@ impl HierarchicalQp {
 
     /// Minimises a residual within the limits, and writes δ into `delta`.
     fn solve_within(&mut self, residual: &Residual<'_>, limits: &Limits<'_>) -> Result<(), QpError> {
-        let problem = match residual {
-            Residual::ScaledRows { .. } | Residual::WeightedJoints { reducible: Some(_), .. } => {
-                Problem::Scaled
-            }
-            Residual::Rows { .. } => Problem::Rows,
-            Residual::Joints | Residual::WeightedJoints { .. } => Problem::Joints,
-        };
         let proximal = self.pose(residual);
         self.constrain(limits, false);
-        self.iterate_proximal(problem, proximal)
+        self.iterate_proximal(Problem::of(residual), proximal)
+    }
+
+    /// Lets the widening of bounds start with the rows that contradicted each other in the program of a residual: these
+    /// are the ones that it widens, and their constraints have the same numbers there.
+    fn start_from_contradiction(&mut self, residual: &Residual<'_>) {
+        let [rows, joints, bounds, scaled] = &mut self.active_sets;
+        let contradicted = match Problem::of(residual) {
+            Problem::Rows => rows,
+            Problem::Joints => joints,
+            // The constraint of its reduction comes after all that the bounds have.
+            Problem::Scaled | Problem::Bounds => scaled,
+        };
+        bounds.start_from(contradicted);
     }
 
     /// Widens the bounds to include the current α and M α, with a margin for rounding.
