@@ -48,7 +48,7 @@
 //! ```
 //!
 //! follows the motor above the bandwidth of δ. Where positions are those of the motor, ε is the effect of all else that the law
-//! does not know, as a setpoint filter that is not declared.
+//! does not know, as a setpoint filter that is not declared. Gears that are declared rigid have no twist, and ε is left out.
 
 use crate::active_setpoints::ActiveSetpoints;
 use crate::drive_timing::DriveTiming;
@@ -59,7 +59,7 @@ use crate::servo::{ServoGains, ServoParameters};
 use crate::servo_inversion::{EmulationError, quiet_horizon};
 use crate::servo_law::{MAX_ORDER, ServoLaw, ServoState};
 use crate::setpoint_average::SetpointAverage;
-use crate::transformer::Transformer;
+use crate::transformer::{Gears, Transformer};
 use nalgebra::DVector;
 use opspace_backend::low_pass::{self, LowPass};
 use opspace_backend::{CommandKind, GravityCompensation, Sample};
@@ -118,6 +118,8 @@ pub struct ExtrapolationSetup {
     /// True if brakes hold a velocity robot, with motors off, until its first setpoint acts. Ignored for a position
     /// robot, which its servos hold.
     pub has_brakes: bool,
+    /// Gears between the motors and the links.
+    pub gears: Gears,
     /// Lowest frequency at which a link swings on its gear, Hz, if the stiffness of gears is known: the correction by current
     /// remains below a quarter of it.
     pub antiresonance_hz: Option<f64>,
@@ -361,7 +363,10 @@ impl Correction {
         Self {
             excess: 0.0,
             twist: 0.0,
-            twist_gain: low_pass::gain(period_s / (TWIST_PERIOD_S * TWIST_PERIOD_S), period_s),
+            twist_gain: match setup.gears {
+                Gears::Rigid => 0.0,
+                Gears::Elastic => low_pass::gain(period_s / (TWIST_PERIOD_S * TWIST_PERIOD_S), period_s),
+            },
             asked: [0.0; 2],
             gains: [SETTLED_HZ, UNSETTLED_HZ].map(|hz| low_pass::gain(hz.min(fastest_hz), period_s)),
             estimation,

@@ -200,6 +200,7 @@ impl Experiment {
             estimator: self.profile.estimator.clone(),
             gravity_compensated_by: self.gravity_compensated_by(),
             has_brakes: self.capabilities().has_brakes,
+            gears: self.robot.gears(),
             antiresonance_hz: self.lowest_antiresonance_hz()?,
             setpoint_noise: self.setpoint_noise(),
             current: current.then(|| self.profile.adapt_gains.unwrap_or(GainAdaptationParameters::usual())),

@@ -71,6 +71,7 @@ pub fn random_settings(nominal: &Experiment, random: &mut Random) -> Vec<String>
             "robot.simulated.gear.{joint}={{ stiffness_nm_per_rad = {stiffness:?}, damping_nms_per_rad = {damping:?} }}"
         ));
     }
+    settings.push("robot.interface.gears=elastic".to_owned());
     let softness = random.one_of(&[16.0, 4.0, 1.0, 0.5, 0.25]);
     let kp = random.one_of(&[0.6, 0.9, 1.0, 1.1, 1.4]);
     let delay = random.one_of(&[0.0, 1.0, 2.0]) as u32;
@@ -130,6 +131,7 @@ fn extrapolation_masters_encoders_on_links() {
             )
         };
         let mut settings: Vec<String> = gears.into_iter().map(gear).collect();
+        settings.push("robot.interface.gears=elastic".to_owned());
         settings.push("robot.default_profile=b-soft".to_owned());
         settings.push("robot.simulated.encoder.interface=link".to_owned());
         check(Path::new(&task), &settings, "encoders on links");

@@ -10,8 +10,8 @@ use opspace_transformer::drive_timing::DriveTiming;
 use opspace_transformer::estimator::VelocityEstimator;
 use opspace_transformer::moving_joint::{MovingJoint, SampledDrive};
 use opspace_transformer::{
-    EstimatorParameters, ExtrapolatingTransformer, ExtrapolationSetup, GainAdaptationParameters, ServoLaw,
-    ServoParameters, SetpointNoise, Transformer,
+    EstimatorParameters, ExtrapolatingTransformer, ExtrapolationSetup, GainAdaptationParameters, Gears,
+    ServoLaw, ServoParameters, SetpointNoise, Transformer,
 };
 use std::f64::consts::TAU;
 
@@ -34,6 +34,7 @@ fn setup(case: Case) -> ExtrapolationSetup {
         },
         gravity_compensated_by: GravityCompensation::Controller,
         has_brakes: case.has_brakes,
+        gears: Gears::Elastic,
         antiresonance_hz: None,
         setpoint_noise: Vec::new(),
         current: case.current.then(GainAdaptationParameters::usual),

@@ -12,7 +12,7 @@ use opspace_transformer::impedance::impedance;
 use opspace_transformer::moving_joint::MovingJoint;
 use opspace_transformer::{
     CascadedServo, EstimatorParameters, ExtrapolatingTransformer, ExtrapolationSetup,
-    GainAdaptationParameters, PaperTransformer, ServoLaw, ServoParameters, Transformer,
+    GainAdaptationParameters, Gears, PaperTransformer, ServoLaw, ServoParameters, Transformer,
 };
 use std::f64::consts::TAU;
 
@@ -131,6 +131,7 @@ fn extrapolation_is_passive() {
             estimator: estimator(estimator_hz),
             gravity_compensated_by: GravityCompensation::Controller,
             has_brakes: false,
+            gears: Gears::Elastic,
             antiresonance_hz: None,
             setpoint_noise: Vec::new(),
             current: None,
