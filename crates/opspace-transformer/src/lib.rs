@@ -65,6 +65,7 @@ pub mod setpoint_average;
 pub mod setpoint_governor;
 pub mod setpoint_limits;
 pub mod torque_observer;
+pub mod torque_response;
 pub mod transformer;
 pub mod velocity_transformer;
 

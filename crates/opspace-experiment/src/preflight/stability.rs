@@ -33,8 +33,17 @@
 //!
 //! In both cases the bracket is zero without hold and lag: the servo is then inverted exactly. With them, the first
 //! terms of the bracket in s act as additional damping and inertia, like a servo that lags. At |L| = 1, the phase
-//! margin is 180° + arg L. The emulating transformers are treated like that of the paper, and observers like the filter:
-//! with an exact model an observer allows higher gains, but how exact the model is, is not known here. The coupling of joints, friction and the lag of the motor are not included. Two cases are not
+//! margin is 180° + arg L. The emulating and extrapolating transformers are treated like that of the paper, and observers
+//! like the filter: with an exact model an observer allows higher gains, but how exact the model is, is not known here.
+//!
+//! Drives that filter setpoints or feed their velocity forward are not inverted by (K10). The emulating and extrapolating
+//! transformers invert them; with the mean torques h_k of the intervals after a desired torque of 1, for a joint at rest,
+//!
+//! ```text
+//! L(s) = C(s) Z(T)/s² Σ h_k exp(−s k T)
+//! ```
+//!
+//! The coupling of joints, friction and the lag of the motor are not included. Two cases are not
 //! examined: force feedback, which depends on the stiffness of the environment, and impedances, which depend on the
 //! inertia of the arm along the axis.
 
@@ -43,9 +52,13 @@ use super::diagnostic::{Diagnostic, short};
 use super::phase_margin::{Margin, hold, least_margin, rounded_down};
 use crate::codes::Code;
 use nalgebra::{Complex, Matrix6xX};
-use opspace_backend::{CommandKind, Setpoints};
+use opspace_backend::{CommandKind, Sample, Setpoints};
 use opspace_control::{AXIS_NAMES, AxisMode, JointTask, RowGains, Task, TaskParameters};
-use opspace_transformer::{ProfileParameters, ServoGains, ServoLaw, ServoParameters};
+use opspace_transformer::moving_joint::MovingJoint;
+use opspace_transformer::torque_response::torque_response;
+use opspace_transformer::{
+    Method, ProfileParameters, ServoGains, ServoLaw, ServoParameters, VelocityEstimator,
+};
 use std::f64::consts::TAU;
 
 /// Phase margin below which a loop is reported, degrees: it oscillates, and an error of a few per cent in inertia or
@@ -58,17 +71,47 @@ const GOOD_MARGIN_DEG: f64 = 45.0;
 /// Finds gains that are too high: for each task the worst axis or joint over all task sets.
 pub(crate) fn stiff_gains(case: &PreflightCase<'_>) -> Vec<Diagnostic> {
     let mut found: Vec<Diagnostic> = Vec::new();
+    let responses = responses(case);
     for stack in 0..case.task_sets.len() {
         for name in case.task_sets[stack].priority {
-            let finding = stiff_task(case, stack, name);
+            let finding = stiff_task(case, &responses, stack, name);
             found.extend(finding.filter(|new| !found.iter().any(|old| old.key == new.key)));
         }
     }
     found
 }
 
-fn stiff_task(case: &PreflightCase<'_>, stack: usize, name: &str) -> Option<Diagnostic> {
-    let worst = followers(case, stack, name).into_iter().filter_map(|follower| {
+/// Responses to a desired torque of the joints whose drives only the transformer inverts (n); empty for the others.
+fn responses(case: &PreflightCase<'_>) -> Vec<Vec<f64>> {
+    let experiment = case.experiment;
+    let evaluates_law = experiment.transformer_kind().is_some_and(|kind| {
+        matches!(kind.method, Method::Emulation | Method::Interpolating | Method::Extrapolation)
+    });
+    let (n, timing) = (case.model.n(), experiment.drive_timing());
+    let mut responses = vec![Vec::new(); n];
+    let (Ok(mut transformer), Ok(servos), true) =
+        (experiment.transformer(), experiment.servos(), evaluates_law)
+    else {
+        return responses;
+    };
+    for (joint, (response, servo)) in responses.iter_mut().zip(&servos).enumerate() {
+        let law = ServoLaw::new(servo, timing.servo_period_s);
+        let Some(law) = law.ok().filter(|_| !servo.has_plain_setpoint()) else { continue };
+        let velocity = VelocityEstimator::new(n, &experiment.profile().1.estimator, timing.period_s());
+        let sample = Sample::new(&experiment.capabilities());
+        let mut arm = MovingJoint::new(&mut *transformer, &case.data, joint, velocity, sample);
+        *response = torque_response(&mut arm, law, timing);
+    }
+    responses
+}
+
+fn stiff_task(
+    case: &PreflightCase<'_>,
+    responses: &[Vec<f64>],
+    stack: usize,
+    name: &str,
+) -> Option<Diagnostic> {
+    let worst = followers(case, responses, stack, name).into_iter().filter_map(|follower| {
         let margin = follower.plant.margin(&follower.law)?;
         // If less than half of the margin of the ideal loop remains, the cause is delay and not low damping.
         let ideal = Plant::ideal().margin(&follower.law).map_or(90.0, |ideal| ideal.degrees);
@@ -100,7 +143,7 @@ fn stiff_task(case: &PreflightCase<'_>, stack: usize, name: &str) -> Option<Diag
 /// Control loop of an axis or a joint.
 struct AxisLoop<'a> {
     law: AxisFeedback,
-    plant: Plant,
+    plant: Plant<'a>,
     /// Description of the gains: quantity, value and axis.
     of: String,
     joint: &'a str,
@@ -140,19 +183,29 @@ pub(crate) fn not_checked(case: &PreflightCase<'_>) -> Vec<Diagnostic> {
 }
 
 /// Control loops of all rows or joints of a task.
-fn followers<'a>(case: &'a PreflightCase<'_>, stack: usize, name: &'a str) -> Vec<AxisLoop<'a>> {
+fn followers<'a>(
+    case: &'a PreflightCase<'_>,
+    responses: &'a [Vec<f64>],
+    stack: usize,
+    name: &'a str,
+) -> Vec<AxisLoop<'a>> {
     let in_force = &case.task_sets[stack];
     if let Some(task) = in_force.tasks.tasks().find(|task| task.name() == name) {
-        return row_followers(case, stack, task);
+        return row_followers(case, responses, stack, task);
     }
     match in_force.tasks.joint_task().filter(|task| task.name() == name) {
-        Some(task) => joint_followers(case, stack, task),
+        Some(task) => joint_followers(case, responses, stack, task),
         None => Vec::new(),
     }
 }
 
 /// Control loops of each row of a task with each joint that moves it.
-fn row_followers<'a>(case: &'a PreflightCase<'_>, stack: usize, task: &dyn Task) -> Vec<AxisLoop<'a>> {
+fn row_followers<'a>(
+    case: &'a PreflightCase<'_>,
+    responses: &'a [Vec<f64>],
+    stack: usize,
+    task: &dyn Task,
+) -> Vec<AxisLoop<'a>> {
     let Some(parameters) = case.task_sets[stack].task.get(task.name()) else { return Vec::new() };
     let (kind, names) = (parameters.kind(), task.row_names());
     let mut jacobian = Matrix6xX::zeros(case.model.n());
@@ -193,7 +246,7 @@ fn row_followers<'a>(case: &'a PreflightCase<'_>, stack: usize, task: &dyn Task)
         let joints = (0..case.model.n()).filter(|&joint| jacobian[(row, joint)].abs() > 1e-6 * largest);
         followers.extend(joints.map(|joint| AxisLoop {
             law,
-            plant: Plant::new(case, joint),
+            plant: Plant::new(case, responses, joint),
             of: format!("{quantity} = {}{along}", short(value)),
             joint: case.joint(joint),
             key: key.clone(),
@@ -205,12 +258,17 @@ fn row_followers<'a>(case: &'a PreflightCase<'_>, stack: usize, task: &dyn Task)
 }
 
 /// Control loops of the joints of a joint task.
-fn joint_followers<'a>(case: &'a PreflightCase<'_>, stack: usize, task: &dyn JointTask) -> Vec<AxisLoop<'a>> {
+fn joint_followers<'a>(
+    case: &'a PreflightCase<'_>,
+    responses: &'a [Vec<f64>],
+    stack: usize,
+    task: &dyn JointTask,
+) -> Vec<AxisLoop<'a>> {
     let Some(parameters) = case.task_sets[stack].task.get(task.name()) else { return Vec::new() };
     let kind = parameters.kind();
     let mut followers = Vec::new();
     for joint in 0..case.model.n() {
-        let plant = Plant::new(case, joint);
+        let plant = Plant::new(case, responses, joint);
         let Some(gains) = task.gains(joint, plant.inertia) else { continue };
         let law = AxisFeedback::of_gains(&gains);
         let (quantity, value, key) = match parameters {
@@ -287,11 +345,13 @@ impl Servo {
 
 /// Plant of the control law: a joint with its drive.
 #[derive(Clone, Copy, Debug)]
-struct Plant {
+struct Plant<'a> {
     /// Inertia, kg m².
     inertia: f64,
-    /// Servo of the drive; `None` for a torque robot.
+    /// Servo of the drive; `None` for a torque robot, and for a drive that only the transformer inverts.
     servo: Option<Servo>,
+    /// Mean torques of the intervals after a desired torque of 1, if only the transformer inverts the drive; otherwise empty.
+    response: &'a [f64],
     /// Interface period T and servo period Ts, s.
     period_s: f64,
     servo_period_s: f64,
@@ -300,8 +360,8 @@ struct Plant {
     filter_hz: f64,
 }
 
-impl Plant {
-    fn new(case: &PreflightCase<'_>, joint: usize) -> Self {
+impl<'a> Plant<'a> {
+    fn new(case: &PreflightCase<'_>, responses: &'a [Vec<f64>], joint: usize) -> Self {
         let profile: &ProfileParameters = case.experiment.profile().1;
         let setpoints = case.experiment.robot().file.interface.setpoints;
         let servos = match case.experiment.command_kind() {
@@ -311,7 +371,8 @@ impl Plant {
         let servo = |servo| Servo::of(servo, profile.servo_period_s(), setpoints);
         Self {
             inertia: case.data.mass_matrix[(joint, joint)],
-            servo: servos.get(joint).and_then(servo),
+            servo: servos.get(joint).filter(|_| responses[joint].is_empty()).and_then(servo),
+            response: &responses[joint],
             period_s: profile.period_s(),
             servo_period_s: profile.servo_period_s(),
             delay_s: f64::from(profile.delay()) * profile.servo_period_s(),
@@ -325,6 +386,7 @@ impl Plant {
         Self {
             inertia: 1.0,
             servo: None,
+            response: &[],
             period_s: tick_s,
             servo_period_s: tick_s,
             delay_s: 0.0,
@@ -336,7 +398,13 @@ impl Plant {
     /// estimate, s.
     fn delay_s(&self) -> f64 {
         let pole = (-TAU * self.filter_hz * self.period_s).exp();
-        self.delay_s + self.period_s + self.period_s * pole / (1.0 - pole)
+        let of_drive_s = if self.response.is_empty() {
+            self.delay_s
+        } else {
+            self.period_s
+                * self.response.iter().zip(0_u32..).map(|(torque, k)| f64::from(k) * torque).sum::<f64>()
+        };
+        of_drive_s + self.period_s + self.period_s * pole / (1.0 - pole)
     }
 
     /// Open-loop transfer function L at an angular frequency, rad/s.
@@ -346,7 +414,10 @@ impl Plant {
         let c = law.damping * velocity + law.stiffness * (1.0 + law.integral / s);
         let late = (-s * self.delay_s).exp();
         let Some(servo) = self.servo else {
-            return c * late * hold(s, self.period_s) / (s * s);
+            let back = (-s * self.period_s).exp();
+            let response = self.response.iter().rev().fold(Complex::ZERO, |sum, torque| sum * back + torque);
+            let of_drive = if self.response.is_empty() { late } else { response };
+            return c * of_drive * hold(s, self.period_s) / (s * s);
         };
         let [of_setpoint, of_position] = servo.law.response((s * self.servo_period_s).exp());
         let own_hold = hold(s, self.servo_period_s);
@@ -416,11 +487,18 @@ mod tests {
 
     const INERTIA: f64 = 0.4;
 
-    fn plant(servo_hz: f64, ratio: u32, delay: u32, filter_hz: f64, servo: Option<ServoParameters>) -> Plant {
+    fn plant(
+        servo_hz: f64,
+        ratio: u32,
+        delay: u32,
+        filter_hz: f64,
+        servo: Option<ServoParameters>,
+    ) -> Plant<'static> {
         let servo = servo.and_then(|servo| Servo::of(&servo, 1.0 / servo_hz, Setpoints::Held));
         Plant {
             inertia: INERTIA,
             servo,
+            response: &[],
             period_s: f64::from(ratio) / servo_hz,
             servo_period_s: 1.0 / servo_hz,
             delay_s: f64::from(delay) / servo_hz,
@@ -453,7 +531,7 @@ mod tests {
 
     /// Fraction of the initial error that remains after `duration_s` in a simulation of the sampled loop, cycle by
     /// cycle, with the robots' estimator, transformer and servo, and an exactly integrated mass.
-    fn simulated(plant: &Plant, law: &AxisFeedback, duration_s: f64) -> f64 {
+    fn simulated(plant: &Plant<'_>, law: &AxisFeedback, duration_s: f64) -> f64 {
         let ratio = (plant.period_s / plant.servo_period_s).round() as usize;
         let delay = (plant.delay_s / plant.servo_period_s).round() as usize;
         let ts = plant.servo_period_s;
@@ -502,7 +580,7 @@ mod tests {
         largest / 1e-3
     }
 
-    fn grid() -> Vec<(Plant, AxisFeedback)> {
+    fn grid() -> Vec<(Plant<'static>, AxisFeedback)> {
         let mut grid = Vec::new();
         for (servo_hz, ratio, delay, filter_hz) in [
             (5000.0, 5, 0, 150.0),

@@ -10,6 +10,7 @@ use opspace_experiment::{ControllerKind, Diagnostic, Experiment, Files, RunOptio
 use opspace_log::Recording;
 use opspace_loop::RunOutcome;
 use opspace_model::{Data, frame_placement, kinematics};
+use opspace_transformer::TransformerKind;
 use std::fs;
 use std::path::{Path, PathBuf};
 use tempfile::TempDir;
@@ -280,6 +281,54 @@ fn tracking(experiment: &Experiment) -> f64 {
     }
     let recording = Recording::from_bytes(&finished.sink.into_inner()).unwrap();
     metrics(experiment, &recording).pose.position_rms_m.unwrap()
+}
+
+/// Compared: diagnostics and simulated runs, of drives that filter setpoints or feed their velocity forward. The
+/// extrapolation inverts them. Equation (K10) does not, and feed-forward makes it unstable at any frequency.
+#[test]
+fn drives_that_only_a_transformer_inverts_have_its_margin() {
+    let filter = "setpoint_filter = { first-order = { cutoff_hz = 20.0 } }";
+    let fed_forward = "velocity_feed_forward = 1.0";
+    for (addition, interpolated, unstable) in [(filter, "held", 600.0), (fed_forward, "interpolated", 700.0)]
+    {
+        let servos =
+            [("shoulder_pitch", 94.6), ("shoulder_roll", 89.9), ("shoulder_yaw", 30.4), ("elbow", 30.3)];
+        let mut settings = servos
+            .map(|(joint, kv)| {
+                format!(
+                    "robot.profile.a-med.servo.{joint}={{ cascaded = {{ kp_per_s = 50.265, kv_nms_per_rad = {kv:?}, \
+                     velocity_filter_hz = 600.0, {addition} }} }}"
+                )
+            })
+            .to_vec();
+        settings.push(format!("robot.interface.setpoints={interpolated}"));
+        let settings: Vec<&str> = settings.iter().map(String::as_str).collect();
+        let with = |transformer: &str, frequency: f64| {
+            let options = RunOptions {
+                backend: CommandKind::Position,
+                transformer: TransformerKind::named(transformer),
+                duration_s: Some(1.2),
+                ..RunOptions::default()
+            };
+            let frequency = format!("rad_per_s = {frequency:?}");
+            experiment(HAND, &[("rad_per_s = 14.0", &frequency)], options, &settings)
+        };
+        assert_eq!(diagnostics(&with("extrapolation", 14.0)), [], "{addition}");
+        let of_paper = diagnostics(&with("paper", 14.0));
+        let unstable_with_paper = of_paper.iter().any(|found| found.message.contains("would be unstable"));
+        assert_eq!(unstable_with_paper, addition == fed_forward, "{addition}: {of_paper:#?}");
+        let stiff = with("extrapolation", unstable);
+        let found = diagnostics(&stiff);
+        assert_eq!(found.len(), 1, "{addition}: {found:#?}");
+        let proposed = found[0].help.split(' ').nth(2).unwrap().parse::<f64>().unwrap();
+        let soft = with("extrapolation", proposed);
+        assert_eq!(diagnostics(&soft), [], "{addition}");
+        let [shakes, follows] = [&stiff, &soft].map(tracking);
+        assert!(
+            shakes > 2e-3 && follows < 1e-3,
+            "{addition}: {shakes} m at {unstable}, {follows} m at {proposed}"
+        );
+    }
 }
 
 /// Compared: diagnostics and simulated runs, on each kind of robot and at 1 kHz and 200 Hz. With gains that are
