@@ -783,6 +783,24 @@ fn check_recognises_file_kinds() {
     opspace(empty.path(), &["check", "."]).exits(2).says(&["robot.toml: there is no such file"]);
 }
 
+/// `--set` changes the task and the robot that are checked, as it does for a run. A file without problems says so.
+#[test]
+fn check_takes_settings() {
+    let check = |file: &str, setting: &str| opspace(Path::new(ROOT), &["check", file, "--set", setting]);
+    let task = "tasks/compliant-x.toml";
+    let good = check(task, "task.hand.cartesian.gains.frequency_rad_per_s=10").exits(0);
+    assert!(good.stdout.contains("\n  no problems found\n"), "{}", good.stdout);
+    let stiff = check(task, "task.hand.cartesian.gains.frequency_rad_per_s=2000").exits(0);
+    stiff.says(&["would be unstable", "--set task.hand.cartesian.gains.frequency_rad_per_s=2000"]);
+    let weak = "robot.joint.shoulder_pitch.torque_limit_nm=0.5";
+    check(task, weak).exits(0).says(&["--set robot.joint.shoulder_pitch.torque_limit_nm=0.5"]);
+    let experiment = "experiments/teleop-free.toml";
+    check(experiment, "duration_s=-1.0").exits(2).says(&["duration_s"]);
+    for file in [ROOT_ROBOT, "tasks/suites/paper.toml", "robots/asimo-arm/asimo-arm.urdf"] {
+        check(file, "seed=1").exits(2).says(&["has no values for --set"]);
+    }
+}
+
 #[test]
 fn file_of_wrong_kind_is_refused() {
     let folder = scratch();

@@ -520,6 +520,10 @@ pub struct CheckArgs {
     #[arg(required = true)]
     pub files: Vec<PathBuf>,
 
+    /// Override a value of task and experiment files, or, with the prefix `robot.`, of the robot file. Can be repeated.
+    #[arg(long, value_name = "KEY=VALUE")]
+    pub set: Vec<String>,
+
     #[command(flatten)]
     pub allow: AllowArgs,
 
@@ -589,7 +593,7 @@ pub struct ModelArgs {
     pub capsules: bool,
 
     /// Joint positions, rad or m, of the posture for which frames, Jacobian, weight and effective masses are printed: all in the
-    /// order of the table, or by name (`elbow=1.2`) [default: the start of first-task.toml beside robot.toml, or the middle of
+    /// order of the table, or by name (`elbow=1.2,wrist=0.5`) [default: the start of first-task.toml beside robot.toml, or the middle of
     /// each range].
     #[arg(long, value_name = "VALUES", value_delimiter = ',', allow_hyphen_values = true, conflicts_with_all = ["samples", "capsules"])]
     pub q: Vec<String>,

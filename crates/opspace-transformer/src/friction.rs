@@ -58,7 +58,7 @@ pub struct FrictionParameters {
 #[serde(deny_unknown_fields)]
 pub struct FrictionCompensationParameters {
     /// Fraction of the modelled friction that is compensated. Compensation above the true friction makes the joint move
-    /// by itself; 0.65 is safe for true friction down to two thirds of the model.
+    /// by itself; 0.65 if absent, which is safe for true friction down to two thirds of the model.
     #[serde(default = "default_gain")]
     pub gain: NonNegative,
     /// Quantity that the compensation of Coulomb friction follows; `reference` if absent.

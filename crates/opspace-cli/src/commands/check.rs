@@ -33,7 +33,7 @@ pub fn check(args: &CheckArgs, extensions: &Extensions, console: Console) -> Out
     let mut exit = Exit::Done;
     let (mut text, mut files) = (String::new(), Vec::new());
     for path in &args.files {
-        let checked = check_one(path, &args.allow.allow, extensions, console);
+        let checked = check_one(path, &args.set, &args.allow.allow, extensions, console);
         files.push(as_json(path, &checked));
         match checked {
             Ok(checked) => {
@@ -47,6 +47,9 @@ pub fn check(args: &CheckArgs, extensions: &Extensions, console: Console) -> Out
                 checked.singular.iter().for_each(|singular| text += &format!("  {singular}\n"));
                 checked.distances.iter().for_each(|distances| text += &pairs_text(distances));
                 checked.allowed.iter().for_each(|refusal| text += &format!("  allowed: {refusal}\n"));
+                if checked.is_task && checked.found.is_empty() {
+                    text += "  no problems found\n";
+                }
                 checked.found.iter().for_each(|found| note(console, found));
                 checked
                     .skipped
@@ -64,6 +67,8 @@ pub fn check(args: &CheckArgs, extensions: &Extensions, console: Console) -> Out
 struct Checked {
     /// Kind of the file.
     what: String,
+    /// True for a task file, whose problems are predicted.
+    is_task: bool,
     /// Values of a robot that its file does not state, and those that are assumed.
     values: String,
     /// Gain margin of a task whose torques pass through a transformer.
@@ -91,6 +96,7 @@ impl Checked {
     fn clean(what: String) -> Self {
         Self {
             what,
+            is_task: false,
             values: String::new(),
             margin: None,
             gears: Vec::new(),
@@ -127,12 +133,14 @@ fn find<'a>(
 ) -> Vec<Found> {
     let (mut looked_at, mut found) = (HashSet::new(), Vec::<Found>::new());
     for experiment in experiments {
-        // All options except the seed and the transformer, which do not affect any diagnostic.
+        // All options except the seed, which does not affect any diagnostic.
         let RunOptions { backend, controller, duration_s, .. } = experiment.options();
+        let transformer = experiment.transformer_kind().map(|kind| kind.name());
         let sources = [&experiment.task().source, &experiment.robot().source].map(|s| s.text().to_owned());
         let profile = experiment.profile().0.to_owned();
         let names = [experiment.task().source.name().to_owned(), experiment.robot().source.name().to_owned()];
-        if !looked_at.insert((names, sources, *backend, *controller, profile, duration_s.map(f64::to_bits))) {
+        let options = (*backend, *controller, transformer, duration_s.map(f64::to_bits));
+        if !looked_at.insert((names, sources, profile, options)) {
             continue;
         }
         for finding in diagnostics(experiment) {
@@ -184,11 +192,25 @@ fn warn(console: Console, urdf: &str, warnings: &[UrdfWarning], model: &Model) {
 
 fn check_one(
     path: &Path,
+    settings: &[String],
     allow: &[Code],
     extensions: &Extensions,
     console: Console,
 ) -> Result<Checked, FileError> {
+    let no_settings = || match settings {
+        [] => Ok(()),
+        _ => {
+            let help = "check the tasks of a suite or of a robot one by one".to_owned();
+            let name = path.display().to_string();
+            Err(FileError::of_file(
+                &name,
+                "has no values for --set, which is for task and experiment files",
+                Some(help),
+            ))
+        }
+    };
     if path.extension().is_some_and(|e| e == "urdf") {
+        no_settings()?;
         let source = Source::read(path)?;
         let loaded = load_urdf(&source, UrdfOptions::default())?;
         warn(console, source.name(), &loaded.warnings, &loaded.model);
@@ -197,6 +219,7 @@ fn check_one(
     let file = Files::Disk.robot_file(path);
     let source = Source::read(&file)?;
     let robot = || {
+        no_settings()?;
         let robot = RobotDefinition::load(Files::Disk, path, &[])?;
         warn(console, robot.urdf.name(), &robot.warnings, &robot.model);
         for warning in robot.capsule_warnings() {
@@ -208,6 +231,7 @@ fn check_one(
     };
     match Kind::of(source.text()) {
         Some(Kind::Suite) => {
+            no_settings()?;
             let suite = Suite::load_allowing(extensions, Files::Disk, path, allow)?;
             let what = format!("a suite of {} runs", suite.runs());
             let (mut found, skipped) =
@@ -217,7 +241,7 @@ fn check_one(
             Ok(Checked { found, skipped, allowed, ..Checked::clean(what) })
         }
         Some(Kind::Experiment) => {
-            let coupled = CoupledExperiment::load_allowing(extensions, Files::Disk, path, &[], allow)?;
+            let coupled = CoupledExperiment::load_allowing(extensions, Files::Disk, path, settings, allow)?;
             let what = format!("an experiment with {} robots", coupled.members.len());
             let members = || coupled.members.iter().map(|member| &member.experiment);
             let (mut found, skipped) = (find(members(), diagnostics), find(members(), not_checked));
@@ -226,9 +250,9 @@ fn check_one(
             Ok(Checked { found, skipped, allowed, ..Checked::clean(what) })
         }
         Some(Kind::Task) => {
-            let backend = own_backend(path, None, &[], extensions);
+            let backend = own_backend(path, None, settings, extensions);
             let options = RunOptions { backend, allow: allow.to_vec(), ..RunOptions::default() };
-            let experiment = Experiment::load_with(extensions, Files::Disk, path, None, options, &[])?;
+            let experiment = Experiment::load_with(extensions, Files::Disk, path, None, options, settings)?;
             let what = format!("a task for the robot '{}'", experiment.robot().name());
             console.detail(&format!("{}: {}", path.display(), experiment.start_text()?));
             let margin = gain_margin(&experiment);
@@ -245,6 +269,7 @@ fn check_one(
             let thresholds = collision_thresholds(&experiment);
             Ok(Checked {
                 what,
+                is_task: true,
                 values: values_text(experiment.robot()),
                 margin,
                 gears,

@@ -60,7 +60,7 @@ fn create(
         ));
     }
     if robot.exists() {
-        let text = format!("{}: already exists; choose another folder", robot.display());
+        let text = format!("{}: already exists; choose another folder, or remove this one", robot.display());
         return Err(Failure::Other(text, Exit::Bad));
     }
     fs::create_dir_all(dir).map_err(|e| Failure::io("cannot be created", dir, &e))?;

@@ -141,8 +141,10 @@ fn type_help(found: &DeValue<'_>, expected: &str, path: &[String]) -> Option<Str
             let (number, unit) = leading_number(text)?;
             Some(if unit.is_empty() {
                 format!("write the number without quotes: `{key} = {number}`")
-            } else {
+            } else if key.ends_with(&format!("_{}", unit.to_lowercase().replace('/', "_per_"))) {
                 format!("the unit is part of the key's name: write only the number, `{key} = {number}`")
+            } else {
+                "write only the number, in the unit at the end of the key's name".to_owned()
             })
         }
         (DeValue::Integer(_), "a number") => {
@@ -167,7 +169,9 @@ pub(crate) fn syntax_words(raw: &str, text: &str, span: &Range<usize>) -> (Strin
             _ if at.is_empty() => ("a value is missing after `=`".to_owned(), None),
             Some((number, _)) => (
                 format!("`{at}` is not a TOML value"),
-                Some(format!("the unit is part of the key's name: write only the number, `{number}`")),
+                Some(format!(
+                    "the unit is part of the key's name: write only the number in that unit, as in `{number}`"
+                )),
             ),
             None => (format!("`{at}` is not a TOML value"), Some(format!("text needs quotes: {at:?}"))),
         };

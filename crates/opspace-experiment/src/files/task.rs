@@ -53,7 +53,7 @@ pub struct TaskFile {
     /// Enforcement of the robot's limits.
     #[serde(default)]
     pub limits: LimitParameters,
-    /// Compensation of friction.
+    /// Compensation of friction; with its default values if absent.
     #[serde(default)]
     pub friction_compensation: FrictionCompensationParameters,
     /// Start positions of the joints by joint name, rad (m); 0 for omitted joints. A simulated robot starts there at

@@ -76,19 +76,21 @@ impl GearMargin {
             return None;
         }
         let message = format!("with transformer '{}' the arm on elastic gears {self}", transformer.name());
-        let steady = Method::Extrapolation;
-        let instead = match (transformer.method == steady, experiment.measures_current()) {
-            (false, true) => "use 'extrapolation+current', ",
-            (false, false) => "use 'paper' or 'extrapolation', ",
-            (true, _) => "",
+        let instead = match (transformer.method, experiment.measures_current()) {
+            (Method::Extrapolation, _) => "",
+            (_, true) => "use 'extrapolation+current', ",
+            (Method::Paper, false) => "use 'extrapolation', ",
+            (_, false) => "use 'paper' or 'extrapolation', ",
         };
         let help = match self.scale {
             GearScale::AntiresonanceHz => format!(
-                "{instead}declare `joint.NAME.gear_stiffness_nm_per_rad` if the stiffness is known, or `gears = \
-                 \"rigid\"` in [interface] if the gears are rigid"
+                "{instead}lower the gains of the tasks, declare `joint.NAME.gear_stiffness_nm_per_rad` if the stiffness \
+                 is known, or `gears = \"rigid\"` in [interface] if the gears are rigid"
             ),
             GearScale::DeclaredStiffness => {
-                format!("{instead}lower the gains of the drives, or correct `gear_stiffness_nm_per_rad`")
+                format!(
+                    "{instead}lower the gains of the tasks or the drives, or correct `gear_stiffness_nm_per_rad`"
+                )
             }
         };
         let profile = experiment.profile().0;

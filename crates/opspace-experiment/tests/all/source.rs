@@ -203,6 +203,11 @@ fn type_error_names_expected_and_found() {
     );
     assert_eq!(underlined(&unit), "\"400 N/m\"");
     check_error(
+        &error("400.0", "\"4 N/cm\""),
+        "tasks/x.toml:7: expected a number, got the text \"4 N/cm\"",
+        "write only the number, in the unit at the end of the key's name",
+    );
+    check_error(
         &error("400.0", "\"4e2\""),
         "tasks/x.toml:7: expected a number, got the text \"4e2\"",
         "write the number without quotes: `stiffness_n_per_m = 4e2`",
@@ -281,7 +286,7 @@ fn invalid_toml_is_refused_at_its_line() {
     check_error(
         &error("400.0", "400 N/m"),
         "tasks/x.toml:7: `400 N/m` is not a TOML value",
-        "the unit is part of the key's name: write only the number, `400`",
+        "the unit is part of the key's name: write only the number in that unit, as in `400`",
     );
     check_error(
         &error("\"hand\"", "hand"),
