@@ -52,7 +52,8 @@ pub struct ReceivedState {
     newest: Option<Packet>,
     /// Time at which the newest packet arrived, on the receiver's clock, s.
     arrived_s: f64,
-    first: u64,
+    /// Smallest and largest sequence number of the packets that arrived.
+    arrived: Option<[u64; 2]>,
     accepted: u64,
     refused: u64,
 }
@@ -61,7 +62,7 @@ impl ReceivedState {
     /// Returns the state before the first packet. A packet that arrived more than `age_at_most_s` (s) ago is stale.
     #[must_use]
     pub fn new(age_at_most_s: f64) -> Self {
-        Self { age_at_most_s, newest: None, arrived_s: 0.0, first: 0, accepted: 0, refused: 0 }
+        Self { age_at_most_s, newest: None, arrived_s: 0.0, arrived: None, accepted: 0, refused: 0 }
     }
 
     /// Forgets all packets.
@@ -76,13 +77,22 @@ impl ReceivedState {
             self.refused += 1;
             return false;
         }
-        if self.newest.is_none() {
-            self.first = packet.sequence;
-        }
+        self.note(packet.sequence);
         self.newest = Some(*packet);
         self.arrived_s = now_s;
         self.accepted += 1;
         true
+    }
+
+    /// Notes a packet that arrived without a value that the coupling needs: it counts as [missing](Self::missing).
+    pub fn lose(&mut self, sequence: u64) {
+        self.refused += 1;
+        self.note(sequence);
+    }
+
+    fn note(&mut self, sequence: u64) {
+        let [first, last] = self.arrived.unwrap_or([sequence; 2]);
+        self.arrived = Some([first.min(sequence), last.max(sequence)]);
     }
 
     /// Newest packet, however old; `None` before the first one.
@@ -115,15 +125,17 @@ impl ReceivedState {
         self.accepted
     }
 
-    /// Number of packets that arrived and were not accepted: late ones, copies, and ones with numbers that are not finite.
+    /// Number of packets that arrived and were not accepted: late ones, copies, and ones with numbers that are not finite or
+    /// absent.
     #[must_use]
     pub fn refused(&self) -> u64 {
         self.refused
     }
 
-    /// Sequence numbers between the first and the newest packet that were not accepted: packets lost or late.
+    /// Sequence numbers between the first and the last packet that were not accepted: packets lost, late, or without a value
+    /// that the coupling needs.
     #[must_use]
     pub fn missing(&self) -> u64 {
-        self.newest().map_or(0, |newest| newest.sequence - self.first + 1 - self.accepted)
+        self.arrived.map_or(0, |[first, last]| last - first + 1 - self.accepted)
     }
 }

@@ -86,6 +86,20 @@ enum CouplingLaw {
     Carry(Box<Carry>),
 }
 
+/// Vectors beyond position, velocity and force that a law needs of each packet.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Further {
+    None,
+    Wave,
+    Path,
+}
+
+/// Packet without a value that the law needs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Incomplete {
+    sequence: u64,
+}
+
 /// A frame, or some joints, coupled with a task of another robot: see [`CoupledParameters`].
 #[derive(Clone, Debug)]
 pub struct CoupledTask {
@@ -208,6 +222,15 @@ impl CoupledTask {
         }
     }
 
+    /// Further vectors that the law needs of each packet.
+    fn further(&self) -> Further {
+        match &self.law {
+            Some(CouplingLaw::Teleoperation(law)) if law.uses_waves() => Further::Wave,
+            Some(CouplingLaw::Carry(_)) => Further::Path,
+            _ => Further::None,
+        }
+    }
+
     fn count(&self) -> usize {
         self.row_names.len()
     }
@@ -217,9 +240,12 @@ impl CoupledTask {
         self.state = self.rows.update(&input.control);
         self.sequence += 1;
         self.clock_s = input.control.clock_s;
-        let further = self.kind_of_law().map_or(0, |kind| kind.further().len());
-        if let Some(packet) = packet(input.target.values, self.count(), further) {
-            let _ = self.partner.accept(&packet, self.clock_s);
+        match packet(input.target.values, self.count(), self.further()) {
+            None => {}
+            Some(Ok(packet)) => {
+                let _ = self.partner.accept(&packet, self.clock_s);
+            }
+            Some(Err(Incomplete { sequence })) => self.partner.lose(sequence),
         }
     }
 
@@ -229,10 +255,27 @@ impl CoupledTask {
     }
 }
 
-/// Reads the packet of `rows` rows with `further` vectors from the values of the task's inputs; `None` before the first one.
-fn packet(values: &[f64], rows: usize, further: usize) -> Option<Packet> {
+/// Reads the packet of `rows` rows from the values of the task's inputs, with the further vectors that the law needs.
+/// `Err` if it lacks a value that the law needs, `None` before the first packet.
+fn packet(values: &[f64], rows: usize, further: Further) -> Option<Result<Packet, Incomplete>> {
     let (&[sequence, sent_s, echo_s, closed, limited, energy_in_j], _) = values.split_first_chunk()?;
-    if ![sequence, sent_s, closed, energy_in_j].iter().all(|value| value.is_finite()) {
+    if !sequence.is_finite() {
+        return None;
+    }
+    let sequence = sequence as u64;
+    let numbers = [sent_s, echo_s, closed, limited, energy_in_j];
+    Some(complete(values, rows, further, sequence, numbers).ok_or(Incomplete { sequence }))
+}
+
+/// Returns the packet with these numbers, and its vectors from `values`; `None` if it lacks a value that the law needs.
+fn complete(
+    values: &[f64],
+    rows: usize,
+    further: Further,
+    sequence: u64,
+    [sent_s, echo_s, closed, limited, energy_in_j]: [f64; 5],
+) -> Option<Packet> {
+    if ![sent_s, closed, energy_in_j].iter().all(|value| value.is_finite()) {
         return None;
     }
     let vector = |number: usize| {
@@ -243,7 +286,7 @@ fn packet(values: &[f64], rows: usize, further: usize) -> Option<Packet> {
             .then(|| Vector6::from_fn(|i, _| values.get(i).copied().unwrap_or(0.0)))
     };
     Some(Packet {
-        sequence: sequence as u64,
+        sequence,
         sent_s,
         echo_s,
         closed: closed == 1.0,
@@ -252,8 +295,12 @@ fn packet(values: &[f64], rows: usize, further: usize) -> Option<Packet> {
         position: vector(0)?,
         velocity: vector(1)?,
         force: vector(2)?,
-        wave: if further == 1 { vector(3)? } else { Vector6::zeros() },
-        reference: if further == 3 { [vector(3)?, vector(4)?, vector(5)?] } else { [Vector6::zeros(); 3] },
+        wave: if further == Further::Wave { vector(3)? } else { Vector6::zeros() },
+        reference: if further == Further::Path {
+            [vector(3)?, vector(4)?, vector(5)?]
+        } else {
+            [Vector6::zeros(); 3]
+        },
     })
 }
 
@@ -454,5 +501,32 @@ impl Task for CoupledTask {
             let sensed = &self.state.sensed.as_slice()[..self.count()];
             out.signal((&self.name, SENSED_FORCE), &self.force_units, &self.row_names, sensed);
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Values of the inputs of a packet of two rows, with a wave.
+    fn values(sequence: f64, wave: [f64; 2]) -> Vec<f64> {
+        let scalars = [sequence, 0.1, f64::NAN, 1.0, 0.0, 0.5];
+        let vectors = [[0.01, 0.02], [0.1, 0.2], [1.0, 2.0], wave];
+        scalars.into_iter().chain(vectors.concat()).collect()
+    }
+
+    /// Compared: what is read of a packet without a wave by laws with and without waves, and the packets that count as lost.
+    #[test]
+    fn wave_is_needed_by_wave_variables_only() {
+        let without = values(7.0, [f64::NAN; 2]);
+        let read = packet(&without, 2, Further::None);
+        let Some(Ok(read)) = read else { panic!("{read:?}") };
+        assert_eq!((read.sequence, read.wave), (7, Vector6::zeros()));
+        assert_eq!(read.position, Vector6::new(0.01, 0.02, 0.0, 0.0, 0.0, 0.0));
+        assert_eq!(packet(&without, 2, Further::Wave), Some(Err(Incomplete { sequence: 7 })));
+        let complete = packet(&values(8.0, [3.0, 4.0]), 2, Further::Wave);
+        let Some(Ok(complete)) = complete else { panic!("{complete:?}") };
+        assert_eq!(complete.wave, Vector6::new(3.0, 4.0, 0.0, 0.0, 0.0, 0.0));
+        assert_eq!(packet(&values(f64::NAN, [f64::NAN; 2]), 2, Further::None), None);
     }
 }

@@ -155,6 +155,11 @@ impl Teleoperation {
         self.side
     }
 
+    /// True if the coupling needs the wave of each packet.
+    pub(crate) fn uses_waves(&self) -> bool {
+        self.wave.is_some()
+    }
+
     pub(crate) fn passivity(&self) -> &PortPassivity {
         &self.passivity
     }
