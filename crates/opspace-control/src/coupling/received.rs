@@ -124,10 +124,10 @@ impl ReceivedState {
         true
     }
 
-    /// True if a packet is of another session than the packets before.
+    /// True if a session is another one than that of the packets before.
     #[must_use]
-    pub fn is_of_other_session(&self, packet: &Packet) -> bool {
-        self.session.is_some_and(|session| session != packet.session)
+    pub fn is_of_other_session(&self, session: f64) -> bool {
+        self.session.is_some_and(|known| known != session)
     }
 
     /// Notes a packet that arrived without a value that the coupling needs: it counts as [missing](Self::missing).

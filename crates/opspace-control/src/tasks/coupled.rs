@@ -265,7 +265,9 @@ impl CoupledTask {
         match packet(input.target.values, self.count(), self.further()) {
             None => {}
             // The positions of both hands belong together, so that one can't begin anew alone.
-            Some(Ok(packet)) if self.is_carry() && self.partner.is_of_other_session(&packet) => {}
+            Some(Ok(packet)) if self.is_carry() && self.partner.is_of_other_session(packet.session) => {}
+            Some(Err(incomplete))
+                if self.is_carry() && self.partner.is_of_other_session(incomplete.session) => {}
             Some(Ok(packet)) => {
                 let _ = self.partner.accept(&packet, self.clock_s);
             }
