@@ -20,7 +20,7 @@ use opspace::sim::SimulatedArm;
 use std::ops::Range;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::thread;
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 /// Coupled task of the robot.
 const TASK: &str = "hand";
@@ -37,6 +37,7 @@ const CONTACT_N: f64 = 2.0;
 #[derive(Clone, Copy, Default)]
 struct FromRobot {
     time_s: f64,
+    session: f64,
     is_closed: bool,
     energy_in_j: f64,
     /// Force of the robot's sensor, N, along x, y and z.
@@ -44,19 +45,22 @@ struct FromRobot {
 }
 
 /// Columns of [`FromRobot`] in a row of the robot.
-struct Columns([Range<usize>; 4]);
+struct Columns([Range<usize>; 5]);
 
 impl Columns {
     fn new(row: &Layout) -> Option<Self> {
-        use signal_names::{PORT_CLOSED, PORT_ENERGY_IN, PORT_FORCE, PORT_TIME};
+        use signal_names::{PORT_CLOSED, PORT_ENERGY_IN, PORT_FORCE, PORT_SESSION, PORT_TIME};
         let column = |quantity| row.columns(&signal_names::of(TASK, quantity));
-        Some(Self([column(PORT_TIME)?, column(PORT_CLOSED)?, column(PORT_ENERGY_IN)?, column(PORT_FORCE)?]))
+        let quantities = [PORT_TIME, PORT_SESSION, PORT_CLOSED, PORT_ENERGY_IN, PORT_FORCE];
+        let [time, session, closed, energy, force] = quantities.map(column);
+        Some(Self([time?, session?, closed?, energy?, force?]))
     }
 
     fn read(&self, row: &[f64]) -> FromRobot {
-        let [time, closed, energy, force] = self.0.clone().map(|range| &row[range]);
+        let [time, session, closed, energy, force] = self.0.clone().map(|range| &row[range]);
         FromRobot {
             time_s: time[0],
+            session: session[0],
             is_closed: closed[0] == 1.0,
             energy_in_j: energy[0],
             force: [force[0], force[1], force[2]],
@@ -99,9 +103,13 @@ fn lead(mut sender: TargetSender, robot: &Receiver<FromRobot>) -> Result<(), Tar
     let targets = sender.targets().clone();
     let task = targets.task(TASK)?;
     let input = |name| targets.input(&task, name);
-    let scalars = ["sequence", "time_sent", "echo", "closed", "limited", "energy_in"].map(input);
-    // A packet without one of these is not accepted. The wave is that of wave variables: zero for other couplings.
-    let vectors = ["position", "velocity", "force", "wave"].map(input);
+    let names =
+        ["sequence", "time_sent", "echo", "closed", "limited", "energy_in", "session", "partner_session"];
+    let scalars = names.map(input);
+    // Wave variables also need the input `wave`.
+    let vectors = ["position", "velocity", "force"].map(input);
+    // The robot distinguishes the starts of this program by it.
+    let session = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0.0, |time| time.as_secs_f64());
     let mut device = Device {
         position: Vector6::zeros(),
         velocity: Vector6::zeros(),
@@ -122,9 +130,9 @@ fn lead(mut sender: TargetSender, robot: &Receiver<FromRobot>) -> Result<(), Tar
         device.feel(&newest, &moved);
         largest_n = device.force[2].max(largest_n);
         deepest_m = device.position[2].min(deepest_m);
-        let numbers = [f64::from(cycle), time_s, newest.time_s, 1.0, 0.0, device.port.energy_in_j()];
-        let rows =
-            [device.position, device.velocity, device.force, Vector6::zeros()].map(|v| [v[0], v[1], v[2]]);
+        let energy_j = device.port.energy_in_j();
+        let numbers = [f64::from(cycle), time_s, newest.time_s, 1.0, 0.0, energy_j, session, newest.session];
+        let rows = [device.position, device.velocity, device.force].map(|v| [v[0], v[1], v[2]]);
         let mut packet = Vec::new();
         for (handle, number) in scalars.iter().zip(&numbers) {
             packet.push((handle.as_ref().map_err(Clone::clone)?, std::slice::from_ref(number)));

@@ -180,6 +180,10 @@ pub const PORT_FORCE: &str = "port_force";
 pub const PORT_TIME: &str = "port_time";
 /// Time of sending of the newest packet that a coupled task has received, on the partner's clock, s.
 pub const PORT_ECHO: &str = "port_echo";
+/// Session of a coupled task: the time of its start on its robot's clock, s. NaN before the start.
+pub const PORT_SESSION: &str = "port_session";
+/// Session of the partner for which the energy and the echo of a coupled task are meant; NaN before the first packet.
+pub const PORT_PARTNER_SESSION: &str = "port_partner_session";
 /// Integral of the wave variable that a coupled task sends (rows).
 pub const PORT_WAVE: &str = "port_wave";
 /// Position of the path of a carried object (3; m), as a displacement.

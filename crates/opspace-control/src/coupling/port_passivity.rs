@@ -53,8 +53,14 @@
 //!
 //! # Holds
 //!
-//! The sums outlive a hold of the robot: [`PortPassivity::restart`] forgets only the gap. Motion during a hold is not counted. The partner need not know of it, and the bound holds over any number of holds of either side. A side whose
-//! sums are lost, because its program was restarted, can't be continued by its partner: both begin anew.
+//! The sums outlive a hold of the robot: [`PortPassivity::restart`] forgets only the gap. Motion during a hold is not counted. The partner need not know of it, and the bound holds over any number of holds of either side.
+//!
+//! # Restarts
+//!
+//! A side whose program was restarted has lost its sums. It begins a new session, and its partner [begins](PortPassivity::rebase)
+//! one with it. Only energies that were sent in the present sessions of both sides are received. A side that went on running keeps its
+//! budget. Each start of a program grants half of the store: the energy out is at most the energy in plus half of the
+//! store times the number of starts of both programs.
 
 use crate::coupling::energy_play::EnergyPlay;
 use nalgebra::Vector6;
@@ -116,6 +122,8 @@ pub struct PortPassivity {
     repair_at_most: Vector6<f64>,
     flow: EnergyPlay,
     received_j: f64,
+    /// Energy that was received in earlier sessions, minus that which was sent in them.
+    base_j: f64,
     /// Energy that the partner may spend.
     sent_j: f64,
     /// Energy that has flowed in, and is neither spent nor sent.
@@ -145,6 +153,7 @@ impl PortPassivity {
             repair_at_most: per_axis(p.repair_at_most_m_per_s, p.repair_at_most_rad_per_s) * period_s,
             flow: EnergyPlay::new(p.hysteresis_j.get()),
             received_j: 0.0,
+            base_j: 0.0,
             sent_j: 0.0,
             unsent_j: 0.0,
             reserve_j: 0.0,
@@ -243,15 +252,23 @@ impl PortPassivity {
         self.gap = Vector6::zeros();
     }
 
+    /// Begins a session, in which the energies that are sent and received begin at zero. The budget does not change. Both sides
+    /// must begin the session: energies that the partner sent before must not be [received](Self::receive) after it.
+    pub fn rebase(&mut self) {
+        self.base_j += self.received_j - self.sent_j;
+        (self.received_j, self.sent_j) = (0.0, 0.0);
+    }
+
     /// Continues from the port of the previous task set.
     pub fn inherit_state(&mut self, before: &Self) {
         self.flow.inherit_state(&before.flow);
         (self.received_j, self.sent_j, self.gap) = (before.received_j, before.sent_j, before.gap);
-        (self.unsent_j, self.reserve_j) = (before.unsent_j, before.reserve_j);
+        (self.unsent_j, self.reserve_j, self.base_j) = (before.unsent_j, before.reserve_j, before.base_j);
         (self.largest_debt_j, self.active_s) = (before.largest_debt_j, before.active_s);
     }
 
-    /// Energy that has flowed in at this port and that the partner may spend, J, to be sent with each packet. Never falls.
+    /// Energy that has flowed in at this port and that the partner may spend, J, to be sent with each packet. Never falls within
+    /// a [session](Self::rebase).
     #[must_use]
     pub fn energy_in_j(&self) -> f64 {
         self.sent_j
@@ -301,7 +318,7 @@ impl PortPassivity {
 
     /// Budget beyond this side's half of the store, J. Negative if the store was spent.
     fn beyond_store_j(&self) -> f64 {
-        self.received_j + (self.flow.net_j() - self.sent_j)
+        self.received_j + (self.base_j + self.flow.net_j() - self.sent_j)
     }
 
     /// Counts energy that has flowed out (J), or in.

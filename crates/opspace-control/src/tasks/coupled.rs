@@ -17,9 +17,9 @@ use crate::tasks::teleoperation::Teleoperation;
 use nalgebra::{Matrix6, Matrix6xX, Vector6};
 use opspace_backend::signal_names::{
     DISPLACEMENT, INTERNAL_FORCE, PACKET_AGE, PACKETS_LOST, PASSIVITY_TIME, PORT_CLOSED, PORT_ECHO,
-    PORT_ENERGY_IN, PORT_ENERGY_OUT, PORT_FORCE, PORT_LIMITED, PORT_PATH, PORT_PATH_ACCELERATION,
-    PORT_PATH_VELOCITY, PORT_POSITION, PORT_SEQUENCE, PORT_TIME, PORT_VELOCITY, PORT_WAVE, REFERENCE,
-    SENSED_FORCE,
+    PORT_ENERGY_IN, PORT_ENERGY_OUT, PORT_FORCE, PORT_LIMITED, PORT_PARTNER_SESSION, PORT_PATH,
+    PORT_PATH_ACCELERATION, PORT_PATH_VELOCITY, PORT_POSITION, PORT_SEQUENCE, PORT_SESSION, PORT_TIME,
+    PORT_VELOCITY, PORT_WAVE, REFERENCE, SENSED_FORCE,
 };
 use opspace_backend::{Signal, SignalRecorder};
 use opspace_model::{Data, Model};
@@ -29,14 +29,16 @@ use std::f64::consts::TAU;
 /// Inputs with one value: number of the packet, time on the sender's clock, time of the
 /// newest packet that the sender had received, on the receiver's clock, 1 if the sender's coupling is closed, 1 if its passivity
 /// control reduces its force, cumulative energy that entered the
-/// coupling at the sender (J).
-const SCALARS: [(&str, &str); 6] = [
+/// coupling at the sender (J), session of the sender, session of the receiver for which echo and energy are meant.
+const SCALARS: [(&str, &str); 8] = [
     ("sequence", "1"),
     ("time_sent", "s"),
     ("echo", "s"),
     ("closed", "1"),
     ("limited", "1"),
     ("energy_in", "J"),
+    ("session", "1"),
+    ("partner_session", "1"),
 ];
 /// Inputs with one value per row: position, velocity and force of the sender in the leader's coordinates.
 const VECTORS: [&str; 3] = ["position", "velocity", "force"];
@@ -46,6 +48,9 @@ const WAVE: &str = "wave";
 const PATH: [&str; 3] = ["path", "path_velocity", "path_acceleration"];
 /// Input of the robot's own operator: 1 to open the clutch, 0 to close it, NaN for the times in the file.
 const CLUTCH: &str = "clutch_open";
+
+/// Session of a sender that states none.
+const UNSTATED_SESSION: f64 = 0.0;
 
 /// Law of a coupling.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -62,7 +67,16 @@ impl CouplingKind {
     /// copied.
     #[must_use]
     pub fn packet_signals(self) -> Vec<(&'static str, &'static str)> {
-        let scalars = [PORT_SEQUENCE, PORT_TIME, PORT_ECHO, PORT_CLOSED, PORT_LIMITED, PORT_ENERGY_IN];
+        let scalars = [
+            PORT_SEQUENCE,
+            PORT_TIME,
+            PORT_ECHO,
+            PORT_CLOSED,
+            PORT_LIMITED,
+            PORT_ENERGY_IN,
+            PORT_SESSION,
+            PORT_PARTNER_SESSION,
+        ];
         let vectors = [PORT_POSITION, PORT_VELOCITY, PORT_FORCE].into_iter().zip(VECTORS);
         let scalars = scalars.into_iter().zip(SCALARS.map(|(name, _)| name));
         scalars.chain(vectors).chain(self.further().iter().copied()).collect()
@@ -86,6 +100,21 @@ enum CouplingLaw {
     Carry(Box<Carry>),
 }
 
+/// Vectors beyond position, velocity and force that a law needs of each packet.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Further {
+    None,
+    Wave,
+    Path,
+}
+
+/// Packet without a value that the law needs.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Incomplete {
+    session: f64,
+    sequence: u64,
+}
+
 /// A frame, or some joints, coupled with a task of another robot: see [`CoupledParameters`].
 #[derive(Clone, Debug)]
 pub struct CoupledTask {
@@ -100,6 +129,8 @@ pub struct CoupledTask {
     law: Option<CouplingLaw>,
     state: RowState,
     partner: ReceivedState,
+    /// Time of the start on the robot's clock, s; NaN before it. Distinguishes this run from earlier ones of the program.
+    session: f64,
     /// Cycles since the start: the number of the packet.
     sequence: u64,
     clock_s: f64,
@@ -167,6 +198,7 @@ impl CoupledTask {
             law,
             state: RowState::default(),
             partner: ReceivedState::new(timeout_s),
+            session: f64::NAN,
             sequence: 0,
             clock_s: 0.0,
             force: Vector6::zeros(),
@@ -208,6 +240,19 @@ impl CoupledTask {
         }
     }
 
+    fn is_carry(&self) -> bool {
+        matches!(self.law, Some(CouplingLaw::Carry(_)))
+    }
+
+    /// Further vectors that the law needs of each packet.
+    fn further(&self) -> Further {
+        match &self.law {
+            Some(CouplingLaw::Teleoperation(law)) if law.uses_waves() => Further::Wave,
+            Some(CouplingLaw::Carry(_)) => Further::Path,
+            _ => Further::None,
+        }
+    }
+
     fn count(&self) -> usize {
         self.row_names.len()
     }
@@ -217,9 +262,16 @@ impl CoupledTask {
         self.state = self.rows.update(&input.control);
         self.sequence += 1;
         self.clock_s = input.control.clock_s;
-        let further = self.kind_of_law().map_or(0, |kind| kind.further().len());
-        if let Some(packet) = packet(input.target.values, self.count(), further) {
-            let _ = self.partner.accept(&packet, self.clock_s);
+        match packet(input.target.values, self.count(), self.further()) {
+            None => {}
+            // The positions of both hands belong together, so that one can't begin anew alone.
+            Some(Ok(packet)) if self.is_carry() && self.partner.is_of_other_session(packet.session) => {}
+            Some(Err(incomplete))
+                if self.is_carry() && self.partner.is_of_other_session(incomplete.session) => {}
+            Some(Ok(packet)) => {
+                let _ = self.partner.accept(&packet, self.clock_s);
+            }
+            Some(Err(Incomplete { session, sequence })) => self.partner.lose(session, sequence),
         }
     }
 
@@ -229,10 +281,31 @@ impl CoupledTask {
     }
 }
 
-/// Reads the packet of `rows` rows with `further` vectors from the values of the task's inputs; `None` before the first one.
-fn packet(values: &[f64], rows: usize, further: usize) -> Option<Packet> {
-    let (&[sequence, sent_s, echo_s, closed, limited, energy_in_j], _) = values.split_first_chunk()?;
-    if ![sequence, sent_s, closed, energy_in_j].iter().all(|value| value.is_finite()) {
+/// Reads the packet of `rows` rows from the values of the task's inputs, with the further vectors that the law needs.
+/// `Err` if it lacks a value that the law needs, `None` before the first packet.
+fn packet(values: &[f64], rows: usize, further: Further) -> Option<Result<Packet, Incomplete>> {
+    let (&[sequence, ref numbers @ .., session, partner_session], _) =
+        values.split_first_chunk::<{ SCALARS.len() }>()?;
+    // A task that has not started sends the number zero, and no session.
+    let is_unstarted = session.is_nan() && sequence == 0.0;
+    if !sequence.is_finite() || is_unstarted {
+        return None;
+    }
+    let session = if session.is_finite() { session } else { UNSTATED_SESSION };
+    let id = (session, partner_session, sequence as u64);
+    let packet = complete(values, rows, further, id, *numbers);
+    Some(packet.ok_or(Incomplete { session, sequence: id.2 }))
+}
+
+/// Returns the packet with these numbers, and its vectors from `values`; `None` if it lacks a value that the law needs.
+fn complete(
+    values: &[f64],
+    rows: usize,
+    further: Further,
+    (session, partner_session, sequence): (f64, f64, u64),
+    [sent_s, echo_s, closed, limited, energy_in_j]: [f64; 5],
+) -> Option<Packet> {
+    if ![sent_s, closed, energy_in_j].iter().all(|value| value.is_finite()) {
         return None;
     }
     let vector = |number: usize| {
@@ -243,7 +316,9 @@ fn packet(values: &[f64], rows: usize, further: usize) -> Option<Packet> {
             .then(|| Vector6::from_fn(|i, _| values.get(i).copied().unwrap_or(0.0)))
     };
     Some(Packet {
-        sequence: sequence as u64,
+        session,
+        partner_session,
+        sequence,
         sent_s,
         echo_s,
         closed: closed == 1.0,
@@ -252,8 +327,12 @@ fn packet(values: &[f64], rows: usize, further: usize) -> Option<Packet> {
         position: vector(0)?,
         velocity: vector(1)?,
         force: vector(2)?,
-        wave: if further == 1 { vector(3)? } else { Vector6::zeros() },
-        reference: if further == 3 { [vector(3)?, vector(4)?, vector(5)?] } else { [Vector6::zeros(); 3] },
+        wave: if further == Further::Wave { vector(3)? } else { Vector6::zeros() },
+        reference: if further == Further::Path {
+            [vector(3)?, vector(4)?, vector(5)?]
+        } else {
+            [Vector6::zeros(); 3]
+        },
     })
 }
 
@@ -324,9 +403,10 @@ impl Task for CoupledTask {
         self.partner.restart();
         self.state = self.rows.update(input);
         self.sequence = 0;
+        self.session = input.clock_s;
         match &mut self.law {
             None => {}
-            Some(CouplingLaw::Teleoperation(law)) => law.start(),
+            Some(CouplingLaw::Teleoperation(law)) => law.start(self.session),
             Some(CouplingLaw::Carry(law)) => law.start(input.measurement.time_s),
         }
     }
@@ -343,7 +423,7 @@ impl Task for CoupledTask {
             Some(before) if before.row_names == self.row_names && before.side() == self.side() => {
                 self.rows = before.rows.clone();
                 self.partner = before.partner;
-                self.sequence = before.sequence;
+                (self.session, self.sequence) = (before.session, before.sequence);
                 self.state = before.state;
                 match (&mut self.law, &before.law) {
                     (Some(CouplingLaw::Teleoperation(law)), Some(CouplingLaw::Teleoperation(before))) => {
@@ -415,6 +495,9 @@ impl Task for CoupledTask {
         out.scalar((name, PORT_CLOSED), "1", f64::from(u8::from(sent.closed)));
         out.scalar((name, PORT_LIMITED), "1", f64::from(u8::from(sent.limited)));
         out.scalar((name, PORT_ENERGY_IN), "J", sent.energy_in_j);
+        out.scalar((name, PORT_SESSION), "1", self.session);
+        let partner_session = self.partner.newest().map_or(f64::NAN, |packet| packet.session);
+        out.scalar((name, PORT_PARTNER_SESSION), "1", partner_session);
         let port = |vector: &Vector6<f64>| -> [f64; 6] { (*vector).into() };
         out.signal(
             (name, PORT_POSITION),
@@ -454,5 +537,32 @@ impl Task for CoupledTask {
             let sensed = &self.state.sensed.as_slice()[..self.count()];
             out.signal((&self.name, SENSED_FORCE), &self.force_units, &self.row_names, sensed);
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Values of the inputs of a packet of two rows, with a wave.
+    fn values(sequence: f64, wave: [f64; 2]) -> Vec<f64> {
+        let scalars = [sequence, 0.1, f64::NAN, 1.0, 0.0, 0.5, f64::NAN, f64::NAN];
+        let vectors = [[0.01, 0.02], [0.1, 0.2], [1.0, 2.0], wave];
+        scalars.into_iter().chain(vectors.concat()).collect()
+    }
+
+    /// Compared: what is read of a packet without a wave by laws with and without waves, and the packets that count as lost.
+    #[test]
+    fn wave_is_needed_by_wave_variables_only() {
+        let without = values(7.0, [f64::NAN; 2]);
+        let read = packet(&without, 2, Further::None);
+        let Some(Ok(read)) = read else { panic!("{read:?}") };
+        assert_eq!((read.sequence, read.wave), (7, Vector6::zeros()));
+        assert_eq!(read.position, Vector6::new(0.01, 0.02, 0.0, 0.0, 0.0, 0.0));
+        assert_eq!(packet(&without, 2, Further::Wave), Some(Err(Incomplete { session: 0.0, sequence: 7 })));
+        let complete = packet(&values(8.0, [3.0, 4.0]), 2, Further::Wave);
+        let Some(Ok(complete)) = complete else { panic!("{complete:?}") };
+        assert_eq!(complete.wave, Vector6::new(3.0, 4.0, 0.0, 0.0, 0.0, 0.0));
+        assert_eq!(packet(&values(f64::NAN, [f64::NAN; 2]), 2, Further::None), None);
     }
 }

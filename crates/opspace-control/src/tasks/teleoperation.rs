@@ -57,6 +57,9 @@ pub(crate) struct Teleoperation {
     clutch_open_s: Vec<[f64; 2]>,
     period_s: f64,
     passivity: PortPassivity,
+    /// Session of this side, and of the partner that it has met.
+    session: f64,
+    met: Option<f64>,
     wave: Option<WaveSide>,
     /// True if the coupling acted in the last cycle.
     closed: bool,
@@ -135,6 +138,8 @@ impl Teleoperation {
             clutch_open_s: p.clutch_open_s.clone(),
             period_s,
             passivity: PortPassivity::new(&limits, angular, period_s),
+            session: f64::NAN,
+            met: None,
             wave,
             latency: SteadyLatency::new(period_s),
             round_trip: SteadyLatency::new(period_s),
@@ -155,6 +160,11 @@ impl Teleoperation {
         self.side
     }
 
+    /// True if the coupling needs the wave of each packet.
+    pub(crate) fn uses_waves(&self) -> bool {
+        self.wave.is_some()
+    }
+
     pub(crate) fn passivity(&self) -> &PortPassivity {
         &self.passivity
     }
@@ -167,8 +177,9 @@ impl Teleoperation {
         }
     }
 
-    /// Starts with zero displacement and an open coupling.
-    pub(crate) fn start(&mut self) {
+    /// Starts a session with zero displacement and an open coupling.
+    pub(crate) fn start(&mut self, session: f64) {
+        (self.session, self.met) = (session, None);
         for vector in [
             &mut self.reference,
             &mut self.reference_velocity,
@@ -185,11 +196,13 @@ impl Teleoperation {
         self.latency.restart();
         self.round_trip.restart();
         self.passivity.restart();
+        self.passivity.rebase();
     }
 
     /// Continues from the coupling of another task set.
     pub(crate) fn inherit_state(&mut self, before: &Self) {
         self.passivity.inherit_state(&before.passivity);
+        (self.session, self.met) = (before.session, before.met);
         self.compliance = before.compliance;
         (self.latency, self.round_trip) = (before.latency, before.round_trip);
         (self.closed, self.share) = (before.closed, before.share);
@@ -226,12 +239,32 @@ impl Teleoperation {
     /// Newest packet, its position continued and its force smoothed over the jitter of the channel.
     fn continued(&mut self, partner: &ReceivedState, clock_s: f64) -> Option<Packet> {
         let mut packet = *partner.newest()?;
+        if self.met != Some(packet.session) {
+            self.meet(&packet);
+        }
+        if packet.partner_session.is_finite() && packet.partner_session != self.session {
+            // The partner has not met this session: it is coupled with an earlier one.
+            (packet.closed, packet.limited) = (false, false);
+            (packet.echo_s, packet.energy_in_j) = (f64::NAN, 0.0);
+        }
         packet.position += packet.velocity * self.latency.update(clock_s - packet.sent_s);
         self.round_trip.update(clock_s - packet.echo_s);
         let share = self.period_s / (self.period_s + self.latency.jitter_s());
         self.received += (packet.force - self.received) * share;
         packet.force = self.received;
         Some(packet)
+    }
+
+    /// Begins a session of the partner, whose clock, displacement and energies are new: the coupling closes from where the
+    /// robots are.
+    fn meet(&mut self, packet: &Packet) {
+        self.met = Some(packet.session);
+        self.latency.restart();
+        self.round_trip.restart();
+        self.compliance.restart();
+        self.passivity.restart();
+        self.passivity.rebase();
+        self.open(Some(packet));
     }
 
     /// Forgets the waves that arrived before: a coupling that closes again must not make up for the motion while it was open.

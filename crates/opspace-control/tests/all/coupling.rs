@@ -122,6 +122,7 @@ struct Side {
     acceleration: Vector6<f64>,
     slow: Vector6<f64>,
     held_until_us: u64,
+    session: u64,
     sequence: u64,
     /// True energy out, its largest value during the present cycle, and the sum of |F| |Δx|, J.
     out_j: f64,
@@ -156,6 +157,7 @@ impl Side {
             acceleration: Vector6::zeros(),
             slow: Vector6::zeros(),
             held_until_us: 0,
+            session: 0,
             sequence: 0,
             out_j: 0.0,
             peak_j: 0.0,
@@ -207,6 +209,8 @@ impl Side {
         }
         self.sequence += 1;
         Some(Packet {
+            session: self.session as f64,
+            partner_session: self.received.newest().map_or(f64::NAN, |packet| packet.session),
             sequence: self.sequence,
             sent_s: now_us as f64 * 1e-6,
             position: self.position,
@@ -215,6 +219,28 @@ impl Side {
             energy_in_j: self.port.energy_in_j(),
             ..Packet::default()
         })
+    }
+
+    /// Starts the program anew: all that it knew is lost.
+    fn lose_memory(&mut self, store_j: f64) {
+        self.port = PortPassivity::new(&parameters(store_j, 0.002), &self.angular, self.period_s());
+        self.received = ReceivedState::new(f64::INFINITY);
+        (self.session, self.sequence) = (self.session + 1, 0);
+        self.force = Vector6::zeros();
+    }
+
+    /// Takes a packet: energies count if both sides know the session of the other one.
+    fn receive(&mut self, packet: &Packet, now_us: u64) {
+        let session = |received: &ReceivedState| received.newest().map(|packet| packet.session);
+        let before = session(&self.received);
+        self.received.accept(packet, now_us as f64 * 1e-6);
+        let met = session(&self.received);
+        if met != before {
+            self.port.rebase();
+        }
+        if met == Some(packet.session) && packet.partner_session == self.session as f64 {
+            self.port.receive(packet.energy_in_j);
+        }
     }
 
     fn impedance_cycle(&mut self, random: &mut ChaCha8Rng) {
@@ -327,8 +353,7 @@ impl Channel {
     fn deliver(&mut self, now_us: u64, side: &mut Side) {
         self.transit.retain(|(arrives, packet)| {
             if *arrives <= now_us {
-                side.port.receive(packet.energy_in_j);
-                side.received.accept(packet, now_us as f64 * 1e-6);
+                side.receive(packet, now_us);
             }
             *arrives > now_us
         });
@@ -341,17 +366,30 @@ struct Outcome {
     turnover_j: f64,
     active: bool,
     debt_j: f64,
+    /// Programs that were started anew.
+    restarts: u32,
 }
 
 /// Runs two sides for `CYCLES` cycles. `change` edits the sides before the run.
 fn run(seed: u64, causalities: [Causality; 2], store_j: f64, change: impl Fn(&mut [Side; 2])) -> Outcome {
+    run_with_restarts(seed, causalities, store_j, change, 0.0)
+}
+
+/// Runs two sides, each program of which is started anew in a cycle with the probability `restart`, eight times at most.
+fn run_with_restarts(
+    seed: u64,
+    causalities: [Causality; 2],
+    store_j: f64,
+    change: impl Fn(&mut [Side; 2]),
+    restart: f64,
+) -> Outcome {
     let random = &mut ChaCha8Rng::seed_from_u64(seed);
     let count = random.random_range(1..=6);
     let mut sides = causalities.map(|causality| Side::new(random, causality, count, store_j));
     let mut channels = [0, 1].map(|_| Channel::new(random));
     let restarts = random.random_range(0..2) == 0;
     change(&mut sides);
-    let mut most_j: f64 = 0.0;
+    let (mut most_j, mut restarted): (f64, u32) = (0.0, 0);
     for _ in 0..CYCLES {
         let i = usize::from(sides[1].next_us < sides[0].next_us);
         let now_us = sides[i].next_us;
@@ -360,12 +398,17 @@ fn run(seed: u64, causalities: [Causality; 2], store_j: f64, change: impl Fn(&mu
             channels[i].send(random, now_us, packet);
         }
         most_j = most_j.max(sides[0].peak_j + sides[1].peak_j);
+        if restart > 0.0 && sides[i].session < 8 && random.random_range(0.0..1.0) < restart {
+            sides[i].lose_memory(store_j);
+            restarted += 1;
+        }
     }
     Outcome {
         most_j,
         turnover_j: sides[0].turnover_j + sides[1].turnover_j,
         active: sides.iter().any(|side| side.port.active_s() > 0.0),
         debt_j: sides.iter().map(|side| side.port.largest_debt_j()).sum(),
+        restarts: restarted,
     }
 }
 
@@ -401,6 +444,29 @@ fn energy_out_is_at_most_energy_in_plus_store() {
             more += usize::from(free.most_j > store_j + 0.1);
         }
         assert!(active > 150 && used > 100 && more > 150, "{causalities:?}: {active} {used} {more}");
+    }
+}
+
+/// As above, with programs that are started anew: each start grants half of the store. Compared with the bound for the starts
+/// of a run; and with that for none, which some runs exceed.
+#[test]
+fn every_start_of_a_program_grants_half_of_the_store() {
+    for causalities in COMBINATIONS {
+        let (mut restarts, mut beyond) = (0, 0);
+        for seed in 0..200 {
+            let outcome = run_with_restarts(seed, causalities, STORE_J, |_| {}, 0.002);
+            let granted_j = 0.5 * STORE_J * f64::from(2 + outcome.restarts);
+            let tolerance = ROUNDING * (1.0 + outcome.turnover_j);
+            assert!(
+                outcome.most_j <= granted_j + tolerance,
+                "seed {seed}, {causalities:?}: {} J out after {} restarts",
+                outcome.most_j,
+                outcome.restarts
+            );
+            restarts += outcome.restarts;
+            beyond += usize::from(outcome.most_j > STORE_J);
+        }
+        assert!(restarts > 500 && beyond > 5, "{causalities:?}: {restarts} {beyond}");
     }
 }
 

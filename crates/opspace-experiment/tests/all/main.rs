@@ -9,6 +9,7 @@ mod coupled_common;
 mod coupled_holds;
 mod coupled_kinds;
 mod coupled_logs;
+mod coupled_restarts;
 mod coupled_robots;
 mod diagnostics;
 mod drives;
