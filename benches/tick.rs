@@ -13,7 +13,7 @@ use opspace::model::{
 };
 use opspace::transformer::{
     CascadedServo, DriveTiming, EstimatorParameters, ExtrapolatingTransformer, ExtrapolationSetup,
-    GainAdaptationParameters, PaperTransformer, ServoParameters, Transformer,
+    GainAdaptationParameters, Gears, PaperTransformer, ServoParameters, Transformer,
 };
 use opspace_testing::oracle::urdf;
 use std::cell::RefCell;
@@ -150,6 +150,7 @@ fn transformer_of_seven_joints(bencher: Bencher, name: &str) {
                 estimator: EstimatorParameters::default(),
                 gravity_compensated_by: GravityCompensation::Controller,
                 has_brakes: false,
+                gears: Gears::Elastic,
                 antiresonance_hz: None,
                 setpoint_noise: Vec::new(),
                 current: name.ends_with("+current").then(GainAdaptationParameters::usual),
