@@ -138,7 +138,7 @@ fn start(experiment: &Experiment, stop: &'static AtomicBool) -> Run<'static> {
     Run::new(control, 2.0 * END_S, Box::leak(Box::new(()))).with_stop_request(stop)
 }
 
-/// What happens to a robot.
+/// Disturbance of a robot during a run.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Interruption {
     None,
@@ -146,7 +146,7 @@ enum Interruption {
     Hold,
 }
 
-/// What a run shows.
+/// Measured values of a run.
 #[derive(Debug)]
 struct Outcome {
     extracted_j: f64,
