@@ -47,7 +47,7 @@ pub fn check(args: &CheckArgs, extensions: &Extensions, console: Console) -> Out
                 checked.singular.iter().for_each(|singular| text += &format!("  {singular}\n"));
                 checked.distances.iter().for_each(|distances| text += &pairs_text(distances));
                 checked.allowed.iter().for_each(|refusal| text += &format!("  allowed: {refusal}\n"));
-                if checked.is_task && checked.found.is_empty() {
+                if checked.is_task && checked.found.is_empty() && checked.allowed.is_empty() {
                     text += "  no problems found\n";
                 }
                 checked.found.iter().for_each(|found| note(console, found));

@@ -262,16 +262,15 @@ impl CoupledTask {
         self.state = self.rows.update(&input.control);
         self.sequence += 1;
         self.clock_s = input.control.clock_s;
-        match packet(input.target.values, self.count(), self.further()) {
-            None => {}
-            // The positions of both hands belong together, so that one can't begin anew alone.
-            Some(Ok(packet)) if self.is_carry() && self.partner.is_of_other_session(packet.session) => {}
-            Some(Err(incomplete))
-                if self.is_carry() && self.partner.is_of_other_session(incomplete.session) => {}
-            Some(Ok(packet)) => {
-                let _ = self.partner.accept(&packet, self.clock_s);
-            }
-            Some(Err(Incomplete { session, sequence })) => self.partner.lose(session, sequence),
+        let Some(packet) = packet(input.target.values, self.count(), self.further()) else { return };
+        let session = packet.map_or_else(|incomplete| incomplete.session, |packet| packet.session);
+        // The positions of both hands belong together, so that one can't begin anew alone.
+        if self.is_carry() && self.partner.is_of_other_session(session) {
+            return;
+        }
+        match packet {
+            Ok(packet) => _ = self.partner.accept(&packet, self.clock_s),
+            Err(Incomplete { session, sequence }) => self.partner.lose(session, sequence),
         }
     }
 
@@ -555,13 +554,12 @@ mod tests {
     #[test]
     fn wave_is_needed_by_wave_variables_only() {
         let without = values(7.0, [f64::NAN; 2]);
-        let read = packet(&without, 2, Further::None);
-        let Some(Ok(read)) = read else { panic!("{read:?}") };
+        let read = packet(&without, 2, Further::None).and_then(Result::ok).expect("is accepted");
         assert_eq!((read.sequence, read.wave), (7, Vector6::zeros()));
         assert_eq!(read.position, Vector6::new(0.01, 0.02, 0.0, 0.0, 0.0, 0.0));
         assert_eq!(packet(&without, 2, Further::Wave), Some(Err(Incomplete { session: 0.0, sequence: 7 })));
-        let complete = packet(&values(8.0, [3.0, 4.0]), 2, Further::Wave);
-        let Some(Ok(complete)) = complete else { panic!("{complete:?}") };
+        let complete =
+            packet(&values(8.0, [3.0, 4.0]), 2, Further::Wave).and_then(Result::ok).expect("is accepted");
         assert_eq!(complete.wave, Vector6::new(3.0, 4.0, 0.0, 0.0, 0.0, 0.0));
         assert_eq!(packet(&values(f64::NAN, [f64::NAN; 2]), 2, Further::None), None);
     }

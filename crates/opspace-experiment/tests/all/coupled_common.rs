@@ -16,6 +16,19 @@ pub const NEAR_TABLE: &str = "follower.environment.table.point_m=[0.36, 0.0, -0.
 /// Table that the follower does not reach.
 pub const NO_TABLE: &str = "follower.environment.table.point_m=[0.36, 0.0, -0.5]";
 
+/// Speed of the follower's reference after a resume, m/s: the operator's spring of 500 N/m accelerates a leader of 1 kg, which
+/// was held while he moved on by up to 40 mm, to 0.9 m/s.
+pub const REFERENCE_M_PER_S: f64 = 1.0;
+/// Largest step of the force that is commanded to the leader in a cycle, N: it fades in. A reflected controller force contains
+/// that of a damper of 60 Ns/m, here for a change of the velocity by 0.1 m/s.
+pub const LEADER_STEP_N: f64 = 6.0;
+/// Speed of a joint that an arm has when it is moved by the operator, rad/s; the limit is 8.
+pub const CALM_RAD_PER_S: f64 = 3.0;
+/// Store of the passivity control, J.
+pub const STORE_J: f64 = 0.05;
+/// Cycle, s.
+pub const PERIOD_S: f64 = 1e-3;
+
 /// Run of an experiment, with the logs of its robots by name.
 pub struct CoupledRun {
     pub summary: CoupledSummary,

@@ -1,24 +1,15 @@
 //! Holds of coupled robots: because of each other, and because nothing is heard.
 
-use crate::coupled_common::{CoupledRun, NO_TABLE, largest_step, run, teleoperation};
+use crate::coupled_common::{
+    CALM_RAD_PER_S, CoupledRun, LEADER_STEP_N, NO_TABLE, PERIOD_S, REFERENCE_M_PER_S, STORE_J, largest_step,
+    run, teleoperation,
+};
 use opspace_backend::signal_names::{PORT_FORCE, REFERENCE};
 use opspace_loop::Phase;
 
-/// Speed of the follower's reference after a resume, m/s: the operator's spring of 500 N/m accelerates a leader of 1 kg, which
-/// was held while he moved on by up to 40 mm, to 0.9 m/s.
-const REFERENCE_M_PER_S: f64 = 1.0;
-/// Largest step of the force that is commanded to the leader in a cycle, N: it fades in. A reflected controller force contains
-/// that of a damper of 60 Ns/m, here for a change of the velocity by 0.1 m/s.
-const LEADER_STEP_N: f64 = 6.0;
 /// Largest step of the force that is commanded to the follower, N: its damper of 60 Ns/m, when the coupling closes on a leader
 /// that moves. The spring of 3 kN/m to where the leader has moved in the meantime would be 120 N.
 const FOLLOWER_STEP_N: f64 = 60.0 * REFERENCE_M_PER_S + LEADER_STEP_N;
-/// Speed of a joint that an arm has when it is moved by the operator, rad/s; the limit is 8.
-const CALM_RAD_PER_S: f64 = 3.0;
-/// Store of the passivity control, J.
-const STORE_J: f64 = 0.05;
-/// Cycle, s.
-const PERIOD_S: f64 = 1e-3;
 
 /// Intervals in which a robot was in a phase, s.
 fn intervals(run: &CoupledRun, robot: &str, phase: Phase) -> Vec<(f64, f64)> {

@@ -1,7 +1,9 @@
 //! Teleoperation in which the program of one robot is restarted, so that its packets, energies and displacements begin anew, or
 //! in which a robot is held.
 
-use crate::coupled_common::{NEAR_TABLE, NO_TABLE, load, project};
+use crate::coupled_common::{
+    CALM_RAD_PER_S, LEADER_STEP_N, NEAR_TABLE, NO_TABLE, PERIOD_S, REFERENCE_M_PER_S, STORE_J, teleoperation,
+};
 use opspace_backend::signal_names::{
     self, DISPLACEMENT, PORT_CLOSED, PORT_ENERGY_IN, PORT_FORCE, PORT_LIMITED, PORT_SESSION, REFERENCE,
 };
@@ -24,18 +26,10 @@ const CLOSED_S: f64 = 2.2;
 const END_S: f64 = 3.0;
 /// Force that the operator feels of the table at least, N.
 const CONTACT_N: f64 = 3.0;
-/// Cycle, s.
-const PERIOD_S: f64 = 1e-3;
 /// Largest difference of the motions after the restart, m: that of 50 ms at the operator's largest speed of 0.11 m/s, and 2 mm.
 const TRACKING_M: f64 = 0.0075;
-/// Store of the passivity control, J: each start of a program grants half of it anew.
-const STORE_J: f64 = 0.05;
-/// Speed of a joint that an arm has when it is moved by the operator, rad/s; the limit is 8.
-const CALM_RAD_PER_S: f64 = 3.0;
-/// Speed of the follower's reference, m/s: the operator moves on while the leader is held.
-const REFERENCE_M_PER_S: f64 = 1.0;
-/// Step of the force that is commanded to the leader in a cycle, N: it fades in.
-const LEADER_STEP_N: f64 = 6.0;
+/// Least motion of a hand in the comparison, m: half of the operator's.
+const MOVED_M: f64 = 0.02;
 
 /// Robot of the experiment, and its program while it runs.
 struct Robot<'a> {
@@ -290,19 +284,6 @@ fn run(
     outcome
 }
 
-fn teleoperation(reflect: &str, kind: &str, table: &str) -> CoupledExperiment {
-    let settings = [
-        "expect={}",
-        "settle_s=0.1",
-        MOVED,
-        table,
-        &format!("robots.leader.backend=\"{kind}\""),
-        &format!("robots.follower.backend=\"{kind}\""),
-        &format!("couplings.hands.teleoperation.reflect=\"{reflect}\""),
-    ];
-    load(&project("experiments/teleop-wall.toml"), &settings)
-}
-
 /// Restart of a program away from the start, with downtimes that hold the other robot or not, before a motion and before a
 /// contact. Compared: the energy that the pair gave away, and the store; the speeds of the joints and the steps of force and
 /// reference, and those of operation; the motions of both robots afterwards, and the force in contact.
@@ -311,7 +292,13 @@ fn check(restarted: &str, cases: &[(&str, &str, &str, f64, f64)]) {
         let jittery = ChannelParameters { delay_s, jitter_s: 0.01, loss: 0.05, ..Default::default() };
         let channel = if delay_s > 0.0 { jittery } else { ChannelParameters::default() };
         let name = format!("{restarted} restarts for {down_s} s, {kind}, {reflect}, {table}");
-        let experiment = teleoperation(reflect, kind, table);
+        let experiment = teleoperation(&[
+            MOVED,
+            table,
+            &format!("robots.leader.backend=\"{kind}\""),
+            &format!("robots.follower.backend=\"{kind}\""),
+            &format!("couplings.hands.teleoperation.reflect=\"{reflect}\""),
+        ]);
         let channel = ChannelParameters { hold_after_s: Some(0.5), reordering: true, ..channel };
         let outcome = run(&experiment, (Interruption::Restart, restarted), [RESTART_S, down_s], channel);
         assert!(outcome.extracted_j <= STORE_J, "{name}: {outcome:?}");
@@ -321,7 +308,7 @@ fn check(restarted: &str, cases: &[(&str, &str, &str, f64, f64)]) {
         assert_eq!(outcome.closed_share, 1.0, "{name}: {outcome:?}");
         if table == NO_TABLE {
             assert!(outcome.difference_m < TRACKING_M, "{name}: {outcome:?}");
-            assert!(outcome.moved_m.iter().all(|moved| *moved > 0.02), "{name}: {outcome:?}");
+            assert!(outcome.moved_m.iter().all(|moved| *moved > MOVED_M), "{name}: {outcome:?}");
         } else {
             assert!(outcome.force_n > CONTACT_N, "{name}: {outcome:?}");
         }
@@ -366,14 +353,8 @@ const HOLD_S: [f64; 2] = [1.4, 0.3];
 #[test]
 fn energies_that_are_kept_over_a_hold_cost_nothing() {
     for (wall, delay_s) in [(1000.0, 0.1), (500.0, 0.1)] {
-        let settings = [
-            "expect={}",
-            "settle_s=0.1",
-            PRESSES,
-            NEAR_TABLE,
-            &format!("follower.environment.table.wall.stiffness_n_per_m={wall}"),
-        ];
-        let experiment = load(&project("experiments/teleop-wall.toml"), &settings);
+        let stiffness = format!("follower.environment.table.wall.stiffness_n_per_m={wall}");
+        let experiment = teleoperation(&[PRESSES, NEAR_TABLE, &stiffness]);
         let channel =
             ChannelParameters { delay_s, jitter_s: 0.01, hold_after_s: Some(0.5), ..Default::default() };
         let without = run(&experiment, (Interruption::None, "leader"), HOLD_S, channel);

@@ -10,9 +10,11 @@ use opspace_transformer::drive_timing::DriveTiming;
 use opspace_transformer::estimator::VelocityEstimator;
 use opspace_transformer::impedance::impedance;
 use opspace_transformer::moving_joint::MovingJoint;
+use opspace_transformer::torque_response::torque_response;
 use opspace_transformer::{
     CascadedServo, EstimatorParameters, ExtrapolatingTransformer, ExtrapolationSetup,
-    GainAdaptationParameters, Gears, PaperTransformer, ServoLaw, ServoParameters, Transformer,
+    GainAdaptationParameters, Gears, PaperTransformer, ServoLaw, ServoParameters, SetpointFilter,
+    Transformer,
 };
 use std::f64::consts::TAU;
 
@@ -23,6 +25,9 @@ const ESTIMATOR_HZ: f64 = 100.0;
 
 /// Rounding error of an impedance, relative to the damping of the servo.
 const ROUNDING: f64 = 1e-4;
+
+/// Tolerance of a share of the desired torque: what a response leaves out at its end.
+const SHARE: f64 = 5e-3;
 
 fn servo() -> ServoParameters {
     let [kp, kv, filter_hz] = [KP, KV, FILTER_HZ].map(positive);
@@ -94,6 +99,54 @@ fn impedance_of_paper_transformer_matches_transfer_functions() {
     }
 }
 
+/// Response of a drive behind a setpoint filter. Compared: its sum with the torque that was asked for, which the extrapolation
+/// gives altogether, and its first element, all of the torque without the filter and less with it. Equation (K10) gives a drive without
+/// filter all of it at once too.
+#[test]
+fn torque_response_is_that_of_an_inverted_drive() {
+    let filters = [None, Some(20.0), Some(50.0)];
+    let filters = filters.map(|hz| hz.map(|hz| SetpointFilter::FirstOrder { cutoff_hz: positive(hz) }));
+    let model = model(false);
+    let mut data = Data::new(&model);
+    assert!(update(&model, &mut data, &[0.1, 0.2], &[0.0; 2]));
+    let timing = timing(5, 0, Setpoints::Held);
+    for setpoint_filter in filters {
+        let [kp, kv, filter_hz] = [KP, KV, FILTER_HZ].map(positive);
+        let cascade = CascadedServo { setpoint_filter, ..CascadedServo::new(kp, kv, filter_hz) };
+        let servo = ServoParameters::Cascaded(cascade);
+        let law = ServoLaw::new(&servo, timing.servo_period_s).unwrap();
+        let extrapolation = ExtrapolatingTransformer::new(&setup(&servo, ESTIMATOR_HZ, timing)).unwrap();
+        let paper = PaperTransformer::new(vec![servo.gains(timing.servo_period_s); 2]);
+        let transformers: [Box<dyn Transformer>; 2] = [Box::new(extrapolation), Box::new(paper)];
+        let [extrapolated, held] = transformers.map(|mut transformer| {
+            let velocity = VelocityEstimator::new(2, &estimator(ESTIMATOR_HZ), timing.period_s());
+            let sample = sample(CommandKind::Position, false);
+            torque_response(&mut MovingJoint::new(&mut *transformer, &data, 0, velocity, sample), law, timing)
+        });
+        let sum: f64 = extrapolated.iter().sum();
+        assert!((sum - 1.0).abs() < SHARE, "{setpoint_filter:?}: {extrapolated:?}");
+        let is_at_once = |response: &[f64]| (response[0] - 1.0).abs() < SHARE && response.len() == 1;
+        let is_plain = setpoint_filter.is_none();
+        assert_eq!(is_at_once(&extrapolated), is_plain, "{setpoint_filter:?}: {extrapolated:?}");
+        assert_eq!(is_at_once(&held), is_plain, "{setpoint_filter:?}: {held:?}");
+    }
+}
+
+fn setup(servo: &ServoParameters, estimator_hz: f64, timing: DriveTiming) -> ExtrapolationSetup {
+    ExtrapolationSetup {
+        servos: vec![servo.clone(); 2],
+        torque_limits: vec![100.0; 2],
+        timing,
+        estimator: estimator(estimator_hz),
+        gravity_compensated_by: GravityCompensation::Controller,
+        has_brakes: false,
+        gears: Gears::Elastic,
+        antiresonance_hz: None,
+        setpoint_noise: Vec::new(),
+        current: None,
+    }
+}
+
 /// Drive and estimator with random parameters: servo, estimator cut-off (Hz), timing.
 fn random_drive(random: &mut impl FnMut(f64, f64) -> f64) -> (ServoParameters, f64, DriveTiming) {
     let servo_hz = random(1e3, 8e3);
@@ -124,18 +177,7 @@ fn extrapolation_is_passive() {
     };
     for _ in 0..60 {
         let (servo, estimator_hz, timing) = random_drive(&mut random);
-        let setup = ExtrapolationSetup {
-            servos: vec![servo.clone(); 2],
-            torque_limits: vec![100.0; 2],
-            timing,
-            estimator: estimator(estimator_hz),
-            gravity_compensated_by: GravityCompensation::Controller,
-            has_brakes: false,
-            gears: Gears::Elastic,
-            antiresonance_hz: None,
-            setpoint_noise: Vec::new(),
-            current: None,
-        };
+        let setup = setup(&servo, estimator_hz, timing);
         for current in [false, true] {
             let current_setup = ExtrapolationSetup {
                 current: current.then(GainAdaptationParameters::usual),
