@@ -4,8 +4,10 @@
 //! F_i = Λ_p (a* − J̇ q̇ − J_i M⁻¹ τ_above) + F_compliant        τ = Σ J_pᵀ F_i + τ_joint + C q̇ + g
 //! ```
 //!
-//! J_p = J_i N is the task Jacobian projected into the null space N of the tasks above; τ_joint is the task of all joints,
-//! or damping of what the tasks leave. Khatib 1987 for one task;
+//! J_p = J_i N is the task Jacobian projected into the null space N of the tasks above; τ_joint is the task of all
+//! joints, or damping of what the tasks leave. For rows that yield to forces (springs, compliant and force axes), only the
+//! references of the tasks above count in τ_above: the acceleration with which a task above counters an external force
+//! does not take place. Khatib 1987 for one task;
 //! Sentis and Khatib, *Synthesis of whole-body behaviors through hierarchical control of behavioral primitives*, Int.
 //! J. Humanoid Robotics 2(4), 2005, for several priority levels. If these torques are within the
 //! [limits](crate::limits), they are the command. Otherwise each level is satisfied as closely as the limits and the
@@ -46,6 +48,8 @@ pub struct OperationalSpaceController {
     scratch: DVector<f64>,
     /// Intermediate value (n).
     added: DVector<f64>,
+    /// Joint accelerations with which the levels follow their references, rad/s² or m/s² (n).
+    intended: DVector<f64>,
     /// Compensation torques that are added to the task torques, Nm or N (n).
     compensation_torque: DVector<f64>,
     /// Last commanded torques, Nm or N (n).
@@ -90,6 +94,7 @@ impl OperationalSpaceController {
             joint_torque: zero.clone(),
             scratch: zero.clone(),
             added: zero.clone(),
+            intended: zero.clone(),
             compensation_torque: zero.clone(),
             commanded: zero,
             joint_names: model.joints().iter().map(|j| j.name.clone()).collect(),
@@ -185,6 +190,7 @@ impl OperationalSpaceController {
         let data = input.data;
         let hierarchy = self.schedule.current_mut();
         self.torque.fill(0.0);
+        self.intended.fill(0.0);
         hierarchy.nullspace.reset();
         let last = hierarchy.levels.len().saturating_sub(1);
         for place in 0..hierarchy.levels.len() {
@@ -194,6 +200,7 @@ impl OperationalSpaceController {
             if place == 0 {
                 level.add_torque(None, self.torque.as_mut_slice());
             } else {
+                level.set_reference_above(self.intended.as_slice());
                 // M⁻¹ τ_above.
                 self.scratch.copy_from(&self.torque);
                 data.mass_matrix_factor.solve(self.scratch.as_mut_slice());
@@ -201,6 +208,7 @@ impl OperationalSpaceController {
             }
             if place < last {
                 level.projected.compute_jbar(&data.mass_matrix_factor);
+                level.add_reference_acceleration(self.intended.as_mut_slice());
                 hierarchy.nullspace.push(&level.projected);
             }
         }

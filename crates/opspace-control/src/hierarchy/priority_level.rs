@@ -40,6 +40,8 @@ pub(crate) struct PriorityLevel {
     desired: Vector6<f64>,
     /// J̇ q̇ of the task's rows.
     bias: Vector6<f64>,
+    /// Acceleration of the rows that the references of the levels above cause.
+    reference_above: Vector6<f64>,
     /// Commanded task force.
     force: Vector6<f64>,
     /// Weights of the rows' deviations when limits are in force; `None` if they are equal.
@@ -89,6 +91,7 @@ impl PriorityLevel {
             jacobian: Matrix6xX::zeros(n),
             desired: zero,
             bias: zero,
+            reference_above: zero,
             force: zero,
             limited: false,
             resistance: Resistance::new(n),
@@ -205,15 +208,38 @@ impl PriorityLevel {
 
     /// Acceleration that the rows demand, given the joint accelerations `above` (n; `None` for zero) that the levels above
     /// cause.
+    ///
+    /// A motion task counters an external force by an acceleration that does not take place. If a spring below it compensated
+    /// for this acceleration, the force would deflect it by more than force over stiffness.
     fn demand(&self, above: Option<&[f64]>) -> Vector6<f64> {
         let mut demand = self.desired;
         if let Some(above) = above {
-            demand -= product(&self.jacobian, above);
+            let mut caused = product(&self.jacobian, above);
+            for row in (0..self.task.rows()).filter(|row| self.task.yields_to_force(*row)) {
+                caused[row] = self.reference_above[row];
+            }
+            demand -= caused;
         }
         if let Some(escape) = &self.escape {
             escape.replace_demand(&mut demand);
         }
         demand
+    }
+
+    /// Stores the acceleration of the rows that the references of the levels above cause, given their joint accelerations
+    /// `above` (n).
+    pub(crate) fn set_reference_above(&mut self, above: &[f64]) {
+        self.reference_above = product(&self.jacobian, above);
+    }
+
+    /// Adds the joint accelerations with which the rows follow their references to those of the levels above, `above` (n).
+    /// J̄ is that of this cycle.
+    pub(crate) fn add_reference_acceleration(&self, above: &mut [f64]) {
+        let mut intended = self.task.reference_acceleration() - self.bias - self.reference_above;
+        if let Some(escape) = &self.escape {
+            escape.replace_demand(&mut intended);
+        }
+        add_transposed(&self.projected.space.jbar_transpose, &intended, above);
     }
 
     /// Returns true if a direction of the task is damped for control.

@@ -671,6 +671,26 @@ impl Task for CartesianTask {
         self.axes.rows_of(&a)
     }
 
+    /// That of the reference; all of it where a sensed force is shaped.
+    fn reference_acceleration(&self) -> Vector6<f64> {
+        if self.feedback.impedance.as_ref().is_some_and(|impedance| impedance.inertia.is_some()) {
+            return self.acceleration();
+        }
+        let mut a = self.axes.of_motion(&self.target.acceleration);
+        for (a, _) in a.iter_mut().zip(self.modes).filter(|(_, mode)| *mode != AxisMode::Motion) {
+            *a = 0.0;
+        }
+        self.axes.rows_of(&a)
+    }
+
+    fn yields_to_force(&self, row: usize) -> bool {
+        self.axes.axes().get(row).is_some_and(|&axis| match self.modes[axis] {
+            AxisMode::Compliant | AxisMode::Force => true,
+            AxisMode::Motion => self.feedback.impedance.is_some(),
+            AxisMode::Free => false,
+        })
+    }
+
     fn start(&mut self, input: &ControlInput<'_>) {
         let ControlInput { model, data, .. } = *input;
         let controlled = self.axes.controlled;

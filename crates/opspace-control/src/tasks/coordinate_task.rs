@@ -265,6 +265,10 @@ impl<C: Coordinate> Task for CoordinateTask<C> {
         acceleration + (velocity - self.velocity) * damping + (self.error + self.integral) * stiffness
     }
 
+    fn reference_acceleration(&self) -> Vector6<f64> {
+        self.target[2]
+    }
+
     fn start(&mut self, input: &ControlInput<'_>) {
         self.jacobian = Matrix6xX::zeros(input.model.n());
         self.home = self.coordinate.value(input.model, input.data);

@@ -393,6 +393,10 @@ impl Task for CoupledTask {
         self.acceleration
     }
 
+    fn yields_to_force(&self, _row: usize) -> bool {
+        true
+    }
+
     fn force(&self, _task_inertia: &Matrix6<f64>) -> Option<Vector6<f64>> {
         Some(Vector6::from_fn(|row, _| self.force[row] / self.rows.scale(row)))
     }

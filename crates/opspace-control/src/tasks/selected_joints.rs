@@ -106,6 +106,10 @@ impl Task for SelectedJoints {
         self.acceleration
     }
 
+    fn reference_acceleration(&self) -> Vector6<f64> {
+        self.rows_of(|joint| self.tracking.reference_acceleration_of(joint))
+    }
+
     fn start(&mut self, input: &ControlInput<'_>) {
         self.tracking.start(input);
     }

@@ -98,6 +98,20 @@ pub trait Task: Any + Send {
     /// Desired acceleration a* of the rows, computed by the last update.
     fn acceleration(&self) -> Vector6<f64>;
 
+    /// Part of [`acceleration`](Self::acceleration) that the task intends, without what it does about deviations: usually
+    /// ẍ_d of the rows that follow a reference, and 0 on the others. Rows of lower tasks that
+    /// [yield to forces](Self::yields_to_force) are decoupled from this part only. All of it if this is not known.
+    fn reference_acceleration(&self) -> Vector6<f64> {
+        self.acceleration()
+    }
+
+    /// Returns true if a row is to respond to external forces in a stated way, such as an impedance, a compliant axis or a
+    /// force axis. It then does not take part in what the tasks above do about their deviations, as an external force is
+    /// mostly why they do it.
+    fn yields_to_force(&self, _row: usize) -> bool {
+        false
+    }
+
     /// Starts at the robot's present state. May allocate.
     fn start(&mut self, _input: &ControlInput<'_>) {}
 

@@ -211,6 +211,11 @@ impl Tracking {
             + self.gains.stiffness[i] * self.error[i]
     }
 
+    /// Acceleration of a joint's reference, rad/s² or m/s².
+    pub(crate) fn reference_acceleration_of(&self, joint: usize) -> f64 {
+        self.reference_acceleration[joint]
+    }
+
     /// Reference velocity plus gain times error, of a joint at `q` (rad/s or m/s).
     pub(crate) fn kinematic_target_of(&self, joint: usize, q: f64, gain_per_s: f64) -> f64 {
         self.reference_velocity[joint] + gain_per_s * (self.reference[joint] - q)

@@ -71,6 +71,17 @@ struct Task {
     wave: (usize, f64, f64),
 }
 
+/// Rows of a task in a state.
+struct TaskLaw {
+    /// J and J̇ q̇.
+    jacobian: DMatrix<f64>,
+    bias: DVector<f64>,
+    /// Desired acceleration a*.
+    wanted: DVector<f64>,
+    /// Acceleration of the reference; `None` for compliant rows.
+    reference: Vec<Option<f64>>,
+}
+
 /// The task of all joints below the other tasks.
 #[derive(Clone, Copy, Debug)]
 enum Rest {
@@ -256,13 +267,18 @@ impl Task {
         }
     }
 
-    /// J and J̇ q̇ of the task's rows, and their desired acceleration a*.
-    fn law(&self, model: &Model, start: &Data, data: &Data) -> (DMatrix<f64>, DVector<f64>, DVector<f64>) {
+    /// Returns the law of the task's rows as if there were no task above.
+    fn law(&self, model: &Model, start: &Data, data: &Data) -> TaskLaw {
         let (stiffness, damping) = (self.omega * self.omega, 2.0 * self.zeta * self.omega);
         if let What::Joints(joints) = &self.what {
             let rows = DMatrix::from_fn(joints.len(), model.n(), |r, c| f64::from(u8::from(joints[r] == c)));
             let wanted = joints.iter().map(|&j| stiffness * (start.q[j] - data.q[j]) - damping * data.dq[j]);
-            return (rows, DVector::zeros(joints.len()), DVector::from_iterator(joints.len(), wanted));
+            return TaskLaw {
+                jacobian: rows,
+                bias: DVector::zeros(joints.len()),
+                wanted: DVector::from_iterator(joints.len(), wanted),
+                reference: vec![Some(0.0); joints.len()],
+            };
         }
         let (home, ..) = self.motion(model, start);
         let (pose, velocity, jacobian, bias) = self.motion(model, data);
@@ -309,11 +325,14 @@ impl Task {
         let active_axes: Vec<usize> = self.active_axes().collect();
         let (rows, n) = (active_axes.len(), model.n());
         let column = |c: usize| in_axes(&Vector6::from_fn(|r, _| jacobian[(r, c)]));
-        (
-            DMatrix::from_fn(rows, n, |r, c| column(c)[active_axes[r]]),
-            DVector::from_fn(rows, |r, _| bias[active_axes[r]]),
-            DVector::from_fn(rows, |r, _| wanted(active_axes[r])),
-        )
+        let reference =
+            |&axis: &usize| (self.modes[axis] == Mode::Motion).then_some(reference_acceleration[axis]);
+        TaskLaw {
+            jacobian: DMatrix::from_fn(rows, n, |r, c| column(c)[active_axes[r]]),
+            bias: DVector::from_fn(rows, |r, _| bias[active_axes[r]]),
+            wanted: DVector::from_fn(rows, |r, _| wanted(active_axes[r])),
+            reference: active_axes.iter().map(reference).collect(),
+        }
     }
 }
 
@@ -364,8 +383,34 @@ struct Case {
     rest: Rest,
     start: Data,
     data: Data,
-    /// J, J̇ q̇ and a* of each task.
-    laws: Vec<(DMatrix<f64>, DVector<f64>, DVector<f64>)>,
+    /// Laws of the tasks. `wanted` of compliant rows includes what the tasks above do about their deviations.
+    laws: Vec<TaskLaw>,
+}
+
+/// Returns the joint accelerations of least kinetic energy that give the rows of all tasks these accelerations, as a
+/// difference from `rest` (n).
+fn least(
+    data: &Data,
+    laws: &[TaskLaw],
+    rest: &DVector<f64>,
+    accelerations: impl Fn(&TaskLaw) -> DVector<f64>,
+) -> DVector<f64> {
+    let (n, m) = (rest.len(), &data.mass_matrix);
+    let rows: usize = laws.iter().map(|law| law.jacobian.nrows()).sum();
+    // [M Jᵀ; J 0] [q̈; −λ] = [M q̈_rest; a* − J̇ q̇].
+    let mut system = DMatrix::zeros(n + rows, n + rows);
+    let mut right = DVector::zeros(n + rows);
+    system.view_mut((0, 0), (n, n)).copy_from(m);
+    right.rows_mut(0, n).copy_from(&(m * rest));
+    let mut first = n;
+    for law in laws {
+        let count = law.jacobian.nrows();
+        system.view_mut((first, 0), (count, n)).copy_from(&law.jacobian);
+        system.view_mut((0, first), (n, count)).copy_from(&law.jacobian.transpose());
+        right.rows_mut(first, count).copy_from(&(accelerations(law) - &law.bias));
+        first += count;
+    }
+    system.full_piv_lu().solve(&right).expect("regular").rows(0, n).into_owned()
 }
 
 impl Case {
@@ -389,21 +434,42 @@ impl Case {
         let q: Vec<f64> = q.iter().map(|q| q + 0.15 * numbers.next()).collect();
         let (data, _) = at_state(&model, &q, &numbers.vector(n, 1.0), TIME_S);
         let laws: Vec<_> = tasks.iter().map(|task| task.law(&model, &start, &data)).collect();
-        let case = Self { model, tasks, rest, start, data, laws };
-        (case.is_regular() && case.is_possible()).then_some(case)
+        let mut case = Self { model, tasks, rest, start, data, laws };
+        if !case.is_regular() {
+            return None;
+        }
+        case.add_deviations();
+        case.is_possible().then_some(case)
+    }
+
+    /// Compliant rows are decoupled from the references of the tasks above, but not from their feedback.
+    fn add_deviations(&mut self) {
+        let zero = DVector::zeros(self.model.n());
+        for level in 1..self.laws.len() {
+            let (above, rest) = self.laws.split_at_mut(level);
+            let law = &mut rest[0];
+            let commanded = least(&self.data, above, &zero, |law| law.wanted.clone());
+            let intended = least(&self.data, above, &zero, |law| {
+                DVector::from_iterator(law.reference.len(), law.reference.iter().map(|a| a.unwrap_or(0.0)))
+            });
+            let felt = &law.jacobian * (commanded - intended);
+            for (row, _) in law.reference.iter().enumerate().filter(|(_, reference)| reference.is_none()) {
+                law.wanted[row] += felt[row];
+            }
+        }
     }
 
     fn is_regular(&self) -> bool {
         let n = self.model.n();
-        let rows: usize = self.laws.iter().map(|(j, ..)| j.nrows()).sum();
+        let rows: usize = self.laws.iter().map(|law| law.jacobian.nrows()).sum();
         if rows == 0 {
             return false;
         }
         let Some(factor) = self.data.mass_matrix.clone().cholesky() else { return false };
         let mut all = DMatrix::zeros(n, rows);
         let mut first = 0;
-        for (task, (jacobian, ..)) in self.tasks.iter().zip(&self.laws) {
-            let half = factor.l().solve_lower_triangular(&jacobian.transpose()).expect("regular");
+        for (task, law) in self.tasks.iter().zip(&self.laws) {
+            let half = factor.l().solve_lower_triangular(&law.jacobian.transpose()).expect("regular");
             all.columns_mut(first, half.ncols()).copy_from(&half);
             // The mobility that the levels above leave to the joints must exceed the damping threshold of joint tasks,
             // which cannot be configured.
@@ -473,8 +539,8 @@ impl Case {
 
     /// Returns the acceleration of a task's rows.
     fn task_acceleration(&self, level: usize, ran: &Ran) -> DVector<f64> {
-        let (jacobian, bias, _) = &self.laws[level];
-        jacobian * &ran.ddq + bias
+        let law = &self.laws[level];
+        &law.jacobian * &ran.ddq + &law.bias
     }
 }
 
@@ -536,20 +602,20 @@ fn lower_levels_do_not_accelerate_higher_levels() {
     );
 }
 
-/// Compared: the acceleration of every task with a* of its law: the effects of all other levels on it are compensated.
-/// Without the level's own torque it would differ.
+/// Compared: the acceleration of every task with a* of its law: the effects of all other levels on it are compensated,
+/// except those of feedback above on compliant rows. Without the level's own torque it would differ.
 #[test]
 fn every_level_follows_its_control_law() {
     let (mut lower, mut disturbed) = (0, 0);
     for (i, case) in cases(12, COUNT) {
         let whole = case.run(case.tasks.len(), true).expect("a stack that was possible");
-        for (level, (.., wanted)) in case.laws.iter().enumerate() {
+        for (level, TaskLaw { wanted, .. }) in case.laws.iter().enumerate() {
             let size = whole.ddq.amax().max(wanted.amax()).max(1.0);
             let off = (case.task_acceleration(level, &whole) - wanted).amax() / size;
             assert!(off < ROUNDING, "case {i}, level {level}: {off} of {size}\n{:?}", case.tasks);
             if level > 0 {
                 let above = case.run(level, false).expect("a stack that was possible");
-                let caused = &case.laws[level].0 * &above.ddq;
+                let caused = &case.laws[level].jacobian * &above.ddq;
                 lower += 1;
                 disturbed += usize::from(caused.amax() > EFFECT * size);
             }
@@ -564,22 +630,9 @@ fn every_level_follows_its_control_law() {
 #[test]
 fn feasible_task_set_satisfies_gauss_principle() {
     for (i, case) in cases(13, COUNT) {
-        let (n, m) = (case.model.n(), &case.data.mass_matrix);
-        let rows: usize = case.laws.iter().map(|(j, ..)| j.nrows()).sum();
-        // [M Jᵀ; J 0] [q̈; −λ] = [M q̈_rest; a* − J̇ q̇].
-        let mut system = DMatrix::zeros(n + rows, n + rows);
-        let mut right = DVector::zeros(n + rows);
-        system.view_mut((0, 0), (n, n)).copy_from(m);
-        right.rows_mut(0, n).copy_from(&(m * case.rest.desired_acceleration(&case.start, &case.data)));
-        let mut first = n;
-        for (jacobian, bias, wanted) in &case.laws {
-            system.view_mut((first, 0), (jacobian.nrows(), n)).copy_from(jacobian);
-            system.view_mut((0, first), (n, jacobian.nrows())).copy_from(&jacobian.transpose());
-            right.rows_mut(first, jacobian.nrows()).copy_from(&(wanted - bias));
-            first += jacobian.nrows();
-        }
-        let solved = system.full_piv_lu().solve(&right).expect("regular");
-        let expected = m * solved.rows(0, n) + &case.data.bias;
+        let rest = case.rest.desired_acceleration(&case.start, &case.data);
+        let ddq = least(&case.data, &case.laws, &rest, |law| law.wanted.clone());
+        let expected = &case.data.mass_matrix * ddq + &case.data.bias;
         let tau = case.run(case.tasks.len(), true).expect("a stack that was possible").tau;
         let off = (&tau - &expected).amax() / expected.amax().max(1.0);
         assert!(off < ROUNDING, "case {i}: off by {off} of {expected}\n{:?} {:?}", case.tasks, case.rest);
@@ -600,13 +653,13 @@ fn task_torque_power_equals_task_force_power() {
         }
         // A random velocity without the part that moves the tasks above.
         let mut dq = DVector::from_vec(numbers.vector(n, 1.0));
-        let above: usize = case.laws[..level].iter().map(|(j, ..)| j.nrows()).sum();
+        let above: usize = case.laws[..level].iter().map(|law| law.jacobian.nrows()).sum();
         if above == n {
             continue;
         }
         let mut rows = DMatrix::zeros(above, n);
         let mut first = 0;
-        for (jacobian, ..) in &case.laws[..level] {
+        for TaskLaw { jacobian, .. } in &case.laws[..level] {
             rows.rows_mut(first, jacobian.nrows()).copy_from(jacobian);
             first += jacobian.nrows();
         }
@@ -622,7 +675,7 @@ fn task_torque_power_equals_task_force_power() {
         let with = run(level + 1);
         let added = if level > 0 { &with.tau - run(level).tau } else { &with.tau - &state.bias };
         let force = sampled(&with.controller, &format!("{}.force", case.tasks[level].name));
-        let velocity = &case.laws[level].0 * &dq;
+        let velocity = &case.laws[level].jacobian * &dq;
         let of_force: Vec<f64> =
             case.tasks[level].active_axes().zip(velocity.iter()).map(|(axis, v)| force[axis] * v).collect();
         let size = with.tau.component_mul(&dq).abs().sum() + of_force.iter().map(|p| p.abs()).sum::<f64>();

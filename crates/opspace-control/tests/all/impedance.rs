@@ -102,6 +102,8 @@ struct Held {
     data: Data,
     measurement: Measurement,
     controller: OperationalSpaceController,
+    /// Displacement of the hand, m and rad.
+    away: Vector6<f64>,
     /// Displacement x − x_d, velocity ẋ, J and J̇ q̇ of the axes.
     off: DVector<f64>,
     velocity: DVector<f64>,
@@ -109,23 +111,38 @@ struct Held {
     bias: DVector<f64>,
     /// Force on the axes, N and Nm.
     force: DVector<f64>,
+    /// Force on another axis, which is not sensed.
+    also: Option<(usize, f64)>,
 }
 
 /// Creates a case: `axes` of a random arm's hand with the parameters `keys`; the joints move at up to `speed` (rad/s).
 fn held(numbers: &mut Numbers, axes: &'static [usize], keys: &str, speed: f64) -> Held {
+    held_below("", numbers, axes, keys, speed)
+}
+
+/// Creates a case like [`held`] with a task `above` that has a higher priority, unless its text is empty. The limits are
+/// not reached; the QPs are solved if there is a task above.
+fn held_below(above: &str, numbers: &mut Numbers, axes: &'static [usize], keys: &str, speed: f64) -> Held {
     let n = 7 + numbers.below(3);
     let model = any_arm(n, numbers);
+    let first = if above.is_empty() { "" } else { "\"above\", " };
     let motion: Vec<String> = axes.iter().map(|&a| format!("{} = \"motion\"", AXIS_NAMES[a])).collect();
     let text = format!(
-        "priority = [\"hand\", \"rest\"]\n\
+        "priority = [{first}\"hand\", \"rest\"]\n{above}\n\
          [task.hand.cartesian]\nframe = \"hand\"\naxes = {{ {} }}\nreference = \"hold\"\nsingularity_threshold = 1e-3\n{keys}\n\
          [task.rest.joint-posture]\nfrequency_rad_per_s = 4.0\ndamping_ratio = 0.7\n",
         motion.join(", ")
     );
     let file = File::read(&text);
+    let mut context = control_context(&model, "wrist");
+    if !above.is_empty() {
+        context.limits = common::unreached_limits(n);
+    }
     let mut controller =
-        OperationalSpaceController::new(&model, &file.task_set(), &control_context(&model, "wrist"))
-            .unwrap_or_else(|e| panic!("{e}"));
+        OperationalSpaceController::new(&model, &file.task_set(), &context).unwrap_or_else(|e| panic!("{e}"));
+    if !above.is_empty() {
+        controller.always_solve();
+    }
     let start = numbers.vector(n, 1.5);
     let (data, mut measurement) = at_state(&model, &start, &vec![0.0; n], 0.0);
     let hand = model.frame_id("hand").expect("hand");
@@ -155,6 +172,7 @@ fn held(numbers: &mut Numbers, axes: &'static [usize], keys: &str, speed: f64) -
     let all = jacobian(&model, &now, "hand");
     Held {
         axes,
+        away: off,
         off: rows(off),
         velocity: rows(six(&frame_velocity(&model, &now, hand))),
         bias: rows(six(&frame_bias_acceleration(&model, &now, hand))),
@@ -163,6 +181,7 @@ fn held(numbers: &mut Numbers, axes: &'static [usize], keys: &str, speed: f64) -
         measurement: later,
         controller,
         force,
+        also: None,
         model,
     }
 }
@@ -181,6 +200,9 @@ impl Held {
         let hand = self.model.frame_id("hand").expect("hand");
         let mut wrench = Vector6::zeros();
         self.axes.iter().zip(self.force.iter()).for_each(|(&axis, &f)| wrench[axis] = f);
+        if let Some((axis, f)) = self.also {
+            wrench[axis] = f;
+        }
         let force = Force {
             linear: wrench.fixed_rows::<3>(0).into_owned(),
             angular: wrench.fixed_rows::<3>(3).into_owned(),
@@ -259,6 +281,60 @@ fn pushed_hand_rests_at_spring_equilibrium() {
         assert!(off < ROUNDING * free.max(1.0) && free > 0.1, "case {case}: {off} m/s² of {free}");
     }
     assert!(seen > 30, "{seen} states were regular");
+}
+
+/// Compared, below a task that holds another axis of the hand: Λ ẍ + D ẋ + K (x − x_d), or this with a desired inertia,
+/// with the force. A further force along the axis above is balanced by its task, by an acceleration that does not take
+/// place; the springs do not feel it. The QPs are solved without an active limit.
+#[test]
+fn springs_below_a_task_respond_as_springs() {
+    const OMEGA: f64 = 9.0;
+    let mut numbers = Numbers::new(37);
+    let (mut seen, mut coupled) = (0, 0);
+    for case in 0..120 {
+        let (above, axes): (usize, &'static [usize]) =
+            [(2, &[0, 1][..]), (0, &[1, 2]), (1, &[0]), (1, &[0, 2])][case % 4];
+        let shaped = case % 3 == 0;
+        let task = format!(
+            "[task.above.cartesian]\nframe = \"hand\"\naxes = {{ {} = \"motion\" }}\nreference = \"hold\"\n\
+             gains = {{ frequency_rad_per_s = {OMEGA:e}, damping_ratio = 1.0 }}\nsingularity_threshold = 1e-3",
+            AXIS_NAMES[above]
+        );
+        let inertia = if shaped { ", inertia_kg = 3.0 }\nforce = { sensor = \"wrist\" }" } else { " }" };
+        let keys = format!("impedance = {{ {SPRINGS}, damping_ns_per_m = 35.0{inertia}");
+        let mut held = held_below(&task, &mut numbers, axes, &keys, 1.0);
+        let jacobian = jacobian(&held.model, &held.data, "hand");
+        let inverse = held.data.mass_matrix.clone().try_inverse().expect("regular");
+        let mobility = &jacobian * inverse * jacobian.transpose();
+        // The task above demands what its axis's velocity does not change.
+        let speed = jacobian.row(above).transpose().dot(&held.data.dq);
+        let demand = -OMEGA * OMEGA * held.away[above] - 2.0 * OMEGA * speed;
+        let caused: f64 =
+            axes.iter().zip(held.force.iter()).map(|(&axis, f)| mobility[(above, axis)] * f).sum();
+        held.also = Some((above, -(demand + caused) / mobility[(above, above)]));
+        let Some(acceleration) = held.acceleration() else { continue };
+        if sampled(&held.controller, "above.min_singular_gain") != [1.0] {
+            continue;
+        }
+        seen += 1;
+        // Λ of the axes without the motion of the axis above.
+        let inertia = if shaped {
+            DMatrix::from_diagonal_element(axes.len(), axes.len(), 3.0)
+        } else {
+            let left = |r: usize, c: usize| {
+                let (r, c) = (axes[r], axes[c]);
+                mobility[(r, c)] - mobility[(r, above)] * mobility[(above, c)] / mobility[(above, above)]
+            };
+            DMatrix::from_fn(axes.len(), axes.len(), left).try_inverse().expect("regular")
+        };
+        let parts = [inertia * acceleration, 35.0 * &held.velocity, springs(axes) * &held.off];
+        let size = parts.iter().map(DVector::amax).fold(1.0, f64::max);
+        let off = (parts.iter().sum::<DVector<f64>>() - &held.force).amax() / size;
+        assert!(off < ROUNDING, "case {case}: {off} of {size} N is missing");
+        let first = axes[0];
+        coupled += usize::from(mobility[(first, above)].abs() > 0.1 * mobility[(first, first)]);
+    }
+    assert!(seen > 60 && 2 * coupled > seen, "{coupled} of {seen} axes were coupled");
 }
 
 /// Compared: m ẍ + d ẋ + k (x − x_d) with the force, which is sensed at another point of the hand. The response is
