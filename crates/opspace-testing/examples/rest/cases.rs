@@ -71,6 +71,14 @@ pub struct Case {
     settings: Vec<String>,
 }
 
+/// Goal of an experiment.
+pub enum GoalKind {
+    Unreachable,
+    Reachable,
+    /// The pose of the arm at this start posture.
+    At(Vec<f64>),
+}
+
 #[derive(Clone, Copy, Debug)]
 struct Goal {
     position: Vector3<f64>,
@@ -108,20 +116,28 @@ impl Case {
         let reachable = search.goal_at(&start.clone(), &mut random);
         let unreachable = search.unreachable(&start, &mut random);
         let rotors: Vec<f64> = robot.joints().iter().map(|joint| joint.rotor.inertia_kg_m2.get()).collect();
-        let (task, settings) = text(&kind, &arm, &model, &start, &rotors);
+        let (task, settings) = text(&kind, &arm, &model, &rotors);
         Self { number, kind, arm, model, start, unreachable, reachable, task, settings }
     }
 
-    /// Experiment whose goal is beyond reach, or within reach.
-    pub fn experiment(&self, reachable: bool) -> Experiment {
-        let goal = if reachable { self.reachable } else { self.unreachable };
+    /// Experiment of this kind.
+    pub fn experiment(&self, goal: &GoalKind) -> Experiment {
+        let (start, goal) = match goal {
+            GoalKind::Unreachable => (&self.start, self.unreachable),
+            GoalKind::Reachable => (&self.start, self.reachable),
+            GoalKind::At(q) => {
+                (q, Goal { position: Vector3::zeros(), orientation: UnitQuaternion::identity() })
+            }
+        };
         let [x, y, z] = goal.position.into();
         let mut goals = format!("position = {{ offset_m = [{x}, {y}, {z}] }}");
         if self.kind.pose {
             let (roll, pitch, yaw) = goal.orientation.euler_angles();
             goals += &format!(", orientation = {{ offset_rpy_rad = [{roll}, {pitch}, {yaw}] }}");
         }
-        let text = self.task.replace("GOAL", &goals);
+        let joints = self.model.joints().iter().zip(start);
+        let starts: Vec<String> = joints.map(|(joint, q)| format!("{} = {q}", joint.name)).collect();
+        let text = self.task.replace("GOAL", &goals).replace("START", &starts.join(", "));
         let source = opspace_experiment::Source::new("rest.toml", text);
         let task = TaskDefinition::from_sources(source, |_| -> Result<_, opspace_experiment::FileError> {
             unreachable!("the task has no path")
@@ -364,10 +380,9 @@ impl<'a> Search<'a> {
     }
 }
 
-/// Text of the task file, and the settings of the robot file.
-fn text(kind: &Kind, arm: &Arm, model: &Model, start: &[f64], rotors: &[f64]) -> (String, Vec<String>) {
+/// Text of the task file without start and goal, and the settings of the robot file.
+fn text(kind: &Kind, arm: &Arm, model: &Model, rotors: &[f64]) -> (String, Vec<String>) {
     let joints: Vec<&str> = model.joints().iter().map(|joint| joint.name.as_str()).collect();
-    let starts: Vec<String> = joints.iter().zip(start).map(|(name, q)| format!("{name} = {q}")).collect();
     let axes: Vec<String> =
         arm.axes[usize::from(kind.pose)].iter().map(|axis| format!("{axis} = \"motion\"")).collect();
     let mut text = format!(
@@ -378,7 +393,7 @@ fn text(kind: &Kind, arm: &Arm, model: &Model, start: &[f64], rotors: &[f64]) ->
     if kind.friction {
         text += "friction_compensation = { gain = 0.8 }\n";
     }
-    text += &format!("start_rad = {{ {} }}\n", starts.join(", "));
+    text += "start_rad = { START }\n";
     text += &format!(
         "[task.hand.cartesian]\nframe = \"{}\"\naxes = {{ {} }}\ngains = {{ frequency_rad_per_s = 20.0, damping_ratio = \
          1.0 }}\nreference.point-to-point = {{ GOAL, duration_s = {ARRIVAL_S} }}\n",

@@ -1,6 +1,6 @@
 //! Motion at the end of a run.
 
-use crate::cases::{ARRIVAL_S, Case, SETTLING_S};
+use crate::cases::{ARRIVAL_S, Case, GoalKind, SETTLING_S};
 use opspace_backend::signal_names::{COMMAND, DQ, Q, TORQUE_DESIRED};
 use opspace_experiment::Progress;
 use opspace_log::Recording;
@@ -19,13 +19,16 @@ pub struct Outcome {
     pub fault: Option<String>,
     /// Error of the task at the end, and after a descent from there, m.
     residual: (f64, f64),
+    /// Joint positions at the end.
+    pub end: Vec<f64>,
 }
 
 impl Outcome {
-    pub fn of(case: &Case, reachable: bool) -> Self {
-        let experiment = case.experiment(reachable);
+    pub fn of(case: &Case, goal: &GoalKind) -> Self {
+        let experiment = case.experiment(goal);
+        let is_unreachable = matches!(goal, GoalKind::Unreachable);
         let finished = experiment.run(Cursor::new(Vec::new()), &Progress::default()).expect("a run");
-        if let (Ok(folder), false) = (std::env::var("REST_LOG"), reachable) {
+        if let (Ok(folder), true) = (std::env::var("REST_LOG"), is_unreachable) {
             std::fs::write(format!("{folder}/{}.mcap", case.number), finished.sink.get_ref())
                 .expect("written");
         }
@@ -50,8 +53,8 @@ impl Outcome {
         let end = q.row(q.len() - 1).to_vec();
         let fault = finished.record.fault.clone();
         let collision = experiment.kept_distances().map(|kept| &kept.limits);
-        let residual = if reachable { (0.0, 0.0) } else { case.residual(&end, collision) };
-        Self { speed, torque_rate, fault, residual }
+        let residual = if is_unreachable { case.residual(&end, collision) } else { (0.0, 0.0) };
+        Self { speed, torque_rate, fault, residual, end }
     }
 
     /// Returns true if the arm rests, or moves no more than the same arm at a reachable goal.
