@@ -44,7 +44,6 @@ mod motion;
 mod nudge;
 mod phase_margin;
 mod refusal;
-mod rollout;
 mod servo_gain;
 mod speeds;
 mod stability;
@@ -54,6 +53,7 @@ mod torque_floor;
 mod variation;
 
 use crate::run::experiment::{ControllerKind, Experiment};
+use crate::run::rollout::Rollout;
 use case::PreflightCase;
 pub use couplings::coupling_diagnostics;
 pub use detectable_force::DetectableForce;
@@ -64,7 +64,6 @@ pub use gears::{GearMargin, GearScale, gear_margin};
 pub use impedances::{JointImpedance, impedances};
 pub use margins::{Margins, Quantity, RangeEnd, StableRange, margins, margins_with};
 pub use refusal::{LEAST_EXCESS, checked_for_real_robot, refusals};
-use rollout::Rollout;
 pub use servo_gain::{GainMargin, ServoLoop, gain_margin};
 pub use torque_floor::{JointFloor, TORQUE_HZ, floors};
 pub use variation::Variation;
@@ -76,7 +75,7 @@ pub fn diagnostics(experiment: &Experiment) -> Vec<Diagnostic> {
     let Some(case) = PreflightCase::new(experiment) else {
         return Vec::new();
     };
-    let followed = Rollout::new(&case);
+    let followed = Rollout::new(&case.rollout());
     let mut found = limits::of_start(&case);
     found.extend(freedom::singular_start(&case));
     if experiment.options().controller == ControllerKind::Osc {
