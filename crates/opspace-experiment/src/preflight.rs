@@ -18,6 +18,7 @@
 //! | `gears` | oscillation on elastic gears |
 //! | `torque_floor` | velocity feed-forward with held setpoints |
 //! | `contact` | force axes whose contact would oscillate, or whose impact exceeds torque limits |
+//! | `objects` | a start inside an object of the environment; objects out of reach |
 //! | `collisions` | a start or references in collision with an obstacle or the arm itself |
 //! | `couplings` | couplings of several robots without passivity control |
 //! | `times` | events and references that end after the run |
@@ -42,6 +43,7 @@ mod limits;
 mod margins;
 mod motion;
 mod nudge;
+mod objects;
 mod phase_margin;
 mod refusal;
 mod servo_gain;
@@ -77,6 +79,7 @@ pub fn diagnostics(experiment: &Experiment) -> Vec<Diagnostic> {
     };
     let followed = Rollout::new(&case.rollout());
     let mut found = limits::of_start(&case);
+    found.extend(objects::misplaced(&case));
     found.extend(freedom::singular_start(&case));
     if experiment.options().controller == ControllerKind::Osc {
         found.extend(freedom::uncontrolled(&case));
