@@ -315,6 +315,11 @@ fn fault_exits_with_1_and_its_cause() {
     let cause = summary["faulted"].as_str().unwrap();
     assert!(cause.contains("joint"), "{cause}");
     ran.says(&["stopped at", cause]);
+    let shown =
+        opspace(folder.path(), &["run", &task("compliant-x"), "--set", rms, "--set", stiffness]).exits(1);
+    let first = shown.stdout.lines().next().unwrap();
+    assert!(first.starts_with("STOPPED at ") && first.contains("until the stop"), "{first}");
+    assert!(cause.split(' ').all(|word| word.trim_end_matches(',').len() < 18), "many digits: {cause}");
     let time = summary["fault_time_s"].as_f64().unwrap();
     let log = Recording::read(folder.path().join("runs/compliant-x-asimo-arm-position/run.mcap")).unwrap();
     assert!(log.damage.is_none());

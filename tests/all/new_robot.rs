@@ -261,3 +261,60 @@ fn removed_entry_is_no_longer_assumed() {
         "did you mean 'rotor'",
     ]);
 }
+
+/// The tip of an arm is before its gripper: one jaw with a joint of its own, or two fingers. An arm whose joints have other names
+/// ends at its last link.
+#[test]
+fn gripper_is_not_the_tip() {
+    let arm = |hand: &str| {
+        let mut urdf = "<robot name=\"arm\"><link name=\"l0\"/>".to_owned();
+        for i in 1..=5 {
+            let (parent, axis) = (format!("l{}", i - 1), ["0 0 1", "0 1 0"][usize::from(i % 2 == 0)]);
+            let _ = write!(
+                urdf,
+                "<joint name=\"q{i}\" type=\"revolute\"><parent link=\"{parent}\"/><child link=\"l{i}\"/><origin xyz=\"0 0.02 0.2\"/>\
+                 <axis xyz=\"{axis}\"/><limit lower=\"-2\" upper=\"2\" effort=\"60\" velocity=\"2\"/></joint>"
+            );
+            link(&mut urdf, &format!("l{i}"), 0.2, 1.0);
+        }
+        urdf + hand + "</robot>"
+    };
+    let moving = |kind: &str, name: &str, child: &str, at: f64| {
+        let mut text = format!(
+            "<joint name=\"{name}\" type=\"{kind}\"><parent link=\"l5\"/><child link=\"{child}\"/><origin xyz=\"0 {at} 0.1\"/>\
+             <axis xyz=\"1 0 0\"/><limit lower=\"0\" upper=\"0.5\" effort=\"10\" velocity=\"1\"/></joint>"
+        );
+        link(&mut text, child, 0.05, 0.1);
+        text
+    };
+    let jaw = moving("revolute", "jointGripper", "mover", 0.0);
+    let fingers = moving("prismatic", "a", "left", 0.02) + &moving("prismatic", "b", "right", -0.02);
+    let wrist = moving("revolute", "q6", "l6", 0.0);
+    let cases = [
+        (jaw, "The tip 'l5'", Some("joint 'jointGripper' is taken for that of a gripper: the tip is 'l5'")),
+        (fingers, "The tip 'l5'", Some("joints 'a', 'b' are taken for those of a gripper: the tip is 'l5'")),
+        (wrist, "The tip 'l6'", None),
+    ];
+    for (hand, tip, note) in cases {
+        let folder = scratch();
+        fs::write(folder.path().join("arm.urdf"), arm(&hand)).unwrap();
+        let made = |options: &[&str]| {
+            let arguments = [&["new", "mine", "--urdf", "arm.urdf", "--assume"], options].concat();
+            opspace(folder.path(), &arguments).exits(0).stdout
+        };
+        let said = made(&[]);
+        assert!(said.contains(tip), "{said}");
+        assert!(said.contains("NOTE collisions are not avoided"), "{said}");
+        match note {
+            Some(note) => {
+                assert!(said.contains(note) && said.contains("add `--to l5`"), "{said}");
+                fs::remove_dir_all(folder.path().join("mine")).unwrap();
+                let without = made(&["--to", "l5"]);
+                assert!(!without.contains("gripper"), "{without}");
+                let robot = RobotDefinition::load(Files::Disk, &folder.path().join("mine"), &[]).unwrap();
+                assert_eq!(robot.model.n(), 5);
+            }
+            None => assert!(!said.contains("gripper"), "{said}"),
+        }
+    }
+}

@@ -4,6 +4,7 @@
 use crate::cli_common::{opspace, project, read, scratch};
 use serde_json::Value;
 use std::fs;
+use std::path::Path;
 
 /// Rounding of a few products.
 const TOLERANCE: f64 = 1e-9;
@@ -120,4 +121,29 @@ fn posture_is_that_of_the_first_task_or_named() {
     let outside = opspace(folder.path(), &["model", &panda, "--q", "joint4=1.0"]).exits(0).stdout;
     assert!(outside.contains("joint 'joint4' at 1 is outside its limits"), "{outside}");
     opspace(folder.path(), &["model", &urdf, "--q", "-0.1,-0.2"]).exits(0);
+}
+
+/// Compared: poses of the UR5e by forward kinematics of the printed `start_rad`, and those that were asked for.
+#[test]
+fn posture_is_found_for_a_place() {
+    let robot = project("robots/ur5e");
+    for at in ["0.4,0.2,0.3", "0.4,0.2,0.3,3.1,0.1,0.5", "-0.3,-0.4,0.5"] {
+        let shown = posture(&robot, &["--at", at]);
+        let frame = shown["frame"].as_str().unwrap();
+        let found = shown["frames"].as_array().unwrap().iter().find(|row| row["name"] == frame).unwrap();
+        let numbers: Vec<f64> = at.split(',').map(|number| number.parse().unwrap()).collect();
+        let values =
+            found["position_m"].as_array().unwrap().iter().chain(found["rpy_rad"].as_array().unwrap());
+        for (asked, value) in numbers.iter().zip(values) {
+            assert!((value.as_f64().unwrap() - asked).abs() < 2e-3, "{at}: {found}");
+        }
+    }
+    let text = opspace(Path::new(&robot), &["model", ".", "--at", "0.4,0.2,0.3"]).exits(0).stdout;
+    let line = text.lines().find(|line| line.starts_with("start_rad = { ")).unwrap();
+    assert!(line.contains("base = ") && line.contains("wrist_3 = "), "{line}");
+    let wrong = |at: &str, words: &[&str]| {
+        opspace(Path::new(&robot), &["model", ".", "--at", at]).exits(2).says(words);
+    };
+    wrong("3.0,0.0,0.0", &["no posture within the joint limits", "m away"]);
+    wrong("0.1,0.2", &["--at has 2 values", "x,y,z"]);
 }

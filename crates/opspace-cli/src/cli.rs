@@ -598,7 +598,12 @@ pub struct ModelArgs {
     #[arg(long, value_name = "VALUES", value_delimiter = ',', allow_hyphen_values = true, conflicts_with_all = ["samples", "capsules"])]
     pub q: Vec<String>,
 
-    /// Frame for which Jacobian and effective masses are printed [default: the tip].
+    /// Find a posture in which the frame is at this place of the world: x, y, z (m), or x, y, z, roll, pitch, yaw (m, rad). It is
+    /// printed as `start_rad` of a task.
+    #[arg(long, value_name = "POSE", value_delimiter = ',', allow_hyphen_values = true, conflicts_with_all = ["samples", "capsules", "q", "floating"])]
+    pub at: Vec<f64>,
+
+    /// Frame for which Jacobian and effective masses are printed, and which --at places [default: the tip].
     #[arg(long, value_name = "FRAME", conflicts_with_all = ["samples", "capsules"])]
     pub frame: Option<String>,
 

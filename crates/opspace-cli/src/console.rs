@@ -3,7 +3,9 @@
 use annotate_snippets::renderer::DecorStyle;
 use annotate_snippets::{AnnotationKind, Group, Level, Renderer, Snippet};
 use comfy_table::{CellAlignment, ContentArrangement, LineStyle, TableStyle};
-use opspace_experiment::evaluate::notes::{allowed_notes, assumed_notes, joint_notes, notes, task_notes};
+use opspace_experiment::evaluate::notes::{
+    allowed_notes, assumed_notes, final_notes, joint_notes, notes, task_notes,
+};
 use opspace_experiment::evaluate::results::{Measure, failures, joint_table, table, task_table};
 use opspace_experiment::evaluate::table::{Cell, Table};
 use opspace_experiment::{FileError, RunError, Summary};
@@ -144,11 +146,19 @@ pub fn results(console: Console, summaries: &[Summary], measures: &[Measure]) ->
     if summaries.is_empty() {
         return "no runs\n".to_owned();
     }
-    let mut text: String = assumed_notes(summaries).iter().map(|note| format!("ASSUMED {note}\n")).collect();
+    let mut text = String::new();
+    if let [one] = summaries
+        && let Some(fault) = &one.faulted
+    {
+        let time_s = one.fault_time_s.unwrap_or(f64::NAN);
+        text += &format!("STOPPED at {time_s:.3} s: {fault}. All values below are those until the stop.\n");
+    }
+    assumed_notes(summaries).iter().for_each(|note| text += &format!("ASSUMED {note}\n"));
     allowed_notes(summaries).iter().for_each(|note| text += &format!("ALLOWED {note}\n"));
     failures(summaries).iter().for_each(|failure| text += &format!("FAILED {failure}\n"));
     if let [one] = summaries {
         one.unreached_goals.iter().for_each(|goal| text += &format!("NOTE {goal}\n"));
+        final_notes(one).iter().for_each(|note| text += &format!("NOTE {note}\n"));
         one.escapes.iter().for_each(|escape| text += &format!("NOTE {escape}\n"));
     }
     text += &render(&table(summaries, measures));

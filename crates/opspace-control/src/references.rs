@@ -6,6 +6,7 @@ pub(crate) mod curve;
 pub mod goal;
 pub mod joint_reference;
 pub mod online;
+pub mod path_bounds;
 pub mod path_motion;
 pub mod path_reference;
 pub(crate) mod path_shape;

@@ -84,6 +84,8 @@ codes! {
     // Collisions and contact.
     StartInCollision "start-in-collision" Effect::Reported,
     ReferenceInCollision "reference-in-collision" Effect::Reported,
+    StartInObject "start-in-object" Effect::Reported,
+    ObjectOutOfReach "object-out-of-reach" Effect::Reported,
     ContactOscillation "contact-oscillation" Effect::Reported,
     ContactImpact "contact-impact" Effect::Reported,
     UnstableAdmittance "unstable-admittance" Effect::Reported,

@@ -18,6 +18,7 @@
 //! | `gears` | oscillation on elastic gears |
 //! | `torque_floor` | velocity feed-forward with held setpoints |
 //! | `contact` | force axes whose contact would oscillate, or whose impact exceeds torque limits |
+//! | `objects` | a start inside an object of the environment; objects out of reach |
 //! | `collisions` | a start or references in collision with an obstacle or the arm itself |
 //! | `couplings` | couplings of several robots without passivity control |
 //! | `times` | events and references that end after the run |
@@ -42,9 +43,9 @@ mod limits;
 mod margins;
 mod motion;
 mod nudge;
+mod objects;
 mod phase_margin;
 mod refusal;
-mod rollout;
 mod servo_gain;
 mod speeds;
 mod stability;
@@ -54,6 +55,7 @@ mod torque_floor;
 mod variation;
 
 use crate::run::experiment::{ControllerKind, Experiment};
+use crate::run::rollout::Rollout;
 use case::PreflightCase;
 pub use couplings::coupling_diagnostics;
 pub use detectable_force::DetectableForce;
@@ -64,7 +66,6 @@ pub use gears::{GearMargin, GearScale, gear_margin};
 pub use impedances::{JointImpedance, impedances};
 pub use margins::{Margins, Quantity, RangeEnd, StableRange, margins, margins_with};
 pub use refusal::{LEAST_EXCESS, checked_for_real_robot, refusals};
-use rollout::Rollout;
 pub use servo_gain::{GainMargin, ServoLoop, gain_margin};
 pub use torque_floor::{JointFloor, TORQUE_HZ, floors};
 pub use variation::Variation;
@@ -76,8 +77,9 @@ pub fn diagnostics(experiment: &Experiment) -> Vec<Diagnostic> {
     let Some(case) = PreflightCase::new(experiment) else {
         return Vec::new();
     };
-    let followed = Rollout::new(&case);
+    let followed = Rollout::new(&case.rollout());
     let mut found = limits::of_start(&case);
+    found.extend(objects::misplaced(&case));
     found.extend(freedom::singular_start(&case));
     if experiment.options().controller == ControllerKind::Osc {
         found.extend(freedom::uncontrolled(&case));

@@ -5,5 +5,6 @@ pub mod assumed_drives;
 pub mod first_motion;
 pub mod first_task;
 pub mod new_robot;
+pub mod posture_at;
 pub mod robot_template;
 pub mod tip;

@@ -1,13 +1,33 @@
 //! Faults: causes of a stop. A run latches the first one.
 
 use opspace_backend::DeviceFault;
-use opspace_model::Model;
+use opspace_model::{JointKind, Model};
+use std::fmt;
 use thiserror::Error;
 
 /// Code of a fault that the robot itself reported.
 pub(crate) const DEVICE_CODE: u32 = 17;
 
-/// Cause of a stop. Joints are given by their index; [`describe`](Fault::describe) names them.
+/// Number with four significant digits in a message.
+struct Rounded(f64);
+
+impl fmt::Display for Rounded {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self(number) = *self;
+        if number == 0.0 || !number.is_finite() {
+            return write!(f, "{number}");
+        }
+        // Quotients of whole numbers print with the digits that they have, products with rounding errors.
+        let decimals = 3 - number.abs().log10().floor() as i32;
+        let power = 10.0_f64.powi(decimals.abs());
+        let rounded =
+            if decimals >= 0 { (number * power).round() / power } else { (number / power).round() * power };
+        write!(f, "{rounded}")
+    }
+}
+
+/// Cause of a stop. Joints are given by their index, as if all were revolute; [`describe`](Fault::describe) names them, with
+/// their units.
 #[derive(Clone, Debug, PartialEq, Error)]
 #[non_exhaustive]
 pub enum Fault {
@@ -38,7 +58,7 @@ pub enum Fault {
         now_s: f64,
     },
     /// The robot sent no sample for too long.
-    #[error("the robot was silent for {silent_s} s; limit: {limit_s} s")]
+    #[error("the robot was silent for {} s; limit: {} s", Rounded(*silent_s), Rounded(*limit_s))]
     Dropout {
         /// Time without a sample, s.
         silent_s: f64,
@@ -46,7 +66,7 @@ pub enum Fault {
         limit_s: f64,
     },
     /// A joint still moves although the robot is held.
-    #[error("joint {joint}: still moving after being held for {held_s} s following a dropout")]
+    #[error("joint {joint}: still moving after being held for {} s following a dropout", Rounded(*held_s))]
     HoldFailed {
         /// Joint index.
         joint: usize,
@@ -54,7 +74,7 @@ pub enum Fault {
         held_s: f64,
     },
     /// A measured position differs from the previous one by more than the joint can move.
-    #[error("joint {joint}: the measured position jumped by {step}, limit {limit}")]
+    #[error("joint {joint}: the measured position jumped by {} rad, limit {} rad", Rounded(*step), Rounded(*limit))]
     PositionJump {
         /// Joint index.
         joint: usize,
@@ -64,7 +84,7 @@ pub enum Fault {
         limit: f64,
     },
     /// A joint is outside its limits.
-    #[error("joint {joint}: position {q} is outside its limits {lower} to {upper}")]
+    #[error("joint {joint}: position {} rad is outside its limits {} to {} rad", Rounded(*q), Rounded(*lower), Rounded(*upper))]
     JointLimit {
         /// Joint index.
         joint: usize,
@@ -76,7 +96,7 @@ pub enum Fault {
         upper: f64,
     },
     /// A joint exceeds its speed limit.
-    #[error("joint {joint}: speed {dq} is above its limit {limit}")]
+    #[error("joint {joint}: speed {} rad/s is above its limit {} rad/s", Rounded(*dq), Rounded(*limit))]
     Speed {
         /// Joint index.
         joint: usize,
@@ -86,7 +106,7 @@ pub enum Fault {
         limit: f64,
     },
     /// A joint is farther from its setpoint than full torque at full speed explains.
-    #[error("following error of joint {joint}: {error}, limit {limit}")]
+    #[error("following error of joint {joint}: {} rad, limit {} rad", Rounded(*error), Rounded(*limit))]
     FollowingError {
         /// Joint index.
         joint: usize,
@@ -96,7 +116,7 @@ pub enum Fault {
         limit: f64,
     },
     /// The motor torque of a position or velocity robot differs from the desired torque.
-    #[error("joint {joint}: the motor's torque is {deviation} Nm from the desired torque, limit {limit}")]
+    #[error("joint {joint}: the motor's torque is {} Nm from the desired torque, limit {} Nm", Rounded(*deviation), Rounded(*limit))]
     TorqueDeviation {
         /// Joint index.
         joint: usize,
@@ -106,7 +126,7 @@ pub enum Fault {
         limit: f64,
     },
     /// The motor of a position or velocity robot delivers more power than the desired torque would.
-    #[error("joint {joint}: the motor delivers {power} W more than the desired torque would, limit {limit}")]
+    #[error("joint {joint}: the motor delivers {} W more than the desired torque would, limit {} W", Rounded(*power), Rounded(*limit))]
     ExcessPower {
         /// Joint index.
         joint: usize,
@@ -122,7 +142,7 @@ pub enum Fault {
     #[error("the robot reports: {0}")]
     Device(DeviceFault),
     /// A streamed target is too old, and its task requires a stop in this case.
-    #[error("the target of task {task} is {age_s} s old")]
+    #[error("the target of task {task} is {} s old", Rounded(*age_s))]
     StaleTarget {
         /// Index of the task in the order of priority, from 0.
         task: usize,
@@ -130,7 +150,7 @@ pub enum Fault {
         age_s: f64,
     },
     /// The robot has collided with something.
-    #[error("joint {joint}: an external torque of {torque} Nm shows a collision, threshold {threshold}")]
+    #[error("joint {joint}: an external torque of {} Nm shows a collision, threshold {} Nm", Rounded(*torque), Rounded(*threshold))]
     Collision {
         /// Joint index.
         joint: usize,
@@ -171,7 +191,7 @@ impl Fault {
         }
     }
 
-    /// Description of the fault with the joint's name. Allocates, so it must not be called in the loop.
+    /// Description of the fault with the joint's name and units. Allocates, so it must not be called in the loop.
     #[must_use]
     pub fn describe(&self, model: &Model) -> String {
         let text = self.to_string();
@@ -188,6 +208,24 @@ impl Fault {
             | Self::Collision { joint, .. } => joint,
             _ => return text,
         };
-        text.replacen(&format!("joint {joint}"), &format!("joint '{}'", model.joints()[joint].name), 1)
+        let moved = &model.joints()[joint];
+        let text = match moved.kind {
+            JointKind::Prismatic => text.replace(" rad", " m").replace(" Nm", " N"),
+            _ => text,
+        };
+        text.replacen(&format!("joint {joint}"), &format!("joint '{}'", moved.name), 1)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Rounded;
+
+    /// Numbers that binary fractions miss, and large and small ones.
+    #[test]
+    fn numbers_have_four_digits() {
+        let texts =
+            [0.1 + 0.2, -2.0 / 3.0, 9999.6, 123_456.0, 1.5e-7, 0.0, 40.0].map(|x| Rounded(x).to_string());
+        assert_eq!(texts, ["0.3", "-0.6667", "10000", "123500", "0.00000015", "0", "40"]);
     }
 }

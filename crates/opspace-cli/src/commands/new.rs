@@ -50,7 +50,7 @@ fn create(
         (None, true) => DriveValues::Assumed,
         (None, false) => DriveValues::Missing,
     };
-    let NewFiles { robot_toml, task_toml, motion, warnings, command, unmatched_joints, .. } =
+    let NewFiles { robot_toml, task_toml, motion, warnings, command, unmatched_joints, notes, .. } =
         new_files(&source, &urdf, part, values)?;
     warnings.iter().for_each(|w| console.note(&format!("{}: {w} [{}]", source.name(), w.kind().code())));
     if !unmatched_joints.is_empty() {
@@ -90,10 +90,11 @@ fn create(
             robot.display()
         ),
     };
+    let notes: String = notes.iter().map(|note| format!("NOTE {note}\n")).collect();
     let command = command.unwrap_or(CommandKind::Position).name();
     let name = robot.parent().and_then(|dir| dir.file_name()).unwrap_or_default().to_string_lossy();
     print(&format!(
-        "{}\n{}\n{task}\n{motion}\n{fill}Next:\n  opspace check {task}\n  opspace run {task}\n  \
+        "{}\n{}\n{task}\n{motion}\n{notes}{fill}Next:\n  opspace check {task}\n  opspace run {task}\n  \
          opspace report runs/first-task-{name}-{command}\n  opspace model {dir}\n",
         robot.display(),
         copy.display(),

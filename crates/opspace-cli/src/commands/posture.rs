@@ -5,6 +5,7 @@ use crate::console::{Exit, Failure, render};
 use opspace_experiment::evaluate::posture::{Conditioning, PostureReport};
 use opspace_experiment::evaluate::table::{Cell, Table};
 use opspace_experiment::files::suggest::nearest;
+use opspace_experiment::setup::posture_at::{PostureAt, posture_at};
 use opspace_experiment::setup::tip::tip;
 use opspace_experiment::{Files, RobotDefinition, TaskDefinition};
 use opspace_model::{FrameId, JointKind, Model, neutral};
@@ -16,6 +17,10 @@ use std::path::Path;
 /// File beside robot.toml whose start is the default posture.
 const FIRST_TASK: &str = "first-task.toml";
 
+/// Distances from the pose of --at up to which it counts as reached; positions have four decimals.
+const MISSED_M: f64 = 1e-3;
+const MISSED_RAD: f64 = 5e-3;
+
 /// Names of the axes of the effective masses.
 const AXES: [&str; 6] = ["x", "y", "z", "rx", "ry", "rz"];
 
@@ -25,6 +30,8 @@ pub struct Posture {
     q: Vec<f64>,
     /// Source of the positions, in words.
     source: String,
+    /// Start positions for a task file, if they were searched for.
+    start_rad: Option<String>,
     report: PostureReport,
     /// Torque limits (n; Nm or N); infinite where there are none.
     limits: Vec<f64>,
@@ -40,7 +47,16 @@ impl Posture {
         robot: Option<&RobotDefinition>,
     ) -> Result<Option<Self>, Failure> {
         let Some(frame) = frame(args.frame.as_deref(), model, robot)? else { return Ok(None) };
-        let (q, source) = positions(&args.q, model, robot)?;
+        let (q, source, start_rad) = match args.at.as_slice() {
+            [] => {
+                let (q, source) = positions(&args.q, model, robot)?;
+                (q, source, None)
+            }
+            pose => {
+                let found = found_at(pose, frame, model, robot)?;
+                (found.q, "found for --at".to_owned(), Some(found.start_rad))
+            }
+        };
         let Some(report) = PostureReport::new(model, &q, frame) else {
             return Err(bad("the mass matrix is not positive definite in this posture".to_owned()));
         };
@@ -49,12 +65,15 @@ impl Posture {
             RobotDefinition::torque_limits,
         );
         let outside = outside(model, &q);
-        Ok(Some(Self { q, source, report, limits, outside }))
+        Ok(Some(Self { q, source, start_rad, report, limits, outside }))
     }
 
     /// Text of the posture.
     pub fn text(&self, model: &Model) -> String {
         let mut text = format!("\nposture: {}\n", self.source);
+        if let Some(start_rad) = &self.start_rad {
+            let _ = writeln!(text, "{start_rad}");
+        }
         for joint in &self.outside {
             let _ = writeln!(text, "  {joint}");
         }
@@ -204,6 +223,37 @@ fn frame(
     let used =
         robot.and_then(|robot| robot.file.used.as_ref()).and_then(|used| model.frame_id(&used.to).ok());
     Ok(used.or_else(|| tip(model)))
+}
+
+/// Posture in which the frame is at a pose of the world.
+fn found_at(
+    pose: &[f64],
+    frame: FrameId,
+    model: &Model,
+    robot: Option<&RobotDefinition>,
+) -> Result<PostureAt, Failure> {
+    let (position, rpy) = match *pose {
+        [x, y, z] => ([x, y, z], None),
+        [x, y, z, roll, pitch, yaw] => ([x, y, z], Some([roll, pitch, yaw])),
+        _ => {
+            let text = format!("--at has {} values: expected x,y,z or x,y,z,roll,pitch,yaw", pose.len());
+            return Err(bad(text));
+        }
+    };
+    let start = default_positions(model, robot).0;
+    let name = &model.frame(frame).name;
+    let found =
+        posture_at(model, name, position, rpy, &start).map_err(|error| bad(format!("--at: {error}")))?;
+    let [metres, radians] = found.missed;
+    if metres > MISSED_M || radians > MISSED_RAD {
+        let turn = if rpy.is_some() { format!(" and {radians:.2} rad") } else { String::new() };
+        return Err(bad(format!(
+            "--at: no posture within the joint limits was found in which '{name}' is there: the nearest of {} searches is \
+             {metres:.3} m{turn} away",
+            found.tries
+        )));
+    }
+    Ok(found)
 }
 
 /// Positions (nq), and where they come from.

@@ -3,6 +3,7 @@
 use crate::error::ControlError;
 use crate::orientation;
 use crate::references::blend::{laid, moved};
+use crate::references::path_bounds::PathPlace;
 use crate::references::path_reference::PathReference;
 use crate::references::path_shape::PathShape;
 use crate::references::ramp::minimum_jerk;
@@ -81,6 +82,8 @@ pub(crate) struct PathMotion {
     /// Highest speed, acceleration and jerk, and highest angular speed and acceleration.
     limits: [f64; 5],
     approach: Approach,
+    /// Factor by which the approach lasts longer than its own limits require.
+    approach_factor: f64,
     /// Rigid displacement of the path: see [`laid`].
     displacement: (Matrix3<f64>, Vector3<f64>, Matrix3<f64>),
 }
@@ -91,7 +94,14 @@ impl PathMotion {
         let shape = PathShape::new(path, key)?;
         let limits =
             PathLimits { acceleration: path.acceleration_m_per_s2.get(), jerk: path.jerk_m_per_s3.get() };
-        let law = TimingLaw::new(&shape.sections(path), &limits);
+        let mut sections = shape.sections(path);
+        let mut begin_m = 0.0;
+        for section in &mut sections {
+            let length_m: f64 = section.iter().map(|span| span.length).sum();
+            *section = path.bounds.applied(std::mem::take(section), begin_m);
+            begin_m += length_m;
+        }
+        let law = TimingLaw::new(&sections, &limits);
         if !law.duration_s().is_finite() || law.duration_s() > MAX_DURATION_S {
             let message = format!(
                 "the path takes {} s: expected at most {MAX_DURATION_S} s; check its limits and points",
@@ -115,6 +125,7 @@ impl PathMotion {
                 angular(path.angular_acceleration_rad_per_s2),
             ],
             approach,
+            approach_factor: path.bounds.approach_factor,
             displacement: (Matrix3::identity(), still, Matrix3::identity()),
         })
     }
@@ -144,7 +155,8 @@ impl PathMotion {
         let linear = (1.875 * distance / speed)
             .max((peak * distance / acceleration).sqrt())
             .max((60.0 * distance / jerk).cbrt());
-        linear.max(1.875 * angle / angular_speed).max((peak * angle / angular_acceleration).sqrt())
+        let angular = (1.875 * angle / angular_speed).max((peak * angle / angular_acceleration).sqrt());
+        self.approach_factor * linear.max(angular)
     }
 
     /// Target at `time_s` (s) after the start.
@@ -155,6 +167,15 @@ impl PathMotion {
         }
         let w = minimum_jerk(time_s, *duration_s);
         moved(from, w.map(|w| line * w), w.map(|w| turn * w))
+    }
+
+    /// Place at `time_s` (s) after the start.
+    pub(crate) fn place_at(&self, time_s: f64) -> PathPlace {
+        if time_s < self.approach.duration_s {
+            return PathPlace::Approach;
+        }
+        let [s_m, speed_m_per_s, _] = self.law.at(time_s - self.approach.duration_s);
+        PathPlace::Along { s_m, speed_m_per_s }
     }
 
     /// Target at `time_s` (s) after the beginning of the path.

@@ -1,5 +1,6 @@
 //! Paths of lines, arcs, circles and splines with rounded corners, in the form of the task file.
 
+use crate::references::path_bounds::PathBounds;
 use opspace_backend::quantity::{Count, NonNegative, Positive, exactly};
 #[cfg(feature = "schema")]
 use schemars::JsonSchema;
@@ -39,12 +40,16 @@ pub struct PathReference {
     #[serde(default)]
     pub angular_acceleration_rad_per_s2: Option<Positive>,
     /// False (the default) for a constant speed in each segment and in each rounded corner, the highest one for its
-    /// sharpest place, where the length of the segment permits it; true for the highest speed at each place.
+    /// sharpest place, where the length of the segment permits it; true for the highest speed at each place that the path's
+    /// limits, the joints' speed limits and the speed limits of the task permit.
     #[serde(default)]
     pub time_optimal: bool,
     /// Number of times that the segments are passed; 1 if absent. The last segment is followed by the first one.
     #[serde(default = "once")]
     pub repeat: Count,
+    /// Bounds of the joints on the speed along the path, if it is time-optimal; not in a file, but computed for a robot.
+    #[serde(skip)]
+    pub bounds: PathBounds,
 }
 
 const fn once() -> Count {

@@ -8,6 +8,7 @@ use crate::orientation;
 use crate::references::blend::{Joining, moved};
 use crate::references::goal::{OrientationGoal, PositionGoal, position, rotation};
 use crate::references::online::{OnlineGoal, OnlineVector};
+use crate::references::path_bounds::PathPlace;
 use crate::references::path_motion::PathMotion;
 use crate::references::path_reference::PathReference;
 use crate::references::ramp::{minimum_jerk, product};
@@ -294,6 +295,15 @@ impl Trajectory {
             Path::Online(online) => moved(&self.from, online.line.at(time_s), online.turn.at(time_s)),
             Path::Along(motion) => motion.at(time_s),
             Path::Recorded(motion) => motion.at(time_s),
+        }
+    }
+
+    /// Place on a path at `time_s` (s) after the start; `None` for other references.
+    #[must_use]
+    pub fn place_at(&self, time_s: f64) -> Option<PathPlace> {
+        match &self.path {
+            Path::Along(motion) => Some(motion.place_at(time_s)),
+            _ => None,
         }
     }
 

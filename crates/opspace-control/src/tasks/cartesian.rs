@@ -21,6 +21,7 @@ use crate::controller::ControlInput;
 use crate::error::{ControlError, Reason};
 use crate::hierarchy::rank::{characteristic_length, orientation_is_coupled};
 use crate::orientation;
+use crate::references::path_bounds::PathPlace;
 use crate::references::reference::{CartesianReference, Trajectory};
 use crate::references::streamed_pose::StreamedPose;
 use crate::references::target::Target;
@@ -862,6 +863,10 @@ impl Task for CartesianTask {
             let axes = (first..first + 3).filter(|&axis| self.modes[axis] == AxisMode::Motion);
             axes.map(|axis| velocity[axis] * velocity[axis]).reduce(|a, b| a + b).map(f64::sqrt)
         })
+    }
+
+    fn path_place(&self, time_s: f64) -> Option<PathPlace> {
+        self.trajectory.place_at(time_s - self.start_s)
     }
 
     fn gains(&self, row: usize) -> Option<RowGains> {

@@ -2,6 +2,7 @@
 
 use crate::controller::ControlInput;
 use crate::error::ControlError;
+use crate::references::path_bounds::PathPlace;
 use crate::targets::{AllowedInputs, TaskTarget};
 use crate::tasks::singular_escape::SingularEscape;
 use crate::tasks::when_limited::WhenLimited;
@@ -241,6 +242,11 @@ pub trait Task: Any + Send {
     /// if there are no such rows.
     fn reference_speeds(&self) -> [Option<f64>; 2] {
         [None; 2]
+    }
+
+    /// Place on a path reference at `time_s`, on the clock of the measurements; `None` for other references.
+    fn path_place(&self, _time_s: f64) -> Option<PathPlace> {
+        None
     }
 
     /// Linearised gains of a row; `None` if they are unknown.

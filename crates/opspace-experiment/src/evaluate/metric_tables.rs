@@ -173,6 +173,12 @@ pub struct PoseErrors {
     pub orientation_rms_rad: Option<f64>,
     /// Largest angle from the reference, rad.
     pub orientation_max_rad: Option<f64>,
+    /// Distance from the reference at the end of the run, m; `None` if the reference moves there.
+    #[serde(default)]
+    pub position_final_m: Option<f64>,
+    /// Angle from the reference at the end of the run, rad; `None` if the reference moves there.
+    #[serde(default)]
+    pub orientation_final_rad: Option<f64>,
 }
 
 /// True contact force over the force axes of a task; `None` without such axes, or without a true state.

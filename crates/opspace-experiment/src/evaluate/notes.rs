@@ -137,6 +137,32 @@ fn judged_task(summary: &Summary) -> Option<String> {
     })
 }
 
+/// Largest errors at the end of a run of a task that has reached its goal, m and rad.
+const REACHED: [f64; 2] = [5e-3, 20e-3];
+
+/// Notes above the tables of a run: tasks that are away from their references at its end, although these rest there. Those that
+/// [`Summary::unreached_goals`] explains are not listed.
+#[must_use]
+pub fn final_notes(summary: &Summary) -> Vec<String> {
+    if summary.faulted.is_some() || summary.interrupted {
+        return Vec::new();
+    }
+    let is_explained =
+        |name: &str| summary.unreached_goals.iter().any(|goal| goal.task == name && goal.end_s.is_none());
+    let tasks = summary.tasks.iter().filter(|(name, _)| !is_explained(name));
+    let note = |(name, task): (&String, &TaskMetrics)| {
+        let errors = [task.pose.position_final_m, task.pose.orientation_final_rad];
+        let is_away = errors.iter().zip(REACHED).any(|(error, most)| error.is_some_and(|error| error > most));
+        let units = errors.iter().zip(["mm", "mrad"]);
+        let texts: Vec<String> =
+            units.filter_map(|(error, unit)| Some(format!("{:.1} {unit}", 1e3 * (*error)?))).collect();
+        is_away.then(|| {
+            format!("task '{name}': goal not reached, {} away at the end of the run", texts.join(" and "))
+        })
+    };
+    tasks.filter_map(note).collect()
+}
+
 /// Notes under [`task_table`]: the tasks that are not in it, each with the reason.
 #[must_use]
 pub fn task_notes(summary: &Summary) -> Vec<String> {
@@ -179,10 +205,11 @@ pub fn joint_notes(summary: &Summary) -> Vec<String> {
 
 #[cfg(test)]
 mod tests {
-    use super::{joint_notes, notes, task_notes};
+    use super::{final_notes, joint_notes, notes, task_notes};
     use crate::evaluate::metric_tables::{JointMetrics, TaskMetrics};
     use crate::evaluate::results::tests::summary;
     use crate::evaluate::results::{Measure, joint_table, task_table};
+    use crate::evaluate::unreached::UnreachedGoal;
 
     /// Checks joints whose desired torque is 0.5 % and 5 % of the limit, and one without a line above 8 Hz: cells and notes.
     #[test]
@@ -210,17 +237,35 @@ mod tests {
         let mut run = summary("a", "p", 1, 0.1);
         let mut hand = TaskMetrics { kind: "cartesian".to_owned(), ..TaskMetrics::default() };
         (hand.pose.position_rms_m, hand.pose.position_max_m) = (Some(8.651e-3), Some(13.249e-3));
+        hand.pose.position_final_m = Some(6.2e-3);
         hand.contact.contact_peak_n = Some(15.4);
         run.tasks.insert("hand".to_owned(), hand);
         let rest = TaskMetrics { kind: "joint-posture".to_owned(), ..TaskMetrics::default() };
         run.tasks.insert("rest".to_owned(), rest);
         let expected = [
-            ["hand", "position error", "8.65", "13.25", "mm"],
-            ["hand", "contact peak (first second of contact)", "–", "15.40", "N"],
+            ["hand", "position error", "8.65", "13.25", "6.20", "mm"],
+            ["hand", "contact peak (first second of contact)", "–", "15.40", "–", "N"],
         ];
         assert_eq!(task_table(&run).texts(), expected);
         let [note] = &task_notes(&run)[..] else { panic!("one note") };
         assert!(note.starts_with("Task 'rest' (joint-posture) is not in the table: "), "{note}");
+    }
+
+    /// Checks tasks at 4 mm and at 12 mm from their goals, one whose reference moves, and one whose error is explained.
+    #[test]
+    fn goals_that_are_missed_at_the_end_are_noted() {
+        let mut run = summary("a", "p", 1, 0.1);
+        for (name, final_m) in
+            [("near", Some(4e-3)), ("far", Some(12e-3)), ("moving", None), ("known", Some(0.1))]
+        {
+            let mut task = TaskMetrics { kind: "cartesian".to_owned(), ..TaskMetrics::default() };
+            task.pose.position_final_m = final_m;
+            run.tasks.insert(name.to_owned(), task);
+        }
+        run.unreached_goals.push(UnreachedGoal { task: "known".to_owned(), ..UnreachedGoal::default() });
+        assert_eq!(final_notes(&run), ["task 'far': goal not reached, 12.0 mm away at the end of the run"]);
+        run.faulted = Some("a fault".to_owned());
+        assert!(final_notes(&run).is_empty());
     }
 
     /// Checks that notes explain the columns that are shown, and no others.

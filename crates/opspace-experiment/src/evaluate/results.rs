@@ -1,6 +1,6 @@
 //! Comparison of summaries: the table that all commands print.
 
-use crate::evaluate::metric_tables::JointMetrics;
+use crate::evaluate::metric_tables::{JointMetrics, PoseErrors};
 use crate::evaluate::spread::Spread;
 use crate::evaluate::table::{Cell, Table, shown_unit};
 use crate::run::experiment::{ControllerKind, Experiment};
@@ -418,23 +418,33 @@ pub fn failures(summaries: &[Summary]) -> Vec<String> {
 }
 
 /// Table of the errors, forces and motions of each task of a run, of what limits take from it, and of each joint of its joint
-/// tasks.
+/// tasks; `end` is the error at the end of the run, if the reference rests there.
 #[must_use]
 pub fn task_table(summary: &Summary) -> Table {
-    let titles = ["task", "quantity", "rms", "max", "unit"];
+    let titles = ["task", "quantity", "rms", "max", "end", "unit"];
     let mut table = Table::new(&titles.map(|title| (title, "")));
     // Millimetres, milliradians and newtons have nothing in common.
     table.decimals_by_row = true;
     for (name, task) in &summary.tasks {
-        let mut row = |quantity: &str, unit: &str, rms: Option<f64>, max: Option<f64>| {
+        let mut row_with_end = |quantity: &str, unit: &str, values: [Option<f64>; 3]| {
             let (factor, unit) = shown_unit(unit);
-            let cell = |value: Option<f64>| Cell::from(value.map(|value| factor * value));
-            if rms.is_some() || max.is_some() {
-                table.push(vec![name.as_str().into(), quantity.into(), cell(rms), cell(max), unit.into()]);
+            if values.iter().any(Option::is_some) {
+                let cells = values.map(|value| Cell::from(value.map(|value| factor * value)));
+                let texts: [Cell; 2] = [name.as_str().into(), quantity.into()];
+                table.push(texts.into_iter().chain(cells).chain([unit.into()]).collect());
             }
         };
-        row("position error", "m", task.pose.position_rms_m, task.pose.position_max_m);
-        row("orientation error", "rad", task.pose.orientation_rms_rad, task.pose.orientation_max_rad);
+        let PoseErrors { position_rms_m, position_max_m, position_final_m, .. } = task.pose;
+        row_with_end("position error", "m", [position_rms_m, position_max_m, position_final_m]);
+        let PoseErrors { orientation_rms_rad, orientation_max_rad, orientation_final_rad, .. } = task.pose;
+        row_with_end(
+            "orientation error",
+            "rad",
+            [orientation_rms_rad, orientation_max_rad, orientation_final_rad],
+        );
+        let mut row = |quantity: &str, unit: &str, rms: Option<f64>, max: Option<f64>| {
+            row_with_end(quantity, unit, [rms, max, None]);
+        };
         row("force error", "N", task.contact.force_rms_n, None);
         row("force error, reference at rest", "N", task.contact.force_hold_rms_n, None);
         row("force error, reference in motion", "N", task.contact.force_moving_rms_n, None);

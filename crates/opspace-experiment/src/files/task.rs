@@ -179,6 +179,11 @@ pub struct TaskDefinition {
 }
 
 impl TaskDefinition {
+    /// Parameters of the tasks, by name: those of the file, and those after each event.
+    pub(crate) fn task_sets_mut(&mut self) -> impl Iterator<Item = &mut BTreeMap<String, TaskParameters>> {
+        std::iter::once(&mut self.file.task).chain(self.events.iter_mut().map(|event| &mut event.task))
+    }
+
     /// Reads a task and the recorded paths to which it refers. `settings` change values in the task file.
     ///
     /// # Errors

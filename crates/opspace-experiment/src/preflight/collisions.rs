@@ -2,9 +2,9 @@
 
 use super::case::PreflightCase;
 use super::diagnostic::{Diagnostic, short};
-use super::rollout::{Instant, Rollout};
 use crate::codes::Code;
 use crate::run::collision::KeptDistances;
+use crate::run::rollout::{Instant, Rollout};
 use opspace_model::collision::{CollisionData, collision_distances};
 use opspace_model::{Data, Model, forward_kinematics};
 

@@ -3,15 +3,13 @@
 use super::case::PreflightCase;
 use super::diagnostic::{Diagnostic, short};
 use super::motion::Motion;
-use super::rollout::{Instant, Rollout, error};
 use crate::codes::Code;
-use nalgebra::{DVector, Matrix6, Matrix6xX, Vector6};
+use crate::run::rollout::{Instant, Rollout, error};
+use crate::setup::posture_at::{PostureSearch, REACHED_M, norm_in};
+use nalgebra::Vector6;
 use opspace_control::rank::reach;
 use opspace_control::{AXIS_NAMES, CartesianReference, ControlledFrame, Task, TaskParameters};
 use opspace_model::{Data, FrameId, kinematics};
-
-/// Largest error at which a goal counts as reached, m; rotations are scaled to m.
-const REACHED_M: f64 = 1e-3;
 
 /// Number of parts into which a run's instants are divided; the worst instant of each part is examined.
 const PARTS: usize = 8;
@@ -144,7 +142,7 @@ fn nearest_postures<'a>(
 ) -> Vec<Vec<(Asked<'a>, Nearest)>> {
     let steps: Vec<usize> = doubtful.iter().flatten().map(|asked| asked.instant.step).collect();
     let mut nearest: Vec<Vec<(Asked<'a>, Nearest)>> = doubtful.iter().map(|_| Vec::new()).collect();
-    Rollout::revisit(case, &steps, |step, tasks| {
+    Rollout::revisit(&case.rollout(), &steps, |step, tasks| {
         for (of_task, nearest) in doubtful.iter().zip(&mut nearest) {
             for asked in of_task.iter().filter(|asked| asked.instant.step == step) {
                 if let Some(task) = tasks.tasks().nth(asked.place) {
@@ -224,13 +222,15 @@ impl Nearest {
     /// Searches from several postures, of which `q` (n) is the first; the task's target is that of its last update.
     fn new(case: &PreflightCase<'_>, task: &dyn Task, q: &[f64]) -> Self {
         let mut best = Self { missed: f64::INFINITY, missed_by: [0.0; 2], at_ends: Vec::new(), tries: 0 };
-        for start in starts(case, q) {
+        let ranges = (0..case.model.n()).map(|joint| case.range(joint)).collect();
+        let search = PostureSearch { model: case.model, ranges };
+        for start in search.starts(&[q, &case.start]) {
             best.tries += 1;
-            let data = solve(case, task, start);
+            let data = search.solve(task, &start);
             let error = error(task, case.model, &data);
             if error.norm() < best.missed {
                 best.missed = error.norm();
-                best.missed_by = ["m", "rad"].map(|unit| in_unit(task, &error, unit));
+                best.missed_by = ["m", "rad"].map(|unit| norm_in(task, &error, unit));
                 best.at_ends = at_ends(case, &data);
             }
             if best.missed <= REACHED_M {
@@ -241,85 +241,12 @@ impl Nearest {
     }
 }
 
-/// Norm of the error over the rows with the given unit, in this unit.
-fn in_unit(task: &dyn Task, error: &Vector6<f64>, unit: &str) -> f64 {
-    let rows = (0..task.rows()).filter(|&row| task.row_unit(row).0 == unit);
-    rows.map(|row| (error[row] / task.row_unit(row).1).powi(2)).sum::<f64>().sqrt()
-}
-
 fn at_ends(case: &PreflightCase<'_>, data: &Data) -> Vec<String> {
     let at_end = |&joint: &usize| {
         let ((lower, upper), q) = (case.range(joint), data.q[joint]);
         q <= lower + 1e-9 || q >= upper - 1e-9
     };
     (0..case.model.n()).filter(at_end).map(|joint| format!("joint '{}'", case.joint(joint))).collect()
-}
-
-/// Start postures of the search: the posture of the rollout, the start posture of the run, and postures distributed
-/// over the joint ranges.
-fn starts(case: &PreflightCase<'_>, followed: &[f64]) -> Vec<Vec<f64>> {
-    const SPREAD: usize = 18;
-    let mut starts = vec![followed.to_vec(), case.start.clone()];
-    starts.extend((0..SPREAD).map(|k| {
-        (0..case.model.n())
-            .map(|joint| {
-                let (lower, upper) = case.range(joint);
-                // Multiples of a power of the inverse golden ratio, modulo 1, fill the interval evenly; each joint
-                // has another power.
-                let share = (0.5 + 0.618_034_f64.powi(joint as i32 + 1) * k as f64).fract();
-                if (upper - lower).is_finite() { lower + share * (upper - lower) } else { case.start[joint] }
-            })
-            .collect()
-    }));
-    starts
-}
-
-/// Inverse kinematics within the joint ranges by damped least squares (Levenberg and Marquardt). Joints that are at
-/// an end of their range and would move beyond it are excluded.
-fn solve(case: &PreflightCase<'_>, task: &dyn Task, start: Vec<f64>) -> Data {
-    const ITERATIONS: usize = 300;
-    let (model, n) = (case.model, case.model.n());
-    let clamped = |joint: usize, q: f64| {
-        let (lower, upper) = case.range(joint);
-        // If the margins leave no range, the middle is used.
-        if lower < upper { q.clamp(lower, upper) } else { 0.5 * (lower + upper) }
-    };
-    let rest = vec![0.0; n];
-    let mut q: Vec<f64> = start.into_iter().enumerate().map(|(joint, q)| clamped(joint, q)).collect();
-    let mut data = case.data.clone();
-    kinematics(model, &mut data, &q, &rest);
-    let mut missed = error(task, model, &data);
-    let mut rows = Matrix6xX::zeros(n);
-    let mut damping = 1e-3;
-    for _ in 0..ITERATIONS {
-        if missed.norm() < 0.1 * REACHED_M || damping > 1e9 {
-            break;
-        }
-        task.jacobian(model, &data, &mut rows);
-        (0..6)
-            .filter(|&row| row >= task.rows() || !task.follows_reference(row))
-            .for_each(|row| rows.row_mut(row).fill(0.0));
-        let downhill = rows.tr_mul(&missed);
-        for joint in 0..n {
-            if clamped(joint, q[joint] + 1e-9 * downhill[joint].signum()) == q[joint] {
-                rows.column_mut(joint).fill(0.0);
-            }
-        }
-        let square = &rows * rows.transpose();
-        let damped = square + Matrix6::identity() * (damping * square.trace().max(1e-9));
-        let Some(factor) = damped.cholesky() else { break };
-        let step: DVector<f64> = rows.tr_mul(&factor.solve(&missed));
-        let next: Vec<f64> = (0..n).map(|joint| clamped(joint, q[joint] + step[joint])).collect();
-        kinematics(model, &mut data, &next, &rest);
-        let after = error(task, model, &data);
-        if after.norm() < missed.norm() {
-            (q, missed, damping) = (next, after, (0.3 * damping).max(1e-9));
-        } else {
-            kinematics(model, &mut data, &q, &rest);
-            damping *= 4.0;
-        }
-    }
-    data
 }
 
 #[cfg(test)]
@@ -348,9 +275,9 @@ mod tests {
         let mut measurement = Measurement::new(n, 0, false);
         measurement.q.copy_from_slice(&case.start);
         let (feedforward, targets) = (vec![0.0; n], Targets::none());
-        task.start(&crate::preflight::case::input(model, &case.data, &measurement, &feedforward, &targets));
+        task.start(&crate::run::rollout::input(model, &case.data, &measurement, &feedforward, &targets));
         measurement.time_s = 1.0;
-        let control = crate::preflight::case::input(model, &case.data, &measurement, &feedforward, &targets);
+        let control = crate::run::rollout::input(model, &case.data, &measurement, &feedforward, &targets);
         task.observe(&TaskInput { control, limited: true, target: TaskTarget::none(0.0) });
         task
     }

@@ -2,8 +2,8 @@
 
 use super::case::PreflightCase;
 use super::diagnostic::{Diagnostic, short};
-use super::rollout::Rollout;
 use crate::codes::Code;
+use crate::run::rollout::Rollout;
 use opspace_backend::GravityCompensation;
 use opspace_control::TaskParameters;
 use opspace_model::JointKind;
@@ -247,7 +247,7 @@ fn torque_rate(case: &PreflightCase<'_>, followed: &Rollout, joint: usize) -> Op
     {
         return None;
     }
-    let change = |pair: &[super::rollout::Instant]| {
+    let change = |pair: &[crate::run::rollout::Instant]| {
         (pair[1].gravity[joint] - pair[0].gravity[joint]).abs() / (pair[1].time_s - pair[0].time_s)
     };
     let fastest = followed.instants.windows(2).max_by(|a, b| change(a).total_cmp(&change(b)))?;

@@ -6,8 +6,8 @@
 //! is that of the experiment; it knows nothing of the variation. Gains that are estimated during a run stay nominal,
 //! because so small a motion contains no information.
 
-use super::case::input;
 use crate::run::experiment::{Experiment, RunOptions};
+use crate::run::rollout::input;
 use nalgebra::{DMatrix, DVector, Vector3};
 use opspace_backend::quantity::{NonNegative, Positive};
 use opspace_backend::{Backend, CommandKind, Observable, Sample, SignalRecorder};

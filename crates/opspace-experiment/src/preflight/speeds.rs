@@ -2,8 +2,8 @@
 
 use super::case::PreflightCase;
 use super::diagnostic::{Diagnostic, short};
-use super::rollout::{Instant, Rollout};
 use crate::codes::Code;
+use crate::run::rollout::{Instant, Rollout};
 use opspace_control::TaskParameters;
 
 /// Ratio of a speed to its limit up to which nothing is reported, because the excess may be rounding.
@@ -11,8 +11,7 @@ const TOLERANCE: f64 = 1.001;
 
 /// Reports the joint whose required speed exceeds its limit most, if any.
 pub(crate) fn of_joints(case: &PreflightCase<'_>, followed: &Rollout) -> Option<Diagnostic> {
-    let limits = case.experiment.task().file.limits;
-    let share = if limits.enforce { limits.velocity_fraction.get().min(1.0) } else { 1.0 };
+    let share = case.experiment.velocity_fraction();
     let (mut worst, mut most) = (None, TOLERANCE);
     for instant in &followed.instants {
         for (joint, dq) in instant.dq.iter().enumerate() {

@@ -167,12 +167,26 @@ pub(crate) fn not_checked(case: &PreflightCase<'_>) -> Vec<Diagnostic> {
             (task.name(), unknown.map(|joint| case.joint(joint).to_owned()).collect::<Vec<_>>())
         });
         for (name, unknown) in rows.chain(joints).filter(|(_, unknown)| !unknown.is_empty()) {
-            let message = format!(
-                "task '{name}': the gains of {} are not known before the run: their stability with the rate and delay of \
-                 this robot is not checked",
-                unknown.join(", ")
-            );
-            let (key, help) = (case.key(number, name, &[]), "test it in simulation".to_owned());
+            let has_impedance = |parameters: &TaskParameters| match parameters {
+                TaskParameters::Cartesian(parameters) => parameters.impedance.is_some(),
+                _ => false,
+            };
+            let unknown = unknown.join(", ");
+            let (key, message, help) = if stack.task.get(name).is_some_and(has_impedance) {
+                let message = format!(
+                    "task '{name}': how fast the impedance along {unknown} answers depends on the mass that the arm has there: \
+                     its stability with the rate and delay of this robot is not checked"
+                );
+                let help = "run it in simulation, with the contacts and pushes that it will meet; `opspace model ROBOT` prints \
+                            these masses, and the frequency is the square root of stiffness over mass";
+                (case.key(number, name, &["cartesian", "impedance"]), message, help.to_owned())
+            } else {
+                let message = format!(
+                    "task '{name}': the gains of {unknown} are not known before the run: their stability with the rate and \
+                     delay of this robot is not checked"
+                );
+                (case.key(number, name, &[]), message, "test it in simulation".to_owned())
+            };
             let finding = Diagnostic::new(Code::UnknownGains, &key, message, help);
             if !found.contains(&finding) {
                 found.push(finding);

@@ -2,8 +2,8 @@
 
 use super::case::{ActiveTasks, PreflightCase};
 use super::diagnostic::{Diagnostic, short};
-use super::rollout::Rollout;
 use crate::codes::Code;
+use crate::run::rollout::Rollout;
 use opspace_control::{CartesianReference, JointReference, ScalarReference, TaskParameters};
 
 /// Largest difference between two durations that count as equal, s.

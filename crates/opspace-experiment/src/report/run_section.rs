@@ -1,5 +1,6 @@
 //! Section of a page about one run.
 
+use crate::evaluate::notes::final_notes;
 pub use crate::report::collision_moments::{ClosestPair, CollisionMoment, PlacedShape};
 use crate::report::figure::Figure;
 use crate::report::run_figures::RunFigures;
@@ -71,16 +72,19 @@ impl RunSection {
         if recording.metadata(RECOVERED).is_some() {
             warnings.push("The log was recovered from a damaged one: the run may have gone on.".to_owned());
         }
+        if let Some(fault) = &summary.faulted {
+            let time = summary.fault_time_s.unwrap_or(f64::NAN);
+            warnings.push(format!(
+                "The run was stopped at {time:.3} s: {fault}. Tables and figures show what was until the stop."
+            ));
+        }
         warnings.extend(summary.failures.iter().map(|failure| format!("Failure: {failure}.")));
         warnings.extend(
             summary.missed_expectations.iter().map(|missed| format!("Expectation missed: {missed}.")),
         );
         warnings.extend(summary.unreached_goals.iter().map(|goal| format!("Note: {goal}.")));
+        warnings.extend(final_notes(&summary).iter().map(|note| format!("Note: {note}.")));
         warnings.extend(summary.escapes.iter().map(|escape| format!("Note: {escape}.")));
-        if let Some(fault) = &summary.faulted {
-            let time = summary.fault_time_s.unwrap_or(f64::NAN);
-            warnings.push(format!("The run was stopped at {time:.3} s: {fault}."));
-        }
         // Entries for a replay; a robot without a transformer has none to be shown.
         let has_transformer = summary.transformer.is_some();
         let is_shown =

@@ -11,7 +11,9 @@ use crate::files::suggest::choices;
 use crate::files::task::TaskDefinition;
 use crate::run::collision::{KeptDistances, kept_distances};
 use crate::run::membership::Membership;
+use crate::run::path_bounds::{PASSES, bounds, path_of, time_optimal_paths};
 use crate::run::physics::Physics;
+use crate::run::rollout::{Rollout, RolloutCase};
 use opspace_backend::quantity::Positive;
 use opspace_backend::{Capabilities, CommandKind, GravityCompensation, MissedCycle};
 use opspace_control::hierarchy::task_parameters::largest_unused_damping_per_s;
@@ -222,6 +224,7 @@ impl Experiment {
         experiment.check_friction_observer()?;
         expectations::check(&experiment.task, &experiment.robot)?;
         experiment.start()?;
+        experiment.bound_paths()?;
         experiment.controller()?;
         if experiment.robot.file.simulated.is_some() {
             experiment.simulated_arm()?;
@@ -369,6 +372,58 @@ impl Experiment {
             osc.schedule(event.time_s, osc.prepare(model, &stack).ok()?);
         }
         Some(osc)
+    }
+
+    /// Run of this experiment from the joint positions `start` (n), whose references are rolled out.
+    pub(crate) fn rollout_case<'a>(&'a self, start: &'a [f64]) -> RolloutCase<'a> {
+        let duration_s = self.duration_s();
+        let later = self.task.events.iter().map(|event| event.time_s).filter(|from_s| *from_s < duration_s);
+        RolloutCase {
+            model: &self.robot.model,
+            start,
+            sensors: self.robot.sensors.len(),
+            duration_s,
+            period_s: self.profile.period_s(),
+            from_s: std::iter::once(0.0).chain(later).collect(),
+            controller: Box::new(|period_s| self.unlimited_controller(period_s)),
+        }
+    }
+
+    /// Fraction of the joints' velocity limits that the controller uses.
+    pub(crate) fn velocity_fraction(&self) -> f64 {
+        let limits = self.task.file.limits;
+        if limits.enforce { limits.velocity_fraction.get().min(1.0) } else { 1.0 }
+    }
+
+    /// Bounds the speed of time-optimal paths such that the joints keep their speed limits.
+    fn bound_paths(&mut self) -> Result<(), FileError> {
+        let mut paths = time_optimal_paths(self.task.task_sets_mut());
+        if paths.is_empty() {
+            return Ok(());
+        }
+        let start = self.start()?;
+        let fraction = self.velocity_fraction();
+        let allowed: Vec<f64> =
+            self.robot.model.joints().iter().map(|joint| fraction * joint.limits.velocity).collect();
+        for _ in 0..PASSES {
+            let rollout = Rollout::new(&self.rollout_case(&start));
+            let found = paths.iter().map(|path| bounds(path, &rollout, &allowed)).collect::<Vec<_>>();
+            if found.iter().all(Option::is_none) {
+                break;
+            }
+            for (path, bounds) in paths.iter_mut().zip(found) {
+                let Some(bounds) = bounds else { continue };
+                for (set, tasks) in self.task.task_sets_mut().enumerate() {
+                    if path.sets.contains(&set)
+                        && let Some(path) = tasks.get_mut(&path.task).and_then(path_of)
+                    {
+                        path.bounds = bounds.clone();
+                    }
+                }
+                path.path.bounds = bounds;
+            }
+        }
+        Ok(())
     }
 
     fn control_context(&self, period_s: f64) -> ControlContext {

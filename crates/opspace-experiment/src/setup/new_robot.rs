@@ -10,6 +10,7 @@ use crate::setup::assumed_drives::{assumed_drives, servo_gains, velocity_gains};
 use crate::setup::first_motion::{ControlledAxes, FirstMotion, first_motion};
 use crate::setup::first_task::first_task_toml;
 use crate::setup::robot_template::{NewRobot, assumed_robot_toml, robot_toml};
+use crate::setup::tip::joints_beyond;
 use opspace_backend::CommandKind;
 use opspace_model::{Limits, Model, ParsedUrdf, UrdfJoint, UrdfWarning, urdf_joints};
 use std::collections::{BTreeMap, BTreeSet};
@@ -50,6 +51,8 @@ pub struct NewFiles {
     pub unmatched_joints: Vec<String>,
     /// Warnings about the URDF.
     pub warnings: Vec<UrdfWarning>,
+    /// Choices that the user may want to change, each with the remedy.
+    pub notes: Vec<String>,
 }
 
 /// Part of a URDF of which a robot file is made.
@@ -149,6 +152,7 @@ fn computed(loaded: SelectedPart<'_>, assume: bool) -> Result<NewFiles, FileErro
         motion: description(&motion),
         command: assume.then_some(CommandKind::Position),
         unmatched_joints: Vec::new(),
+        notes: notes(&loaded, model, &motion),
         warnings: loaded.parsed.warnings,
     })
 }
@@ -189,6 +193,7 @@ fn like_template(mut loaded: SelectedPart<'_>, template: &ArmTemplate) -> Result
         motion: description(&motion),
         command: Some(robot.file.interface.command),
         unmatched_joints: others,
+        notes: notes(&loaded, &robot.model, &motion),
         warnings: robot.warnings,
     })
 }
@@ -206,6 +211,32 @@ fn used_part(urdf: &Source, joints: &[UrdfJoint], part: Part<'_>) -> Result<Opti
     }
     let root = links().find(|link| joints.iter().all(|joint| joint.child != *link)).unwrap_or(to);
     Ok(Some(UsedPart { from: part.from.unwrap_or(root).to_owned(), to: to.to_owned() }))
+}
+
+/// Choices that the user may want to change.
+fn notes(loaded: &SelectedPart<'_>, model: &Model, motion: &FirstMotion) -> Vec<String> {
+    let mut notes = Vec::new();
+    let frame = model.frame_id(&motion.frame).ok();
+    let hand = frame.map_or_else(Vec::new, |frame| joints_beyond(model, frame));
+    if loaded.used.is_none() && !hand.is_empty() {
+        let joints: Vec<String> = hand.iter().map(|joint| format!("'{joint}'")).collect();
+        let (joints, it) = match joints.as_slice() {
+            [one] => (format!("joint {one} is taken for that of a gripper"), "it"),
+            all => (format!("joints {} are taken for those of a gripper", all.join(", ")), "them"),
+        };
+        let tip = &motion.frame;
+        notes.push(format!(
+            "{joints}: the tip is '{tip}', before {it}. To leave {it} out of the robot, add `--to {tip}` to this command, which \
+             writes `use` into robot.toml; if the arm ends elsewhere, add `--to` with its last link"
+        ));
+    }
+    notes.push(
+        "collisions are not avoided: robot.toml has no [collision]. See the capsules of the links with `opspace model DIR \
+         --capsules`; to use them, append `[collision]` and `margin_m = 0.02` to robot.toml. They are made from meshes if \
+         these are beside the URDF, otherwise from inertias, and may then be smaller than the links"
+            .to_owned(),
+    );
+    notes
 }
 
 /// Describes the first motion.

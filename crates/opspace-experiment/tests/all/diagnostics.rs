@@ -6,7 +6,7 @@ use opspace_control::rank::reach;
 use opspace_experiment::Progress;
 use opspace_experiment::evaluate::metrics::metrics;
 use opspace_experiment::preflight::not_checked;
-use opspace_experiment::{ControllerKind, Diagnostic, Experiment, Files, RunOptions, diagnostics};
+use opspace_experiment::{Code, ControllerKind, Diagnostic, Experiment, Files, RunOptions, diagnostics};
 use opspace_log::Recording;
 use opspace_loop::RunOutcome;
 use opspace_model::{Data, frame_placement, kinematics};
@@ -113,6 +113,41 @@ const MADE_TO_GO_WRONG: [(&str, &str); 10] = [
     ("ur5e-straight", "it leaves towards a goal"),
     ("ur5e-pulled-straight", "nothing brings 'flange' back along x"),
 ];
+
+/// The tip of the planar arm starts at z = sin 0.6 + sin 1.8 = 1.538 m and reaches 2 m.
+#[test]
+fn misplaced_objects_are_found() {
+    let wall = |frame: &str, point: &str| {
+        format!(
+            "reference = \"hold\"\n[environment.table.wall]\nframe = \"{frame}\"\npoint_m = {point}\nnormal = [0.0, 0.0, 2.0]\n\
+             stiffness_n_per_m = 10000.0\ndamping_ns_per_m = 50.0\n"
+        )
+    };
+    let with = |object: &str| only_diagnostic(TIP, &[("reference = \"hold\"\n", object)], &[]).0;
+    let deep = with(&wall("tip", "[0.0, 0.0, 1.6]"));
+    assert_eq!(deep.code, Code::StartInObject);
+    assert_says(&deep, "environment.table.wall", &["'tip' starts 0.0615 m deep in 'table'", "615 N"]);
+    let far = with(&wall("tip", "[0.0, 0.0, -2.5]"));
+    assert_eq!(far.code, Code::ObjectOutOfReach);
+    assert_says(
+        &far,
+        "environment.table.wall",
+        &["2.5 m from the first joint", "reaches only 2 m", "0.5 m closer"],
+    );
+    let cylinder = "reference = \"hold\"\n[environment.post.cylinder]\nframe = \"tip\"\npoint_m = [0.6, 0.0, 1.5]\n\
+                    axis = [0.0, 1.0, 0.0]\nradius_m = 0.1\nstiffness_n_per_m = 1000.0\ndamping_ns_per_m = 5.0\n";
+    assert_eq!(with(cylinder).code, Code::StartInObject);
+    for near in [
+        wall("tip", "[0.0, 0.0, 1.5]"),
+        wall("tip", "[0.0, 0.0, 1.5]") + "edge = { toward = [1.0, 0.0, 0.0], at_m = 0.5 }\n",
+    ] {
+        let experiment = experiment(TIP, &[("reference = \"hold\"\n", &near)], RunOptions::default(), &[]);
+        assert_eq!(diagnostics(&experiment), []);
+    }
+    let beyond = wall("tip", "[0.0, 0.0, 1.6]") + "edge = { toward = [1.0, 0.0, 0.0], at_m = 0.5 }\n";
+    let beyond = experiment(TIP, &[("reference = \"hold\"\n", &beyond)], RunOptions::default(), &[]);
+    assert_eq!(diagnostics(&beyond), [], "the tip is beyond the edge");
+}
 
 #[test]
 fn project_files_have_no_diagnostics() {

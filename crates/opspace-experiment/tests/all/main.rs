@@ -35,6 +35,7 @@ mod streamed;
 mod surface_axes;
 mod task_kinds;
 mod task_metrics;
+mod time_optimal_paths;
 mod unreached_goals;
 mod velocity_robot;
 mod velocity_source;

@@ -34,18 +34,18 @@ const GEAR_RATIO: f64 = 100.0;
 const LEAST_SINGULAR_VALUE_M: f64 = 0.15;
 
 /// Random arm of 4 to 7 joints.
-struct RandomArm {
+pub struct RandomArm {
     /// Axis, length of the link (m) and its mass (kg), for each joint.
     links: Vec<(usize, f64, f64)>,
     /// Reflected inertias of the rotors over the torque limits, kg m²/Nm.
     rotors: Vec<f64>,
     /// Start positions, rad.
-    start: Vec<f64>,
+    pub start: Vec<f64>,
 }
 
 impl RandomArm {
     /// Returns an arm in a pose in which its tip can move along all axes.
-    fn new(random: &mut Random) -> Self {
+    pub fn new(random: &mut Random) -> Self {
         let mut drawn = std::iter::repeat_with(|| Self::drawn(random)).take(MOST_DRAWS);
         drawn.find(|arm| arm.least_singular_value() > LEAST_SINGULAR_VALUE_M).unwrap()
     }
@@ -103,7 +103,7 @@ impl RandomArm {
         (0..model.n()).map(|i| TAU * 25.0 * (data.mass_matrix[(i, i)] + self.rotor_kg_m2(i))).collect()
     }
 
-    fn urdf(&self) -> String {
+    pub fn urdf(&self) -> String {
         let mut text = "<robot name=\"arm\"><link name=\"link0\"/>".to_owned();
         let mut before = 0.0;
         for (i, &(axis, length, mass)) in self.links.iter().enumerate() {
@@ -128,7 +128,7 @@ impl RandomArm {
         )
     }
 
-    fn robot(&self) -> String {
+    pub fn robot(&self) -> String {
         let mut text = "urdf = \"arm.urdf\"\ndefault_profile = \"default\"\n\
              [interface]\ncommand = \"position\"\nsetpoints = \"held\"\non_missed_cycle = \"hold-last\"\n\
              gravity_compensated_by = \"controller\"\nmeasured = [\"position\", \"motor-current\"]\n"

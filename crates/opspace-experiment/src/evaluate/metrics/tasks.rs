@@ -22,6 +22,9 @@ const CONTACT_N: f64 = 0.1;
 /// Largest speed of a reference that rests, m/s.
 const RESTING_M_PER_S: f64 = 1e-3;
 
+/// Largest rotation of a reference that rests from one row to the next, rad.
+const RESTING_RAD: f64 = 1e-6;
+
 /// Largest force error of settled contact, N, and the time for which it must hold, s.
 const SETTLED_N: f64 = 1.0;
 const SETTLED_FOR_S: f64 = 0.5;
@@ -173,6 +176,10 @@ struct CartesianErrors {
     axes: AxesOfTask,
     position_m: RmsMax,
     orientation_rad: RmsMax,
+    /// Errors at the last row, m and rad, if the reference rests there.
+    last: [Option<f64>; 2],
+    /// Orientation of the reference at the row before.
+    reference_before: Option<Matrix3<f64>>,
     contact: Option<ContactForce>,
     compliance: Option<CompliantMotion>,
 }
@@ -185,6 +192,8 @@ impl CartesianErrors {
             axes: AxesOfTask::new(experiment, name, controlled),
             position_m: RmsMax::default(),
             orientation_rad: RmsMax::default(),
+            last: [None; 2],
+            reference_before: None,
             contact: None,
             compliance: None,
         }
@@ -196,12 +205,17 @@ impl CartesianErrors {
         let forces = run.forces_on(&self.frame);
         let reference_velocity = signal(REFERENCE_VELOCITY);
         let (target, made, passivity) = (signal(TARGET_FORCE), signal(CONTACT), signal(PASSIVITY_TIME));
+        let linear_rests = |tick: Option<usize>| {
+            logged_row(reference_velocity, tick)
+                .is_none_or(|v| Vector3::from_column_slice(v).norm() < RESTING_M_PER_S)
+        };
         let settled = run.settled(run.joints.0);
         let settle_s = run.from_s - run.start_s - run.same_s;
         for row in self.axes.rows(run) {
             let TaskRow { k, pose, rotation, in_world, axes } = row;
             let Some(axes) = axes else {
                 self.leave();
+                self.last = [None; 2];
                 continue;
             };
             let is_settled = settled.contains(&k);
@@ -209,13 +223,20 @@ impl CartesianErrors {
             if let Some(reference) = logged_row(reference, tick).filter(|_| axes.motion[..3].contains(&true))
             {
                 let error = pose.translation - Vector3::from_column_slice(reference);
-                self.position_m.add(masked_norm(&rotation.tr_mul(&error), &axes.motion[..3]));
+                let error = masked_norm(&rotation.tr_mul(&error), &axes.motion[..3]);
+                self.position_m.add(error);
+                self.last[0] = Some(error).filter(|_| linear_rests(tick));
             }
             if let Some(reference) =
                 logged_row(reference_orientation, tick).filter(|_| axes.motion[3..].contains(&true))
             {
-                let error = log(&(pose.rotation * orientation(reference).transpose()));
-                self.orientation_rad.add(masked_norm(&rotation.tr_mul(&error), &axes.motion[3..]));
+                let reference = orientation(reference);
+                let error = log(&(pose.rotation * reference.transpose()));
+                let error = masked_norm(&rotation.tr_mul(&error), &axes.motion[3..]);
+                self.orientation_rad.add(error);
+                let before = self.reference_before.replace(reference);
+                let turn = before.map_or(0.0, |before| log(&(reference * before.transpose())).norm());
+                self.last[1] = Some(error).filter(|_| turn < RESTING_RAD);
             }
             let force = forces.as_ref().map(|forces| in_world.tr_mul(&total(forces, k)));
             match force.filter(|_| axes.force.contains(&true)) {
@@ -258,6 +279,7 @@ impl CartesianErrors {
         (metrics.pose.position_rms_m, metrics.pose.position_max_m) = (position.rms(), position.max());
         (metrics.pose.orientation_rms_rad, metrics.pose.orientation_max_rad) =
             (orientation.rms(), orientation.max());
+        [metrics.pose.position_final_m, metrics.pose.orientation_final_rad] = self.last;
         if let Some(contact) = self.contact {
             contact.finish(metrics);
         }

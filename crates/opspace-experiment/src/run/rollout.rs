@@ -8,10 +8,11 @@
 //!
 //! J contains the rows of all tasks that follow a reference, q̇_0 the velocities of the joint task.
 
-use super::case::{PreflightCase, input};
 use nalgebra::{DMatrix, DVector, Matrix6xX, Vector6};
 use opspace_control::ik::{ERROR_GAIN_PER_S, POSTURE_GAIN_PER_S};
-use opspace_control::{Controller, Measurement, Targets, Task, TaskSet};
+use opspace_control::{
+    ControlInput, Controller, Measurement, OperationalSpaceController, PathPlace, Targets, Task, TaskSet,
+};
 use opspace_model::{Data, Model, update};
 use std::collections::BTreeMap;
 
@@ -32,6 +33,33 @@ const DAMPING: f64 = 1e-6;
 
 /// Largest motion of a joint in a step, rad or m: a goal out of reach would require more.
 const LARGEST_STEP: f64 = 0.2;
+
+/// Run whose references are rolled out.
+pub(crate) struct RolloutCase<'a> {
+    pub model: &'a Model,
+    /// Joint positions at the start, rad or m (n).
+    pub start: &'a [f64],
+    /// Number of force sensors.
+    pub sensors: usize,
+    pub duration_s: f64,
+    /// Control period, s.
+    pub period_s: f64,
+    /// Times from which the task sets are active, s.
+    pub from_s: Vec<f64>,
+    /// Creates the controller without limits for an update period, s.
+    pub controller: Box<dyn Fn(f64) -> Option<OperationalSpaceController> + 'a>,
+}
+
+/// Returns the controller input at a measurement; its clock starts with control.
+pub(crate) fn input<'a>(
+    model: &'a Model,
+    data: &'a Data,
+    measurement: &'a Measurement,
+    feedforward_torque: &'a [f64],
+    targets: &'a Targets,
+) -> ControlInput<'a> {
+    ControlInput { model, data, measurement, feedforward_torque, targets, clock_s: measurement.time_s }
+}
 
 /// Rollout of a run.
 pub(crate) struct Rollout {
@@ -58,6 +86,15 @@ pub(crate) struct Instant {
     pub tasks: Vec<TaskInstant>,
     /// Targets of joints, by the name of the task that sets them.
     pub joints: BTreeMap<String, Vec<JointTarget>>,
+    /// Places on paths, by the name of the task that follows the path.
+    pub paths: BTreeMap<String, PathInstant>,
+}
+
+/// A task at an instant on its path.
+pub(crate) struct PathInstant {
+    pub place: PathPlace,
+    /// Largest ratio of a speed of the reference to the limit of the task; 0 without limits.
+    pub speed_ratio: f64,
 }
 
 /// Demand of a task at an instant.
@@ -97,17 +134,15 @@ struct Steps {
 }
 
 impl Steps {
-    fn new(case: &PreflightCase<'_>) -> Self {
-        let duration_s = case.experiment.duration_s();
-        let period_s = case.experiment.profile().1.period_s();
-        let length_s = (duration_s / STEPS).min(LONGEST_STEP_S).max(period_s);
-        let all = (duration_s / length_s).round() as usize;
+    fn new(case: &RolloutCase<'_>) -> Self {
+        let length_s = (case.duration_s / STEPS).min(LONGEST_STEP_S).max(case.period_s);
+        let all = (case.duration_s / length_s).round() as usize;
         Self { length_s, all, count: all.min(MAX_STEPS) }
     }
 }
 
 impl Rollout {
-    pub(crate) fn new(case: &PreflightCase<'_>) -> Self {
+    pub(crate) fn new(case: &RolloutCase<'_>) -> Self {
         let steps = Steps::new(case);
         let every = steps.count.div_ceil(KEPT).max(1);
         let (mut instants, mut followed) = (Vec::new(), 0);
@@ -124,7 +159,7 @@ impl Rollout {
     }
 
     /// Repeats the rollout and passes the tasks at the given steps to `visit`, in order of time.
-    pub(crate) fn revisit(case: &PreflightCase<'_>, steps: &[usize], mut visit: impl FnMut(usize, &TaskSet)) {
+    pub(crate) fn revisit(case: &RolloutCase<'_>, steps: &[usize], mut visit: impl FnMut(usize, &TaskSet)) {
         let Some(&last) = steps.iter().max() else { return };
         let Some(mut follower) = RolloutState::new(case, Steps::new(case).length_s) else { return };
         for step in 0..=last {
@@ -139,8 +174,8 @@ impl Rollout {
 }
 
 struct RolloutState<'a> {
-    case: &'a PreflightCase<'a>,
-    controller: opspace_control::OperationalSpaceController,
+    case: &'a RolloutCase<'a>,
+    controller: OperationalSpaceController,
     measurement: Measurement,
     data: Data,
     step_s: f64,
@@ -153,16 +188,16 @@ struct RolloutState<'a> {
 }
 
 impl<'a> RolloutState<'a> {
-    fn new(case: &'a PreflightCase<'a>, step_s: f64) -> Option<Self> {
-        let controller = case.experiment.unlimited_controller(step_s)?;
+    fn new(case: &'a RolloutCase<'a>, step_s: f64) -> Option<Self> {
+        let controller = (case.controller)(step_s)?;
         let n = case.model.n();
-        let mut measurement = Measurement::new(n, case.experiment.robot().sensors.len(), false);
-        measurement.q.copy_from_slice(&case.start);
+        let mut measurement = Measurement::new(n, case.sensors, false);
+        measurement.q.copy_from_slice(case.start);
         Some(Self {
             case,
             controller,
             measurement,
-            data: case.data.clone(),
+            data: Data::new(case.model),
             step_s,
             torque: vec![0.0; n],
             feedforward_torque: vec![0.0; n],
@@ -187,10 +222,10 @@ impl<'a> RolloutState<'a> {
         }
         self.controller.update(&input, &mut self.torque);
         // Same rule as in the controller: an event takes effect up to half a nanosecond early.
-        let stack = case.task_sets.iter().rposition(|stack| stack.from_s <= time_s + 5e-10).unwrap_or(0);
+        let stack = case.from_s.iter().rposition(|from_s| *from_s <= time_s + 5e-10).unwrap_or(0);
 
         let mut wanted = DemandedMotion::new(model.n());
-        let mut joints = BTreeMap::new();
+        let (mut joints, mut paths) = (BTreeMap::new(), BTreeMap::new());
         let tasks = self.controller.tasks();
         let mut instants = Vec::new();
         for task in tasks.tasks() {
@@ -213,6 +248,12 @@ impl<'a> RolloutState<'a> {
             }
             let speed_limits = task.speed_limits().map(|limit| limit.map(|limit| limit.limit));
             let (velocity, speeds) = (velocity.norm(), task.reference_speeds());
+            if let Some(place) = task.path_place(time_s) {
+                let ratios =
+                    speeds.iter().zip(&speed_limits).filter_map(|(speed, limit)| Some((*speed)? / (*limit)?));
+                let speed_ratio = ratios.fold(0.0, f64::max);
+                paths.insert(task.name().to_owned(), PathInstant { place, speed_ratio });
+            }
             instants.push(TaskInstant { velocity, speeds, speed_limits, error });
         }
         if let Some(task) = tasks.joint_task() {
@@ -239,6 +280,7 @@ impl<'a> RolloutState<'a> {
             gravity: self.data.gravity.as_slice().to_vec(),
             tasks: instants,
             joints,
+            paths,
             dq: dq.as_slice().to_vec(),
         };
         let step = (dq + correction) * self.step_s;
@@ -300,28 +342,5 @@ impl DemandedMotion {
         };
         let errors = DVector::from_vec(self.error) * ERROR_GAIN_PER_S;
         (follow(DVector::from_vec(self.velocity), self.rest_velocity), follow(errors, self.rest_correction))
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::{Experiment, Files, RunOptions};
-    use std::path::Path;
-
-    /// Compared: poses by forward kinematics of the joint positions, and the reference, along a motion out and back.
-    /// Joints that follow velocities without feedback would miss the reference by 1.4 mm.
-    #[test]
-    fn joints_follow_the_reference() {
-        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tasks/ur5e-reach.toml");
-        let experiment =
-            Experiment::load(Files::Disk, &path, None, RunOptions::default(), &[]).expect("a task");
-        let case = PreflightCase::new(&experiment).expect("a start");
-        let followed = Rollout::new(&case);
-        assert!(followed.instants.len() > 1000);
-        let farthest = followed.instants.iter().map(|i| i.tasks[0].error.norm()).fold(0.0, f64::max);
-        assert!(farthest < 3e-4, "{farthest} m");
-        let ways = followed.instants.iter().map(|i| (i.q[0] - case.start[0]).abs()).fold(0.0, f64::max);
-        assert!(ways > 0.1, "it goes somewhere: {ways} rad");
     }
 }

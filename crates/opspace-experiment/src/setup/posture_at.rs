@@ -1,0 +1,201 @@
+//! Search for a posture in which a task's target is reached: inverse kinematics within the joint ranges, from several starts.
+
+use crate::files::toml_path::dotted;
+use crate::run::rollout::{error, input};
+use nalgebra::{DVector, Matrix6, Matrix6xX, Vector6};
+use opspace_backend::quantity::Positive;
+use opspace_control::references::reference::Waypoint;
+use opspace_control::{
+    Axes, AxisGains, AxisMode, CartesianParameters, CartesianReference, CartesianTask, ControlContext,
+    ControlError, Measurement, OrientationGoal, PositionGoal, Targets, Task, TaskInput, TaskTarget,
+};
+use opspace_model::{Data, JointKind, Model, kinematics};
+use std::f64::consts::TAU;
+
+/// Largest error at which a goal counts as reached, m; rotations are scaled to m.
+pub(crate) const REACHED_M: f64 = 1e-3;
+
+/// Distance of the posture from the ends of the joint ranges, rad (m).
+const MARGIN: f64 = 0.02;
+
+/// Postures of the search besides the given ones.
+const SPREAD: usize = 18;
+
+/// Search for postures of a robot.
+pub(crate) struct PostureSearch<'a> {
+    pub model: &'a Model,
+    /// Lower and upper end of the range of each joint, rad or m (n).
+    pub ranges: Vec<(f64, f64)>,
+}
+
+impl PostureSearch<'_> {
+    /// Start postures of the search: those given, and postures distributed over the joint ranges. The last one given is the
+    /// position of joints without a range.
+    pub(crate) fn starts(&self, given: &[&[f64]]) -> Vec<Vec<f64>> {
+        let mut starts: Vec<Vec<f64>> = given.iter().map(|start| start.to_vec()).collect();
+        let fallback = given.last().map_or_else(|| vec![0.0; self.ranges.len()], |start| start.to_vec());
+        starts.extend((0..SPREAD).map(|k| {
+            let joints = self.ranges.iter().zip(&fallback).enumerate();
+            joints
+                .map(|(joint, (&(lower, upper), &fallback))| {
+                    // Multiples of a power of the inverse golden ratio, modulo 1, fill the interval evenly; each joint
+                    // has another power.
+                    let share = (0.5 + 0.618_034_f64.powi(joint as i32 + 1) * k as f64).fract();
+                    if (upper - lower).is_finite() { lower + share * (upper - lower) } else { fallback }
+                })
+                .collect()
+        }));
+        starts
+    }
+
+    /// Kinematics of the posture nearest to the task's target that is found from `start`, by damped least squares
+    /// (Levenberg and Marquardt). Joints that are at an end of their range and would move beyond it are excluded.
+    pub(crate) fn solve(&self, task: &dyn Task, start: &[f64]) -> Data {
+        const ITERATIONS: usize = 300;
+        let (model, n) = (self.model, self.model.n());
+        let clamped = |joint: usize, q: f64| {
+            let (lower, upper) = self.ranges[joint];
+            // If the margins leave no range, the middle is used.
+            if lower < upper { q.clamp(lower, upper) } else { 0.5 * (lower + upper) }
+        };
+        let rest = vec![0.0; n];
+        let mut q: Vec<f64> = start.iter().enumerate().map(|(joint, q)| clamped(joint, *q)).collect();
+        let mut data = Data::new(model);
+        kinematics(model, &mut data, &q, &rest);
+        let mut missed = error(task, model, &data);
+        let mut rows = Matrix6xX::zeros(n);
+        let mut damping = 1e-3;
+        for _ in 0..ITERATIONS {
+            if missed.norm() < 0.1 * REACHED_M || damping > 1e9 {
+                break;
+            }
+            task.jacobian(model, &data, &mut rows);
+            (0..6)
+                .filter(|&row| row >= task.rows() || !task.follows_reference(row))
+                .for_each(|row| rows.row_mut(row).fill(0.0));
+            let downhill = rows.tr_mul(&missed);
+            for joint in 0..n {
+                if clamped(joint, q[joint] + 1e-9 * downhill[joint].signum()) == q[joint] {
+                    rows.column_mut(joint).fill(0.0);
+                }
+            }
+            let square = &rows * rows.transpose();
+            let damped = square + Matrix6::identity() * (damping * square.trace().max(1e-9));
+            let Some(factor) = damped.cholesky() else { break };
+            let step: DVector<f64> = rows.tr_mul(&factor.solve(&missed));
+            let next: Vec<f64> = (0..n).map(|joint| clamped(joint, q[joint] + step[joint])).collect();
+            kinematics(model, &mut data, &next, &rest);
+            let after = error(task, model, &data);
+            if after.norm() < missed.norm() {
+                (q, missed, damping) = (next, after, (0.3 * damping).max(1e-9));
+            } else {
+                kinematics(model, &mut data, &q, &rest);
+                damping *= 4.0;
+            }
+        }
+        data
+    }
+}
+
+/// Posture in which a frame is at a pose, or nearest to it.
+#[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
+pub struct PostureAt {
+    /// Joint positions, rad or m (n), rounded to four decimals.
+    pub q: Vec<f64>,
+    /// Remaining distance (m) and angle (rad) from the pose.
+    pub missed: [f64; 2],
+    /// Number of searches.
+    pub tries: usize,
+    /// Start positions for a task file.
+    pub start_rad: String,
+}
+
+/// Searches for a posture within the joint limits in which a frame is at `position_m`, with the orientation `rpy_rad` (about
+/// fixed axes) if it is given. The first search starts at `start` (n; rad, m), which need not be within the limits.
+///
+/// # Errors
+/// A frame that the robot does not have, or that cannot move along all axes of the pose in any posture.
+pub fn posture_at(
+    model: &Model,
+    frame: &str,
+    position_m: [f64; 3],
+    rpy_rad: Option<[f64; 3]>,
+    start: &[f64],
+) -> Result<PostureAt, ControlError> {
+    let axes =
+        if rpy_rad.is_some() { Axes::pose(AxisMode::Motion) } else { Axes::position(AxisMode::Motion) };
+    let gains = AxisGains::new(10.0, 1.0)?;
+    let goal = Waypoint {
+        time_s: Positive::literal(1e-3),
+        position: Some(PositionGoal::Absolute(position_m)),
+        orientation: rpy_rad.map(OrientationGoal::Absolute),
+    };
+    let parameters = CartesianParameters::new(frame, axes, gains)
+        .with_reference(CartesianReference::Waypoints(vec![goal]));
+    let mut task = CartesianTask::new(frame, &parameters, model, &ControlContext::new(model, 1e-3))?;
+    let (mut data, n) = (Data::new(model), model.n());
+    kinematics(model, &mut data, start, &vec![0.0; n]);
+    let mut measurement = Measurement::new(n, 0, false);
+    measurement.q.copy_from_slice(start);
+    let (feedforward, targets) = (vec![0.0; n], Targets::none());
+    task.start(&input(model, &data, &measurement, &feedforward, &targets));
+    measurement.time_s = 1.0;
+    let control = input(model, &data, &measurement, &feedforward, &targets);
+    task.observe(&TaskInput { control, limited: true, target: TaskTarget::none(0.0) });
+
+    let ranges = model.joints().iter().map(|joint| {
+        let (lower, upper) = joint.limits.range(joint.kind);
+        let margin = MARGIN.min(0.1 * (upper - lower));
+        (lower + margin, upper - margin)
+    });
+    let search = PostureSearch { model, ranges: ranges.collect() };
+    let mut best: Option<(f64, PostureAt)> = None;
+    for (number, start) in search.starts(&[start]).iter().enumerate() {
+        let found = search.solve(&task, start);
+        let joints = model.joints().iter().zip(&search.ranges).zip(found.q.iter());
+        let q: Vec<f64> =
+            joints.map(|((joint, range), q)| rounded(without_turns(joint.kind, *range, *q))).collect();
+        kinematics(model, &mut data, &q, &vec![0.0; n]);
+        let left = error(&task, model, &data);
+        let missed = ["m", "rad"].map(|unit| norm_in(&task, &left, unit));
+        if best.as_ref().is_none_or(|(least, _)| left.norm() < *least) {
+            let joints: Vec<String> = model
+                .joints()
+                .iter()
+                .zip(&q)
+                .map(|(joint, q)| format!("{} = {q:?}", dotted(std::slice::from_ref(&joint.name))))
+                .collect();
+            let start_rad = format!("start_rad = {{ {} }}", joints.join(", "));
+            best = Some((left.norm(), PostureAt { q, missed, tries: number + 1, start_rad }));
+        }
+        if left.norm() < REACHED_M {
+            break;
+        }
+        if let Some((_, best)) = &mut best {
+            best.tries = number + 1;
+        }
+    }
+    Ok(best.map_or_else(
+        || PostureAt { q: start.to_vec(), missed: [f64::INFINITY; 2], tries: 0, start_rad: String::new() },
+        |(_, best)| best,
+    ))
+}
+
+/// Norm of an error over the rows of a task with the given unit, in this unit.
+pub(crate) fn norm_in(task: &dyn Task, error: &Vector6<f64>, unit: &str) -> f64 {
+    let rows = (0..task.rows()).filter(|&row| task.row_unit(row).0 == unit);
+    rows.map(|row| (error[row] / task.row_unit(row).1).powi(2)).sum::<f64>().sqrt()
+}
+
+/// Position without whole turns of a joint that can make them, if its range permits it.
+fn without_turns(kind: JointKind, (lower, upper): (f64, f64), q: f64) -> f64 {
+    let nearer = q - TAU * (q / TAU).round();
+    let turns = matches!(kind, JointKind::Revolute | JointKind::Continuous);
+    if turns && (lower..=upper).contains(&nearer) { nearer } else { q }
+}
+
+/// Position with four decimals.
+fn rounded(q: f64) -> f64 {
+    (q * 1e4).round() / 1e4
+}

@@ -1,0 +1,174 @@
+//! Time-optimal paths of random arms within the speed limits of their joints. Compared: joint speeds of an inverse
+//! kinematics of this test, with steps a tenth as long as those of the preparation, with the limits; the duration with that
+//! of a pass forward and one backward on a fine grid; the motion on arms whose limits don't bind with that of the path alone.
+#![expect(clippy::unwrap_used, reason = "a test that can't go on has failed")]
+
+use super::random_arms::RandomArm;
+use super::random_servos::{Random, load};
+use nalgebra::{DVector, Matrix3, Matrix3xX, Matrix6xX, Vector3};
+use opspace_control::{CartesianReference, PathPlace, Target, TaskParameters, Trajectory};
+use opspace_experiment::{Code, Experiment, diagnostics};
+use opspace_model::{Data, frame_jacobian, frame_placement, kinematics};
+use std::fs;
+
+const STEP_S: f64 = 1e-4;
+
+/// Fraction of the velocity limits that the controller uses.
+const FRACTION: f64 = 0.9;
+
+/// Experiment of a path with the given limits and segments, on an arm whose joints have the speed limit `velocity`.
+fn experiment(arm: &RandomArm, velocity: f64, path: &str) -> Experiment {
+    let folder = tempfile::TempDir::new().unwrap();
+    let robot = folder.path().join("robot");
+    fs::create_dir(&robot).unwrap();
+    let urdf = arm.urdf().replace("velocity=\"6\"", &format!("velocity=\"{velocity:?}\""));
+    fs::write(robot.join("arm.urdf"), urdf).unwrap();
+    fs::write(robot.join("robot.toml"), arm.robot()).unwrap();
+    let start: Vec<String> =
+        arm.start.iter().enumerate().map(|(i, q)| format!("j{} = {q:?}", i + 1)).collect();
+    let task = folder.path().join("task.toml");
+    let text = format!(
+        "robot = \"robot\"\nduration_s = 3.0\npriority = [\"tip\", \"rest\"]\nstart_rad = {{ {} }}\n\
+         [task.tip.cartesian]\nframe = \"tip\"\naxes = {{ x = \"motion\", y = \"motion\", z = \"motion\" }}\n\
+         gains = {{ frequency_rad_per_s = 14.0, damping_ratio = 1.0 }}\n\
+         [task.tip.cartesian.reference.path]\ntime_optimal = true\n{path}\n\
+         [task.rest.joint-posture]\nfrequency_rad_per_s = 6.0\ndamping_ratio = 1.0\n",
+        start.join(", ")
+    );
+    fs::write(&task, text).unwrap();
+    load(&task, &[])
+}
+
+fn reference(experiment: &Experiment) -> &CartesianReference {
+    match &experiment.task().file.task["tip"] {
+        TaskParameters::Cartesian(parameters) => &parameters.reference,
+        other => panic!("{other:?}"),
+    }
+}
+
+/// Motion of the joints along the path, from its start to its end.
+struct MotionAlongPath {
+    /// Arc length (m), speed (m/s) and largest ratio of a joint's speed to its limit.
+    at: Vec<[f64; 3]>,
+    duration_s: f64,
+}
+
+/// Follows the reference: q̇ = J⁺ (ẋ + 20 e) + 2 (I − J⁺ J) (q_0 − q).
+fn follow(experiment: &Experiment) -> MotionAlongPath {
+    let model = &experiment.robot().model;
+    let frame = model.frame_id("tip").unwrap();
+    let mut data = Data::new(model);
+    let start = DVector::from_iterator(
+        model.n(),
+        model.joints().iter().map(|joint| experiment.task().file.start_rad[&joint.name]),
+    );
+    let mut q = start.clone();
+    let rest = vec![0.0; model.n()];
+    kinematics(model, &mut data, q.as_slice(), &rest);
+    let home = frame_placement(model, &data, frame);
+    let mut trajectory = Trajectory::new(reference(experiment));
+    trajectory.start(&home, &Target::at_rest(home), &Matrix3::identity());
+    let end = trajectory.at(1e6);
+    let (mut at, mut step) = (Vec::new(), 0);
+    let mut jacobian = Matrix6xX::zeros(model.n());
+    loop {
+        let time_s = STEP_S * f64::from(step);
+        let target = trajectory.at(time_s);
+        if target == end {
+            return MotionAlongPath { at, duration_s: time_s };
+        }
+        kinematics(model, &mut data, q.as_slice(), &rest);
+        frame_jacobian(model, &data, frame, &mut jacobian);
+        let rows: Matrix3xX<f64> = jacobian.fixed_rows::<3>(0).into_owned();
+        let square = &rows * rows.transpose();
+        let inverse = rows.tr_mul(&square.try_inverse().unwrap());
+        let demanded = &inverse * target.velocity.linear;
+        let error: Vector3<f64> =
+            target.placement.translation - frame_placement(model, &data, frame).translation;
+        assert!(error.norm() < 2e-3, "{} m", error.norm());
+        let pull = 2.0 * (&start - &q);
+        let pull = &pull - &inverse * (&rows * &pull);
+        let limit = FRACTION * model.joints()[0].limits.velocity;
+        let Some(PathPlace::Along { s_m, speed_m_per_s }) = trajectory.place_at(time_s) else { panic!() };
+        at.push([s_m, speed_m_per_s, demanded.amax() / limit]);
+        q += STEP_S * (demanded + &inverse * (20.0 * error) + pull);
+        step += 1;
+    }
+}
+
+fn point(random: &mut Random) -> String {
+    format!("{:?}", [0; 3].map(|_| random.between(-0.12, 0.12)))
+}
+
+/// No joint is faster than its limit, some joint comes near it, and there is no diagnostic of it.
+#[test]
+fn joints_keep_their_speed_limits() {
+    let mut random = Random(3);
+    for number in 0..6 {
+        let arm = RandomArm::new(&mut random);
+        let path = format!(
+            "speed_m_per_s = 2.0\nacceleration_m_per_s2 = 15.0\njerk_m_per_s3 = 500.0\ncorner_radius_m = 0.02\n\
+             segments = [{{ line = {{ to_m = {} }} }}, {{ spline = {{ through_m = [{}, {}] }} }}, {{ line = {{ to_m = {} }} }}]",
+            point(&mut random),
+            point(&mut random),
+            point(&mut random),
+            point(&mut random),
+        );
+        let experiment = experiment(&arm, 1.0, &path);
+        let followed = follow(&experiment);
+        let highest = followed.at.iter().map(|at| at[2]).fold(0.0, f64::max);
+        assert!(highest <= 1.0, "arm {number}: {highest}");
+        assert!(highest > 0.9, "arm {number}: {highest}");
+        let too_fast: Vec<_> =
+            diagnostics(&experiment).into_iter().filter(|found| found.code == Code::JointTooFast).collect();
+        assert!(too_fast.is_empty(), "arm {number}: {too_fast:?}");
+    }
+}
+
+/// Lines whose jerk is hardly limited.
+#[test]
+fn lines_take_hardly_more_than_the_least_time() {
+    let mut random = Random(4);
+    for number in 0..4 {
+        let arm = RandomArm::new(&mut random);
+        let path = format!(
+            "speed_m_per_s = 2.0\nacceleration_m_per_s2 = 5.0\njerk_m_per_s3 = 2000.0\nsegments = [{{ line = {{ to_m = {} }} }}]",
+            point(&mut random)
+        );
+        let followed = follow(&experiment(&arm, 1.0, &path));
+        // Highest speed at each place, from the joint speeds per speed.
+        let length_m = followed.at.last().unwrap()[0];
+        let count = 4000;
+        let step_m = length_m / f64::from(count);
+        let highest = |s_m: f64| {
+            let next = followed.at.partition_point(|at| at[0] < s_m).min(followed.at.len() - 2).max(1);
+            let [_, speed, ratio] = followed.at[next];
+            (speed / ratio).min(2.0)
+        };
+        let mut x: Vec<f64> = (0..=count).map(|k| highest(step_m * f64::from(k)).powi(2)).collect();
+        let last = x.len() - 1;
+        (x[0], x[last]) = (0.0, 0.0);
+        for k in 0..last {
+            x[k + 1] = x[k + 1].min(x[k] + 2.0 * 5.0 * step_m);
+        }
+        for k in (0..last).rev() {
+            x[k] = x[k].min(x[k + 1] + 2.0 * 5.0 * step_m);
+        }
+        let least_s: f64 = x.windows(2).map(|pair| 2.0 * step_m / (pair[0].sqrt() + pair[1].sqrt())).sum();
+        let ratio = followed.duration_s / least_s;
+        assert!(ratio > 0.999 && ratio < 1.03, "arm {number}: {} of {least_s} s", followed.duration_s);
+    }
+}
+
+/// The timing of a path is not changed by limits that don't bind.
+#[test]
+fn slow_paths_are_unchanged() {
+    let mut random = Random(5);
+    let arm = RandomArm::new(&mut random);
+    let path = format!(
+        "speed_m_per_s = 0.1\nacceleration_m_per_s2 = 1.0\njerk_m_per_s3 = 50.0\nsegments = [{{ line = {{ to_m = {} }} }}]",
+        point(&mut random)
+    );
+    let CartesianReference::Path(path) = reference(&experiment(&arm, 6.0, &path)).clone() else { panic!() };
+    assert_eq!(path.bounds, opspace_control::PathBounds::default());
+}
