@@ -86,7 +86,9 @@ pub use phase::Phase;
 pub use retraction::RetractionParameters;
 pub use run::{Run, RunOutcome};
 pub use safety::SafetyParameters;
-pub use sensor_compensation::{SensorCompensation, SensorEstimateParameters, SensorLoadParameters};
+pub use sensor_compensation::{
+    SensorBiasParameters, SensorCompensation, SensorEstimateParameters, SensorLoadParameters,
+};
 pub use target_stream::{TargetReceiver, TargetSender, target_stream};
 pub use timeline::{Cycle, Timeline, TimelineError};
 pub use watchdog::{Watchdog, WatchdogParameters};

@@ -7,7 +7,7 @@
 //! ```
 //!
 //! with the mass m of the load and its first moment s = m c. Without `estimate` the load is the stated one, and the bias is
-//! that of the mean reading at rest before control begins. With `estimate` a Kalman filter for each of the two equations
+//! the stated one or that of the mean reading at rest before control begins. With `estimate` a Kalman filter for each of the two equations
 //! follows b_f and m, b_μ and s, while nothing touches: its innovation is at most `contact_n` and `contact_nm` beyond three
 //! standard deviations of what the filter predicts. Both sides of the equations pass the same low-pass of 10 Hz, so that the
 //! acceleration is a difference of velocities and not of their noise. Load and bias differ only when the hand turns. Until it
@@ -48,6 +48,19 @@ pub struct SensorLoadParameters {
     /// Centre of mass in the axes of the sensor, m.
     #[serde(deserialize_with = "exactly")]
     pub centre_m: [f64; 3],
+}
+
+/// Bias of a force sensor, in its axes: what it reads when no load is mounted and nothing touches.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct SensorBiasParameters {
+    /// Force, N.
+    #[serde(deserialize_with = "exactly")]
+    pub force_n: [f64; 3],
+    /// Moment, Nm.
+    #[serde(deserialize_with = "exactly")]
+    pub moment_nm: [f64; 3],
 }
 
 /// Estimation of a force sensor's bias, and of the load beyond it, while nothing touches.
@@ -117,6 +130,8 @@ pub(crate) struct SensorMotion {
 #[derive(Clone, Debug)]
 pub struct SensorCompensation {
     bias: Force,
+    /// True if the bias is stated: the readings at rest are not taken for it.
+    is_stated: bool,
     /// Mass (kg) and first moment (kg m) of the load.
     mass: f64,
     moment: Vector3<f64>,
@@ -183,11 +198,29 @@ impl SensorCompensation {
                 touches: false,
             }
         });
-        Self { bias: Force::zero(), mass, moment, rested: 0.0, estimate }
+        Self { bias: Force::zero(), is_stated: false, mass, moment, rested: 0.0, estimate }
     }
 
-    /// Adds a reading (N, Nm; axes of the sensor) at rest, while nothing touches.
+    /// Takes the stated bias in place of the mean reading at rest, so that something may touch before control begins. An
+    /// estimate begins with it.
+    #[must_use]
+    pub fn with_bias(mut self, bias: &SensorBiasParameters) -> Self {
+        let (force, moment) = (Vector3::from(bias.force_n), Vector3::from(bias.moment_nm));
+        (self.bias, self.is_stated) = (Force { linear: force, angular: moment }, true);
+        if let Some(estimate) = &mut self.estimate {
+            let SensorEstimateParameters { contact_n, contact_nm, .. } = estimate.parameters;
+            estimate.force.begin_at(&force, contact_n.get());
+            estimate.moment.begin_at(&moment, contact_nm.get());
+        }
+        self
+    }
+
+    /// Adds a reading (N, Nm; axes of the sensor) at rest, while nothing touches unless the bias is stated.
     pub(crate) fn rest(&mut self, reading: &Force, motion: &SensorMotion) {
+        if self.is_stated {
+            self.update(reading, motion);
+            return;
+        }
         self.rested += 1.0;
         let bias = *reading - self.weight(&motion.gravity);
         self.bias += (bias - self.bias) * (1.0 / self.rested);
@@ -285,6 +318,14 @@ impl<const N: usize> Kalman<N> {
     fn new(state: SVector<f64, N>, deviations: [f64; N]) -> Self {
         let variances = SVector::from(deviations.map(|deviation| deviation * deviation));
         Self { state, covariance: SMatrix::from_diagonal(&variances) }
+    }
+
+    /// Sets the first three elements, and their standard deviation.
+    fn begin_at(&mut self, known: &Vector3<f64>, deviation: f64) {
+        for axis in 0..3 {
+            self.state[axis] = known[axis];
+            self.covariance[(axis, axis)] = deviation * deviation;
+        }
     }
 
     /// Returns true if a reading is as predicted by its rows, within `allowed`, or within the deviation of the prediction

@@ -51,6 +51,11 @@
 //! removed. What was removed is the *gap*; it is added again with a time constant and at a limited speed, through the same
 //! valve. The bound then holds without any condition on the motion.
 //!
+//! The robot may be elsewhere than its reference: at an impact it gives out the energy of its motion, and friction takes energy
+//! that the reference gets back. Therefore the energy that flows in where the robot *is* can be
+//! [observed](PortPassivity::observe_physical) too. Then the partner is sent only what has flowed in there, beyond what was
+//! received, and the reference gives out nothing while that sum and the store are spent.
+//!
 //! # Holds
 //!
 //! The sums outlive a hold of the robot: [`PortPassivity::restart`] forgets only the gap. Motion during a hold is not counted. The partner need not know of it, and the bound holds over any number of holds of either side.
@@ -133,6 +138,8 @@ pub struct PortPassivity {
     is_repair_paused: bool,
     largest_debt_j: f64,
     active_s: f64,
+    /// Net energy that has flowed in where the robot is, J; `None` if it is not observed.
+    physical_j: Option<f64>,
 }
 
 impl PortPassivity {
@@ -161,6 +168,7 @@ impl PortPassivity {
             is_repair_paused: false,
             largest_debt_j: 0.0,
             active_s: 0.0,
+            physical_j: None,
         }
     }
 
@@ -188,6 +196,15 @@ impl PortPassivity {
         let out_j = force.dot(displacement);
         if out_j.is_finite() {
             self.count(out_j);
+        }
+    }
+
+    /// Counts energy (J) that has flowed in where the robot is, beside that which [`limit_displacement`](Self::limit_displacement)
+    /// counts at the reference. From the first call on, the budget is the smaller one of both. Energy that is not finite is not
+    /// counted.
+    pub fn observe_physical(&mut self, in_j: f64) {
+        if in_j.is_finite() {
+            self.physical_j = Some(self.physical_j.unwrap_or(self.flow.net_j()) + in_j);
         }
     }
 
@@ -265,6 +282,7 @@ impl PortPassivity {
         (self.received_j, self.sent_j, self.gap) = (before.received_j, before.sent_j, before.gap);
         (self.unsent_j, self.reserve_j, self.base_j) = (before.unsent_j, before.reserve_j, before.base_j);
         (self.largest_debt_j, self.active_s) = (before.largest_debt_j, before.active_s);
+        self.physical_j = before.physical_j;
     }
 
     /// Energy that has flowed in at this port and that the partner may spend, J, to be sent with each packet. Never falls within
@@ -295,7 +313,7 @@ impl PortPassivity {
     /// Energy that may flow out now, J. Negative: a debt.
     #[must_use]
     pub fn budget_j(&self) -> f64 {
-        self.half_store_j + self.beyond_store_j()
+        self.half_store_j + self.beyond_store_j().min(self.physical_beyond_store_j())
     }
 
     /// Largest debt so far, J, not negative.
@@ -321,6 +339,12 @@ impl PortPassivity {
         self.received_j + (self.base_j + self.flow.net_j() - self.sent_j)
     }
 
+    /// The same where the robot is, J; infinite if that is not observed.
+    fn physical_beyond_store_j(&self) -> f64 {
+        self.physical_j
+            .map_or(f64::INFINITY, |physical_j| self.received_j + (self.base_j + physical_j - self.sent_j))
+    }
+
     /// Counts energy that has flowed out (J), or in.
     fn count(&mut self, out_j: f64) {
         let before = self.flow;
@@ -330,9 +354,13 @@ impl PortPassivity {
             // Without a spring, what flows in is the partner's, except what pays a debt and a share that restores the own half
             // of the store: a side that keeps more starves the other one.
             let flowed_in_j = gained_j + std::mem::take(&mut self.unsent_j);
-            let after_debt_j = flowed_in_j.min(self.budget_j().max(0.0));
-            let spent_store_j = (after_debt_j - self.beyond_store_j()).max(0.0);
-            self.sent_j += after_debt_j - (RESTORED_SHARE * after_debt_j).min(spent_store_j);
+            let beyond_store_j = self.beyond_store_j();
+            let after_debt_j = flowed_in_j.min((self.half_store_j + beyond_store_j).max(0.0));
+            let spent_store_j = (after_debt_j - beyond_store_j).max(0.0);
+            let due_j = after_debt_j - (RESTORED_SHARE * after_debt_j).min(spent_store_j);
+            let sent_j = due_j.min(self.physical_beyond_store_j().max(0.0));
+            self.sent_j += sent_j;
+            self.unsent_j = (due_j - sent_j - spent_j).max(0.0);
         } else {
             self.unsent_j = (self.unsent_j + gained_j - spent_j).clamp(0.0, self.beyond_store_j().max(0.0));
             self.send();

@@ -402,7 +402,9 @@ impl PriorityLevel {
 
     /// Stores what limits took from the rows, given the joint accelerations (n) that they took.
     pub(crate) fn set_slack(&mut self, taken: &[f64]) {
-        let rows = product(&self.jacobian, taken) + self.standstill.taken();
+        let by_limits = product(&self.jacobian, taken);
+        self.task.set_force_taken(&(self.projected.space.task_inertia * by_limits));
+        let rows = by_limits + self.standstill.taken();
         self.task.spread_slack(&rows, &mut self.slack);
     }
 

@@ -401,6 +401,12 @@ impl Task for CoupledTask {
         Some(Vector6::from_fn(|row, _| self.force[row] / self.rows.scale(row)))
     }
 
+    fn set_force_taken(&mut self, force: &Vector6<f64>) {
+        if let Some(CouplingLaw::Teleoperation(law)) = &mut self.law {
+            law.take_force(&Vector6::from_fn(|row, _| force[row] * self.rows.scale(row)));
+        }
+    }
+
     fn start(&mut self, input: &ControlInput<'_>) {
         self.rows.start(input);
         self.partner.restart();

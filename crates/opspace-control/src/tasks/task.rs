@@ -172,6 +172,10 @@ pub trait Task: Any + Send {
     /// escape from a singular pose removes. Limits may still reduce it.
     fn set_added_force(&mut self, _force: &Vector6<f64>) {}
 
+    /// Receives the force that limits take from the rows in this cycle. It is called after [`force`](Self::force), and only in cycles
+    /// in which limits change the command.
+    fn set_force_taken(&mut self, _force: &Vector6<f64>) {}
+
     /// Method for the inversion of Λ⁻¹ near singularities; its thresholds are relative to the typical mobility.
     fn inversion(&self) -> Inversion {
         DEFAULT_INVERSION

@@ -23,7 +23,9 @@ use crate::error::{ControlError, Reason};
 use crate::tasks::coupled_parameters::{CouplingSide, Passivity, Reflected, TeleoperationParameters};
 use crate::tasks::coupled_rows::RowState;
 use nalgebra::Vector6;
+use opspace_backend::LowPass;
 use opspace_backend::quantity::NonNegative;
+use std::f64::consts::TAU;
 
 /// Store of a passivity control that only observes, J.
 const UNLIMITED_J: NonNegative = NonNegative::literal(1e9);
@@ -83,6 +85,11 @@ pub(crate) struct Teleoperation {
     position: Vector6<f64>,
     /// Force that is sent: on the follower, or on the leader.
     force: Vector6<f64>,
+    /// Force that limits of the robot took from it in the last cycle.
+    taken: Vector6<f64>,
+    /// Filter of the follower's position, like that of its sensed force; position and force in the last cycle.
+    port_filter: LowPass<6>,
+    port: Option<[Vector6<f64>; 2]>,
 }
 
 impl Teleoperation {
@@ -153,6 +160,9 @@ impl Teleoperation {
             target: zero,
             position: zero,
             force: zero,
+            taken: zero,
+            port_filter: LowPass::new(1.0 / (TAU * lag_s), period_s),
+            port: None,
         })
     }
 
@@ -188,9 +198,11 @@ impl Teleoperation {
             &mut self.position,
             &mut self.force,
             &mut self.received,
+            &mut self.taken,
         ] {
             vector.fill(0.0);
         }
+        self.port = None;
         (self.closed, self.share) = (false, 0.0);
         self.compliance.restart();
         self.latency.restart();
@@ -213,6 +225,29 @@ impl Teleoperation {
         self.position = before.position;
         self.force = before.force;
         self.received = before.received;
+        self.taken = before.taken;
+        self.port_filter = before.port_filter.clone();
+        self.port = before.port;
+    }
+
+    /// Notes the force that limits of the robot have taken from the rows in this cycle: it does no work.
+    pub(crate) fn take_force(&mut self, taken: &Vector6<f64>) {
+        self.taken = *taken;
+    }
+
+    /// Counts the energy that the environment has given to the follower since the last cycle. The position passes the filter of
+    /// the sensed force: a force that is late would seem to give energy when the follower bounces.
+    fn observe_environment(&mut self, state: &RowState) {
+        let position: [f64; 6] = state.position.into();
+        if self.port.is_none() {
+            self.port_filter.reset(&position);
+        }
+        let now = [Vector6::from(self.port_filter.update(&position)), state.sensed];
+        if let Some([position, force]) = self.port {
+            let in_j = 0.5 * (force + now[1]).dot(&(now[0] - position));
+            self.passivity.observe_physical(in_j * self.force_scale / self.position_scale);
+        }
+        self.port = Some(now);
     }
 
     /// Cycle in which the robot is held: the coupling is open, and the reference stays at the robot.
@@ -222,6 +257,8 @@ impl Teleoperation {
         self.reference = state.position;
         self.open(partner.as_ref());
         self.force.fill(0.0);
+        self.taken.fill(0.0);
+        self.port = None;
         self.passivity.restart();
     }
 
@@ -351,7 +388,7 @@ impl Teleoperation {
         if let Some(packet) = packet {
             self.passivity.receive(packet.energy_in_j);
         }
-        self.passivity.observe(&self.force, moved);
+        self.passivity.observe(&(self.force - std::mem::take(&mut self.taken)), moved);
         self.force = self.passivity.limit_force(&state.velocity, &wanted);
         self.limited = self.force != wanted;
         let g = self.handle_feedback;
@@ -367,6 +404,9 @@ impl Teleoperation {
     ) -> Vector6<f64> {
         let energy_scale = self.force_scale / self.position_scale;
         let effort = self.effort(state);
+        if self.reflect == Reflected::MeasuredForce {
+            self.observe_environment(state);
+        }
         match packet {
             None => {
                 let closed = self.closed;
@@ -419,7 +459,8 @@ impl Teleoperation {
             Reflected::Position => {
                 let stored_j = 0.5 * self.spring.component_mul(&stretch).dot(&stretch);
                 self.passivity.set_reserve(energy_scale * stored_j);
-                self.passivity.observe(&(self.force * energy_scale), moved);
+                let applied = self.force - std::mem::take(&mut self.taken);
+                self.passivity.observe(&(applied * energy_scale), moved);
                 self.passivity.limit_force(&state.velocity, &(force * energy_scale)) / energy_scale
             }
             _ => force,

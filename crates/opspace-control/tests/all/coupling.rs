@@ -804,6 +804,43 @@ fn only_newer_packets_are_accepted() {
     assert_eq!(received, ReceivedState::new(0.1));
 }
 
+// --- Energy where the robot is ---
+
+/// Random flows at a reference and where its robot is, and random energies from the partner. Compared, whenever energy is sent: all
+/// that was sent, and what has flowed in where the robot is and was received; the work of the reference in each cycle, and the budgets
+/// of both sums.
+#[test]
+fn energy_that_did_not_flow_in_where_the_robot_is_is_not_sent() {
+    let mut sent_while_observed = 0.0;
+    for seed in 0..200 {
+        let random = &mut ChaCha8Rng::seed_from_u64(seed);
+        let mut port = PortPassivity::new(&parameters(STORE_J, 0.002), &[false; 6], PERIOD_S);
+        let (mut physical, mut reference, mut received, mut turnover) = (0.0, 0.0, 0.0, 1.0);
+        for _ in 0..2000 {
+            // An impact now and then.
+            let impact = if random.random_range(0..100) == 0 { -0.05 } else { 0.0 };
+            let in_j = 1e-3 * random.random_range(-1.0..1.0) + impact;
+            port.observe_physical(in_j);
+            received += 1e-3 * random.random_range(-1.0_f64..1.0).max(0.0);
+            port.receive(received);
+            physical += in_j;
+            turnover += f64::abs(in_j);
+            let before = port.energy_in_j();
+            let budget = 0.5 * STORE_J + received - before + f64::min(physical, reference);
+            let force = within_ball(random, 3) * 40.0;
+            let out_j = force.dot(&port.limit_displacement(&(within_ball(random, 3) * 1e-3), &force));
+            reference -= out_j;
+            turnover += out_j.abs();
+            let tolerance = 1e-12 * turnover;
+            assert!(out_j <= budget.max(0.0) + tolerance, "seed {seed}: {out_j} J of {budget} J");
+            let sent = port.energy_in_j();
+            assert!(sent == before || sent <= received + physical + tolerance, "seed {seed}: {sent} J");
+            sent_while_observed += sent - before;
+        }
+    }
+    assert!(sent_while_observed > 1.0, "energy is sent: {sent_while_observed} J");
+}
+
 // --- Wave variables ---
 
 /// Leader and follower with wave variables and a constant delay in µs; a packet that is sent at the time of arrival of

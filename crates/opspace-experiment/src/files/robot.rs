@@ -17,7 +17,7 @@ use opspace_backend::{Capabilities, CommandKind, Measured, Setting};
 use opspace_control::JointLimits;
 use opspace_loop::{
     CollisionDetectionParameters, CollisionReaction, EstimatedForceParameters, SafetyParameters,
-    SensorEstimateParameters, SensorLoadParameters,
+    SensorBiasParameters, SensorEstimateParameters, SensorLoadParameters,
 };
 use opspace_model::collision::{CapsuleWarning, LinkCapsule};
 use opspace_model::{FrameId, JointDynamics, Limits, Model, ParsedUrdf, UrdfOptions, UrdfWarning};
@@ -122,6 +122,10 @@ pub struct ForceSensorFile {
     /// Load beyond the sensor, whose weight is taken off the readings; none if absent.
     #[serde(default)]
     pub load: Option<SensorLoadParameters>,
+    /// Bias of the readings without load. If absent, it is that of the mean reading at rest before control begins, when nothing
+    /// may touch.
+    #[serde(default)]
+    pub bias: Option<SensorBiasParameters>,
     /// Estimation of the bias and of the load beyond the sensor while nothing touches. Without it the bias is that at rest
     /// before control begins, and the load is the stated one.
     #[serde(default)]

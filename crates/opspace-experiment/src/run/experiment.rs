@@ -589,7 +589,11 @@ impl Experiment {
         let sensors = self.robot.file.force_sensor.values();
         let period_s = self.profile.period_s();
         sensors
-            .map(|sensor| SensorCompensation::new(sensor.load.as_ref(), sensor.estimate.as_ref(), period_s))
+            .map(|sensor| {
+                let compensation =
+                    SensorCompensation::new(sensor.load.as_ref(), sensor.estimate.as_ref(), period_s);
+                sensor.bias.iter().fold(compensation, SensorCompensation::with_bias)
+            })
             .collect()
     }
 

@@ -6,6 +6,7 @@ mod collision_views;
 mod collisions;
 mod coupled_clutch;
 mod coupled_common;
+mod coupled_energy;
 mod coupled_holds;
 mod coupled_kinds;
 mod coupled_logs;
