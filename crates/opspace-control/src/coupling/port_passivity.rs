@@ -339,7 +339,7 @@ impl PortPassivity {
         self.received_j + (self.base_j + self.flow.net_j() - self.sent_j)
     }
 
-    /// The same where the robot is, J; infinite if that is not observed.
+    /// Energy beyond the own half of the store where the robot is, J; infinite if that is not observed.
     fn physical_beyond_store_j(&self) -> f64 {
         self.physical_j
             .map_or(f64::INFINITY, |physical_j| self.received_j + (self.base_j + physical_j - self.sent_j))
