@@ -20,11 +20,13 @@ use std::fmt;
 pub const TOLERANCE: f64 = 0.01;
 
 /// Metrics of which a smaller value is better.
-const SMALLER: [&str; 25] = [
+const SMALLER: [&str; 27] = [
     "position_rms_m",
     "position_max_m",
+    "position_final_m",
     "orientation_rms_rad",
     "orientation_max_rad",
+    "orientation_final_rad",
     "joint_rms_rad",
     "force_rms_n",
     "force_hold_rms_n",
