@@ -356,8 +356,7 @@ impl Controller for OperationalSpaceController {
         match prediction.as_mut().and_then(|prediction| prediction.of(input, &self.commanded)) {
             Some(predicted) => {
                 self.compute(&predicted);
-                // The tasks record their motion and references at the time of the measurement.
-                self.schedule.current_mut().observe(input);
+                self.schedule.current_mut().observe_measurement(input);
             }
             None => self.compute(input),
         }

@@ -118,6 +118,11 @@ impl PriorityLevel {
         self.task.observe(&self.task_input(input, true));
     }
 
+    /// Updates state and reference to the time of the measurement, after an update with a predicted state.
+    pub(crate) fn observe_measurement(&mut self, input: &ControlInput<'_>) {
+        self.task.observe_measurement(&self.task_input(input, true));
+    }
+
     /// Updates state, reference and sensed forces in a cycle of inverse kinematics.
     pub(crate) fn observe_with_forces(&mut self, input: &ControlInput<'_>) {
         self.task.observe_with_forces(&self.task_input(input, true));

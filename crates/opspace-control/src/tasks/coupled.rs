@@ -166,9 +166,9 @@ impl CoupledTask {
                 let lag_s = 1.0 / (TAU * parameters.filter_hz.get());
                 let law = Teleoperation::new(
                     (side, p),
-                    [spring, damper],
+                    [spring, damper, damping],
                     (&angular, sensed),
-                    [context.period_s, lag_s],
+                    [context.period_s, lag_s, context.command_delay_s],
                     &format!("{key}.teleoperation"),
                 )?;
                 Some(CouplingLaw::Teleoperation(Box::new(law)))
@@ -356,8 +356,7 @@ impl Task for CoupledTask {
         (self.force, self.acceleration) = match &mut self.law {
             None => (-damping, Vector6::zeros()),
             Some(CouplingLaw::Teleoperation(law)) => {
-                let force = law.update(&self.state, &self.partner, clutch, time_s, clock_s);
-                (force - damping, Vector6::zeros())
+                (law.update(&self.state, &self.partner, clutch, time_s, clock_s), Vector6::zeros())
             }
             Some(CouplingLaw::Carry(law)) => {
                 law.update(&self.state, &self.partner, time_s, clock_s);
@@ -375,6 +374,9 @@ impl Task for CoupledTask {
             Some(CouplingLaw::Carry(law)) => law.rest(&self.state),
         }
     }
+
+    /// The packet that was sent contains the predicted state, in which the force acts.
+    fn observe_measurement(&mut self, _input: &TaskInput<'_>) {}
 
     fn bias(&self, model: &Model, data: &Data) -> Vector6<f64> {
         self.rows.bias(model, data)

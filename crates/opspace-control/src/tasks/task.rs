@@ -122,6 +122,12 @@ pub trait Task: Any + Send {
         self.update(input);
     }
 
+    /// Updates state and reference to the time of the measurement, for what is recorded, in a cycle in which
+    /// [`update`](Self::update) has seen the state that is predicted for a late command; `input.limited` is true.
+    fn observe_measurement(&mut self, input: &TaskInput<'_>) {
+        self.observe(input);
+    }
+
     /// Updates state, reference and sensed forces in a cycle of inverse kinematics; `input.limited` is true.
     fn observe_with_forces(&mut self, input: &TaskInput<'_>) {
         self.observe(input);

@@ -6,13 +6,16 @@
 //! ```text
 //! leader    r = s_f f̂                                    measured force, controller force
 //!           r = s_f s_p [K (p̂ − p) + D (v̂ − v)]           position
-//!           command (1 + g) r + g F                      g: handle feedback
+//!           command (1 + g) r + g F − B v                g: handle feedback, B: damping of the task
 //! follower  x follows s_p p̂ from where it was when the coupling closed
-//!           f_c = K (x − p) + D (ẋ − v)                  command; f = F or f = −f_c is sent
+//!           f_c = K (x − p) + D (ẋ − v)                  command f_c − B v; f = F or f = −f_c is sent
 //! ```
 //!
-//! The [passivity control](crate::coupling::port_passivity) limits r of the leader, and the change of x, or f_c of the
-//! follower if both positions are coupled. The follower sends its position in the leader's coordinates.
+//! The [passivity control](crate::coupling::port_passivity) limits r of the leader, with its damping, and the change of x, or f_c
+//! of the follower if both positions are coupled. The follower sends its position in the leader's coordinates.
+//!
+//! The damping B takes energy from the operator like any other force of the command. In contact it belongs to the port. In
+//! free motion it doesn't: the energy would be spent in the next impact.
 
 use crate::coupling::contact_compliance::ContactCompliance;
 use crate::coupling::port_passivity::{PortPassivity, PortPassivityParameters};
@@ -20,6 +23,7 @@ use crate::coupling::received::{Packet, ReceivedState};
 use crate::coupling::steady_latency::SteadyLatency;
 use crate::coupling::wave::WaveSide;
 use crate::error::{ControlError, Reason};
+use crate::prediction::is_predicted;
 use crate::tasks::coupled_parameters::{CouplingSide, Passivity, Reflected, TeleoperationParameters};
 use crate::tasks::coupled_rows::RowState;
 use nalgebra::Vector6;
@@ -30,7 +34,7 @@ use std::f64::consts::TAU;
 /// Store of a passivity control that only observes, J.
 const UNLIMITED_J: NonNegative = NonNegative::literal(1e9);
 
-/// Force above which the delay damping acts in full, N or Nm.
+/// Force above which the follower is in contact, N or Nm.
 const CONTACT_N: f64 = 2.0;
 
 /// Force that the leader lacks per velocity with which the follower retreats, Ns/m or Nms/rad: 10 N give 20 mm/s.
@@ -47,9 +51,15 @@ pub(crate) struct Teleoperation {
     /// Stiffness and damping of each row.
     spring: Vector6<f64>,
     damper: Vector6<f64>,
+    /// Damping of the task.
+    damping: Vector6<f64>,
     position_scale: f64,
     force_scale: f64,
+    /// Of the leader; zero at the follower.
     handle_feedback: f64,
+    /// Part of a cycle in which the command before still acts, and the one by which the state is predicted.
+    lateness: f64,
+    lead: f64,
     /// Factor of the damping that pays for the delay, lag without a channel (s), and largest damping.
     delay_damping_ratio: f64,
     lag_s: f64,
@@ -85,7 +95,10 @@ pub(crate) struct Teleoperation {
     position: Vector6<f64>,
     /// Force that is sent: on the follower, or on the leader.
     force: Vector6<f64>,
-    /// Force that limits of the robot took from it in the last cycle.
+    /// Force of the last command whose work the passivity control counts, and of the one before without what limits took.
+    counted: Vector6<f64>,
+    acting: Vector6<f64>,
+    /// Force that limits of the robot took from the command in the last cycle.
     taken: Vector6<f64>,
     /// Filter of the follower's position, like that of its sensed force; position and force in the last cycle.
     port_filter: LowPass<6>,
@@ -93,13 +106,14 @@ pub(crate) struct Teleoperation {
 }
 
 impl Teleoperation {
-    /// Returns a side of a coupling with `[stiffness, damping]` of each row. `angular` marks the rows in rad and Nm; `sensed`
-    /// is true if the force is sensed; `lag_s` is the lag of the force sensor's filter.
+    /// Returns a side of a coupling with `[stiffness, damping]` of each row, and the damping of the task. `angular` marks the
+    /// rows in rad and Nm; `sensed` is true if the force is sensed; `lag_s` is the lag of the force sensor's filter; a command
+    /// acts after `command_delay_s`.
     pub(crate) fn new(
         (side, p): (CouplingSide, &TeleoperationParameters),
-        [spring, damper]: [Vector6<f64>; 2],
+        [spring, damper, damping]: [Vector6<f64>; 3],
         (angular, sensed): (&[bool; 6], bool),
-        [period_s, lag_s]: [f64; 2],
+        [period_s, lag_s, command_delay_s]: [f64; 3],
         key: &str,
     ) -> Result<Self, ControlError> {
         let unsensed = |what| ControlError::new(key, Reason::CouplingUnsensed { what });
@@ -130,16 +144,21 @@ impl Teleoperation {
             }
             _ => None,
         };
+        let part = (command_delay_s / period_s).min(1.0);
+        let (lateness, lead) = if is_predicted(command_delay_s) { (0.0, part) } else { (part, 0.0) };
         Ok(Self {
             side,
             reflect: p.reflect,
             spring,
             damper,
+            damping,
             position_scale: p.scale.position.get(),
             force_scale: p.scale.force.get(),
-            handle_feedback: p.handle_feedback.get(),
+            handle_feedback: if side == CouplingSide::Leader { p.handle_feedback.get() } else { 0.0 },
             delay_damping_ratio: p.delay_damping_ratio.get(),
-            lag_s: period_s + lag_s,
+            lateness,
+            lead,
+            lag_s: period_s + lag_s + command_delay_s + lateness * period_s,
             delay_damping_at_most: p.delay_damping_at_most_ns_per_m.get(),
             compliance: ContactCompliance::new(period_s),
             clutch_open_s: p.clutch_open_s.clone(),
@@ -160,6 +179,8 @@ impl Teleoperation {
             target: zero,
             position: zero,
             force: zero,
+            counted: zero,
+            acting: zero,
             taken: zero,
             port_filter: LowPass::new(1.0 / (TAU * lag_s), period_s),
             port: None,
@@ -197,6 +218,8 @@ impl Teleoperation {
             &mut self.target,
             &mut self.position,
             &mut self.force,
+            &mut self.counted,
+            &mut self.acting,
             &mut self.received,
             &mut self.taken,
         ] {
@@ -224,6 +247,8 @@ impl Teleoperation {
         self.target = before.target;
         self.position = before.position;
         self.force = before.force;
+        self.counted = before.counted;
+        self.acting = before.acting;
         self.received = before.received;
         self.taken = before.taken;
         self.port_filter = before.port_filter.clone();
@@ -235,10 +260,20 @@ impl Teleoperation {
         self.taken = *taken;
     }
 
-    /// Counts the energy that the environment has given to the follower since the last cycle. The position passes the filter of
-    /// the sensed force: a force that is late would seem to give energy when the follower bounces.
-    fn observe_environment(&mut self, state: &RowState) {
-        let position: [f64; 6] = state.position.into();
+    /// Notes the force of the last command, and returns the mean force since the last cycle: the command before that one still
+    /// acted for the part `lateness`.
+    fn acted(&mut self) -> Vector6<f64> {
+        let last = self.counted - std::mem::take(&mut self.taken) / (1.0 + self.handle_feedback);
+        let before = std::mem::replace(&mut self.acting, last);
+        last + (before - last) * self.lateness
+    }
+
+    /// Counts the energy that the environment has given to the follower since the last cycle, in which it has moved by `moved`.
+    /// The position passes the filter of the sensed force: a force that is late would seem to give energy when the follower
+    /// bounces.
+    fn observe_environment(&mut self, state: &RowState, moved: &Vector6<f64>) {
+        // The force is that of the measurement.
+        let position: [f64; 6] = (state.position - moved * self.lead).into();
         if self.port.is_none() {
             self.port_filter.reset(&position);
         }
@@ -257,6 +292,8 @@ impl Teleoperation {
         self.reference = state.position;
         self.open(partner.as_ref());
         self.force.fill(0.0);
+        self.counted.fill(0.0);
+        self.acting.fill(0.0);
         self.taken.fill(0.0);
         self.port = None;
         self.passivity.restart();
@@ -311,7 +348,7 @@ impl Teleoperation {
         }
     }
 
-    /// Returns the force on the rows of a cycle, N or Nm.
+    /// Returns the force on the rows of a cycle, N or Nm, with the damping of the task.
     pub(crate) fn update(
         &mut self,
         state: &RowState,
@@ -348,7 +385,7 @@ impl Teleoperation {
         let stiffness = self.spring.component_mul(&direction).dot(&direction) * self.position_scale;
         let series = stiffness / (1.0 + stiffness * self.compliance.get());
         let damping = (series * delay_s).min(self.delay_damping_at_most);
-        direction * (damping * direction.dot(velocity) * (force / CONTACT_N).min(1.0))
+        direction * (damping * direction.dot(velocity) * contact(packet))
     }
 
     fn lead(&mut self, state: &RowState, moved: &Vector6<f64>, packet: Option<&Packet>) -> Vector6<f64> {
@@ -388,11 +425,17 @@ impl Teleoperation {
         if let Some(packet) = packet {
             self.passivity.receive(packet.energy_in_j);
         }
-        self.passivity.observe(&(self.force - std::mem::take(&mut self.taken)), moved);
-        self.force = self.passivity.limit_force(&state.velocity, &wanted);
-        self.limited = self.force != wanted;
+        let acted = self.acted();
+        self.passivity.observe(&acted, moved);
+        // The handle feedback makes each other force of the command 1 + g times smaller to the operator.
         let g = self.handle_feedback;
-        self.force * (1.0 + g) + state.sensed * g
+        let damping = self.damping.component_mul(&state.velocity) / (1.0 + g);
+        let counted = damping * packet.map_or(0.0, contact);
+        let wanted = wanted - counted;
+        self.counted = self.passivity.limit_force(&state.velocity, &wanted);
+        self.limited = self.counted != wanted;
+        self.force = self.counted + counted;
+        (self.force - damping) * (1.0 + g) + state.sensed * g
     }
 
     fn follow(
@@ -405,7 +448,7 @@ impl Teleoperation {
         let energy_scale = self.force_scale / self.position_scale;
         let effort = self.effort(state);
         if self.reflect == Reflected::MeasuredForce {
-            self.observe_environment(state);
+            self.observe_environment(state, moved);
         }
         match packet {
             None => {
@@ -459,14 +502,16 @@ impl Teleoperation {
             Reflected::Position => {
                 let stored_j = 0.5 * self.spring.component_mul(&stretch).dot(&stretch);
                 self.passivity.set_reserve(energy_scale * stored_j);
-                let applied = self.force - std::mem::take(&mut self.taken);
-                self.passivity.observe(&(applied * energy_scale), moved);
-                self.passivity.limit_force(&state.velocity, &(force * energy_scale)) / energy_scale
+                let acted = self.acted();
+                self.passivity.observe(&(acted * energy_scale), moved);
+                self.counted =
+                    self.passivity.limit_force(&state.velocity, &(force * energy_scale)) / energy_scale;
+                self.counted
             }
             _ => force,
         };
         self.force = force;
-        force
+        force - self.damping.component_mul(&state.velocity)
     }
 
     /// Displacement (m, rad) by which the follower retreats while the leader cannot give back the energy of its push: the
@@ -505,4 +550,9 @@ impl Teleoperation {
         let (closed, limited) = (self.closed, self.limited);
         Packet { closed, limited, energy_in_j, position, velocity, force, wave, ..Packet::default() }
     }
+}
+
+/// Share of contact, from 0 to 1: of the damping that acts, or counts, in contact only.
+fn contact(packet: &Packet) -> f64 {
+    (packet.force.norm() / CONTACT_N).min(1.0)
 }

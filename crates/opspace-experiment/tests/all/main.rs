@@ -9,6 +9,7 @@ mod coupled_common;
 mod coupled_energy;
 mod coupled_holds;
 mod coupled_kinds;
+mod coupled_late_commands;
 mod coupled_logs;
 mod coupled_restarts;
 mod coupled_robots;
