@@ -14,6 +14,8 @@ pub struct ControlContext {
     pub command_delay_s: f64,
     /// Force sensors in the order of [`Measurement::wrenches`](crate::Measurement): name and frame.
     pub sensors: Vec<(String, FrameId)>,
+    /// Number of the last sensors whose force is not measured, but estimated from the torques of the motors.
+    pub estimated_sensors: usize,
     /// True if the robot itself adds the gravity torques to the commanded torques.
     pub gravity_by_robot: bool,
     /// Limits of the joints.
@@ -33,6 +35,7 @@ impl ControlContext {
             period_s,
             command_delay_s: 0.0,
             sensors: Vec::new(),
+            estimated_sensors: 0,
             gravity_by_robot: false,
             limits,
             collision: None,

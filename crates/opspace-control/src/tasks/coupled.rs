@@ -162,12 +162,12 @@ impl CoupledTask {
             (Some(side), Some(p), None) => {
                 let spring = of_rows(p.stiffness_n_per_m.get(), p.stiffness_nm_per_rad.get());
                 let damper = of_rows(p.damping_ns_per_m.get(), p.damping_nms_per_rad.get());
-                let (angular, sensed) = (std::array::from_fn(|row| !is_linear(row)), rows.is_sensed());
+                let angular = std::array::from_fn(|row| !is_linear(row));
                 let lag_s = 1.0 / (TAU * parameters.filter_hz.get());
                 let law = Teleoperation::new(
                     (side, p),
                     [spring, damper, damping],
-                    (&angular, sensed),
+                    (&angular, rows.is_sensed(), rows.is_measured()),
                     [context.period_s, lag_s, context.command_delay_s],
                     &format!("{key}.teleoperation"),
                 )?;

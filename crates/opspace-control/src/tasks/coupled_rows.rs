@@ -24,6 +24,8 @@ pub(crate) struct CoupledRows {
     /// Name and position unit of each row.
     rows: Vec<(String, &'static str)>,
     sensor: Option<SensedForce>,
+    /// True if the sensed force is not estimated.
+    is_measured: bool,
     jacobian: Matrix6xX<f64>,
 }
 
@@ -99,6 +101,7 @@ impl CoupledRows {
             }
             _ => return Err(ControlError::new(key, Reason::FrameOrJoints)),
         };
+        let mut is_measured = false;
         let sensor = match &p.sensor {
             None => None,
             Some(name) => {
@@ -107,10 +110,11 @@ impl CoupledRows {
                     return Err(at("sensor", Reason::Sensor { name: name.clone(), known }));
                 };
                 let frame = context.sensors[index].1;
+                is_measured = index + context.estimated_sensors < context.sensors.len();
                 Some(SensedForce::new(index, frame, p.filter_hz.get(), context.period_s))
             }
         };
-        Ok(Self { kind, rows, sensor, jacobian: Matrix6xX::zeros(model.n()) })
+        Ok(Self { kind, rows, sensor, is_measured, jacobian: Matrix6xX::zeros(model.n()) })
     }
 
     /// Name and position unit of each row.
@@ -126,6 +130,11 @@ impl CoupledRows {
     /// True if the rows are x, y and z of a frame.
     pub(crate) fn is_of_position(&self) -> bool {
         matches!(&self.kind, Kind::Frame(frame) if frame.0.axes() == [0, 1, 2])
+    }
+
+    /// True if the force is measured by a sensor, not estimated from the torques of the motors.
+    pub(crate) fn is_measured(&self) -> bool {
+        self.is_measured
     }
 
     /// True if the force is sensed.

@@ -55,6 +55,8 @@ pub(crate) struct Teleoperation {
     damping: Vector6<f64>,
     position_scale: f64,
     force_scale: f64,
+    /// True if the force is measured: an estimated one is late by the lag of its observer.
+    is_measured: bool,
     /// Of the leader; zero at the follower.
     handle_feedback: f64,
     /// Part of a cycle in which the command before still acts, and the one by which the state is predicted.
@@ -107,12 +109,12 @@ pub(crate) struct Teleoperation {
 
 impl Teleoperation {
     /// Returns a side of a coupling with `[stiffness, damping]` of each row, and the damping of the task. `angular` marks the
-    /// rows in rad and Nm; `sensed` is true if the force is sensed; `lag_s` is the lag of the force sensor's filter; a command
+    /// rows in rad and Nm; `sensed` is true if the force is sensed, `measured` if it is not estimated; `lag_s` is the lag of the force sensor's filter; a command
     /// acts after `command_delay_s`.
     pub(crate) fn new(
         (side, p): (CouplingSide, &TeleoperationParameters),
         [spring, damper, damping]: [Vector6<f64>; 3],
-        (angular, sensed): (&[bool; 6], bool),
+        (angular, sensed, measured): (&[bool; 6], bool, bool),
         [period_s, lag_s, command_delay_s]: [f64; 3],
         key: &str,
     ) -> Result<Self, ControlError> {
@@ -154,6 +156,7 @@ impl Teleoperation {
             damping,
             position_scale: p.scale.position.get(),
             force_scale: p.scale.force.get(),
+            is_measured: measured,
             handle_feedback: if side == CouplingSide::Leader { p.handle_feedback.get() } else { 0.0 },
             delay_damping_ratio: p.delay_damping_ratio.get(),
             lateness,
@@ -447,7 +450,7 @@ impl Teleoperation {
     ) -> Vector6<f64> {
         let energy_scale = self.force_scale / self.position_scale;
         let effort = self.effort(state);
-        if self.reflect == Reflected::MeasuredForce {
+        if self.reflect == Reflected::MeasuredForce && self.is_measured {
             self.observe_environment(state, moved);
         }
         match packet {

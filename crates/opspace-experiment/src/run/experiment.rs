@@ -431,6 +431,7 @@ impl Experiment {
             period_s,
             command_delay_s: f64::from(self.profile.delay()) * self.profile.servo_period_s(),
             sensors: self.robot.sensors.clone(),
+            estimated_sensors: self.robot.file.estimated_force.len(),
             gravity_by_robot: self.gravity_compensated_by() == GravityCompensation::Robot,
             limits: self.robot.joint_limits(),
             collision: self.distances.as_ref().map(|distances| distances.limits.clone()),

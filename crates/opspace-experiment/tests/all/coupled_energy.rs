@@ -1,6 +1,6 @@
 //! Energy that a teleoperated pair gives to the operator and to the wall that it hits.
 
-use crate::coupled_common::{NEAR_TABLE, STORE_J, run, teleoperation};
+use crate::coupled_common::{NEAR_TABLE, STORE_J, load, project, run, teleoperation};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::time::{SystemTime, UNIX_EPOCH};
@@ -60,4 +60,17 @@ fn hard_impact_gives_out_at_most_the_store() {
         let extracted_j = run.summary.couplings["hands"].energy_extracted_j.unwrap_or(f64::NAN);
         assert!(extracted_j <= STORE_J, "{delay_s} s: {extracted_j} J");
     }
+}
+
+/// A probe of a wall of 50 kN/m with a follower whose force is estimated: the estimate is late, so that its work where the robot is
+/// would be wrong. Compared: the time in which the passivity control acts, 0.2 s with that work, and none.
+#[test]
+fn estimated_force_leaves_the_leader_its_energy() {
+    let own = ["expect={}", "settle_s=0.5", "duration_s=8.0"];
+    let estimate = "follower.robot.estimated_force.contact={ frame = \"hand\" }";
+    let wall = "follower.environment.table.stiffness_n_per_m=50000.0";
+    let settings = [&own[..], &[estimate, wall, "follower.task.hand.coupled.sensor=\"contact\""]].concat();
+    let run = run(&load(&project("experiments/teleop-wall.toml"), &settings));
+    let acted_s = run.summary.couplings["hands"].passivity_time_s;
+    assert_eq!(acted_s, Some(0.0));
 }

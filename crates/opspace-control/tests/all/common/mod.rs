@@ -187,6 +187,7 @@ pub fn control_context(model: &Model, sensor: &str) -> ControlContext {
         period_s: 1e-3,
         command_delay_s: 0.0,
         sensors: vec![("wrist".to_owned(), frame)],
+        estimated_sensors: 0,
         gravity_by_robot: false,
         limits: JointLimits::none(model.n()),
         collision: None,
