@@ -1,5 +1,6 @@
 //! Frequency responses of a joint at one amplitude.
 
+use crate::background::Background;
 use crate::response::Point;
 
 /// Frequency responses at one amplitude.
@@ -12,4 +13,6 @@ pub struct AmplitudeLevel {
     pub position: Vec<Point>,
     /// Response of mean torque to setpoint, Nm/rad (N/m), if current is measured.
     pub torque: Option<Vec<Point>>,
+    /// Responses at the lines that are not excited, if current is measured.
+    pub(crate) background: Option<Background>,
 }

@@ -34,6 +34,10 @@ use std::f64::consts::TAU;
 /// Relative error of the model assumed in the weights, in addition to noise.
 const MODEL_ERROR: f64 = 0.01;
 
+/// Range of the relative error of the model that the errors show, and number of halvings of its logarithm.
+const MODEL_ERRORS: [f64; 2] = [1e-4, 0.1];
+const HALVINGS: usize = 20;
+
 /// Relative error of the position error per speed assumed in the weights: that of slow motion is known much better than
 /// the responses.
 const SLOW_ERROR: f64 = 1e-4;
@@ -66,6 +70,9 @@ const LEAST_FEED_FORWARD: f64 = 0.03;
 
 /// Largest noise of a torque over its value of lines whose errors are those of the model.
 const HEARD: f64 = 0.03;
+
+/// Largest error that is taken as noise, in standard deviations of the noise.
+const NOISE_AT_MOST: f64 = 3.0;
 
 /// Ratio of the costs of a delay and of the best one below which the delay is in its interval.
 const LIKELY_DELAY: f64 = 1.1;
@@ -237,19 +244,22 @@ impl Candidate {
 /// determine the servo.
 #[must_use]
 pub fn fit(levels: &[AmplitudeLevel], rates: Rates, lag: Lag, viscous: f64) -> Option<Gains> {
-    let responses = Measurement { levels, lag, viscous };
+    let mut responses = Measurement { levels, lag, viscous, weights: None };
     let least = |all: &[Candidate]| all.iter().map(Candidate::cost).fold(f64::INFINITY, f64::min);
-    let all_delays = |path: SetpointPath, start: Option<&Candidate>| -> Vec<Candidate> {
+    let all_delays = |responses: &Measurement<'_>, path: SetpointPath, start: Option<&Candidate>| {
         let delays = 0..=rates.servo_ticks_per_cycle;
-        delays.filter_map(|delay| responses.candidate(path, Rates { delay, ..rates }, start)).collect()
+        delays
+            .filter_map(|delay| responses.candidate(path, Rates { delay, ..rates }, start))
+            .collect::<Vec<Candidate>>()
     };
     let best_of = |all: &[Candidate]| all.iter().min_by(|a, b| a.cost().total_cmp(&b.cost())).cloned();
-    let mut direct = all_delays(SetpointPath::Direct, None);
+    let mut direct = all_delays(&responses, SetpointPath::Direct, None);
     let mut first = best_of(&direct)?;
     if responses.measures_torque() {
         // The motion within an interval depends on the inertia, which the first fit gives.
         for _ in 0..TURNS {
             first.drive.inertia = load::fit(levels, &first.drive, first.rates)?.fast_inertia;
+            responses.weigh(&first);
             first = responses.candidate(SetpointPath::Direct, first.rates, Some(&first))?;
         }
         let bound = REFINED * first.cost();
@@ -264,7 +274,7 @@ pub fn fit(levels: &[AmplitudeLevel], rates: Rates, lag: Lag, viscous: f64) -> O
     for &path in others {
         let trial = responses.candidate(path, first.rates, Some(&first));
         if trial.is_some_and(|trial| TRIED * trial.cost() < first.cost()) {
-            let fitted = all_delays(path, Some(&first));
+            let fitted = all_delays(&responses, path, Some(&first));
             paths.push(fitted.into_iter().filter(Candidate::is_plausible).collect());
         }
     }
@@ -275,6 +285,12 @@ pub fn fit(levels: &[AmplitudeLevel], rates: Rates, lag: Lag, viscous: f64) -> O
         .map(|fitted| PathComparison { path: fitted[0].path, cost_over_best: least(fitted) / best });
     let comparisons: Vec<PathComparison> = comparisons.collect();
     let mut selected = paths.into_iter().find(|fitted| least(fitted) < CLEARLY * best)?;
+    if responses.measures_torque() {
+        // The weights are those of the selected path.
+        let best = best_of(&selected)?;
+        responses.weigh(&best);
+        selected = selected.iter().filter_map(|c| responses.candidate(c.path, c.rates, Some(c))).collect();
+    }
     selected.sort_by(|a, b| a.cost().total_cmp(&b.cost()));
     let mut gains = responses.gains(&selected)?;
     gains.comparisons = comparisons;
@@ -286,9 +302,70 @@ struct Measurement<'a> {
     levels: &'a [AmplitudeLevel],
     lag: Lag,
     viscous: f64,
+    /// Weights of the lines of [`pairs`], from a fit without them.
+    weights: Option<Vec<Weight>>,
+}
+
+/// Weight of a line, and its position response without the noise of its error.
+///
+/// The error of the torque is `d = C + (D/B) (y − A) − τ̄`. Noise of y is part of d and of the derivatives of d, so that the
+/// minimum of the sum of |d|² has too small a D/B: a filter that is too low. With the regression of y on d subtracted, the
+/// derivatives have no part that is correlated with d.
+#[derive(Clone, Copy, Debug)]
+struct Weight {
+    /// Standard deviation of the error of the torque.
+    size: f64,
+    /// Position response without the regression on the error.
+    position: Complex<f64>,
+    /// Torque of the difference to the measured position response.
+    torque: Complex<f64>,
+    /// Standard deviation of the noise alone.
+    noise: f64,
 }
 
 impl Measurement<'_> {
+    /// Sets the weights from the responses at the lines that are not excited: with no setpoint there, the torque that the
+    /// servo of `fitted` does not explain is noise. They stay as they are if a level has no such lines.
+    fn weigh(&mut self, fitted: &Candidate) {
+        if let Some(weights) = self.weights_of(fitted) {
+            self.weights = Some(weights);
+        }
+    }
+
+    fn weights_of(&self, fitted: &Candidate) -> Option<Vec<Weight>> {
+        let interval = Interval::new(&fitted.drive, fitted.rates);
+        let mut weights = Vec::new();
+        let mut errors = Vec::new();
+        for level in self.levels {
+            let per_position = |hz: f64| {
+                let r = interval.responses(hz)?;
+                Some([r.torque_of_force / r.position_of_force, Complex::new(-1.0, 0.0)])
+            };
+            let covariances = level.background.as_ref()?.covariances(per_position)?;
+            let torque = level.torque.as_ref()?;
+            for ((position, torque), of) in level.position.iter().zip(torque).zip(covariances) {
+                let r = interval.responses(position.hz)?;
+                let error = r.torque(position.value) - torque.value;
+                let noise = of.error.sqrt();
+                // The part of the error that can be noise.
+                let share = (NOISE_AT_MOST * noise / error.norm().max(f64::MIN_POSITIVE)).min(1.0);
+                let shift = of.position_error * error * (share / of.error.max(f64::MIN_POSITIVE));
+                errors.push([error.norm(), torque.value.norm()]);
+                weights.push(Weight {
+                    size: noise,
+                    position: position.value - shift,
+                    torque: r.torque_of_force / r.position_of_force * shift,
+                    noise,
+                });
+            }
+        }
+        let of_model = model_error(&weights, &errors);
+        for (weight, [_, torque]) in weights.iter_mut().zip(errors) {
+            weight.size = weight.size.hypot(of_model * torque);
+        }
+        Some(weights)
+    }
+
     /// Estimates and intervals from fits of one path with several delays, the best one first.
     fn gains(&self, fitted: &[Candidate]) -> Option<Gains> {
         let mut best = fitted.first()?.clone();
@@ -324,10 +401,13 @@ impl Measurement<'_> {
         let delays = || fitted.iter().filter(likely).map(|c| c.rates.delay);
         let second = fitted.get(1).map_or(f64::INFINITY, Candidate::cost);
         let interval = Interval::new(&best.drive, best.rates);
-        let heard = |(_, torque): &(&Point, &Point)| torque.noise < HEARD * torque.value.norm();
+        let noise = |at: usize, torque: &Point| {
+            self.weights.as_ref().and_then(|weights| weights.get(at)).map_or(torque.noise, |w| w.noise)
+        };
         let torque = pairs(self.levels)
-            .filter(heard)
-            .filter_map(|(p, t)| Some((interval.responses(p.hz)?.torque(p.value), t.value)))
+            .enumerate()
+            .filter(|(at, (_, torque))| noise(*at, torque) < HEARD * torque.value.norm())
+            .filter_map(|(_, (p, t))| Some((interval.responses(p.hz)?.torque(p.value), t.value)))
             .collect::<Vec<_>>();
         let load = load.as_ref();
         Some(Gains {
@@ -394,11 +474,17 @@ impl Measurement<'_> {
         let minimum = minimise(&start, |x| {
             let interval = Interval::new(&drive_of(x), rates);
             let mut residuals = Vec::new();
-            for (position, torque) in pairs(levels) {
+            for (at, (position, torque)) in pairs(levels).enumerate() {
                 let r = interval.responses(position.hz)?;
-                let through = (r.torque_of_force / r.position_of_force).norm() * position.noise;
-                let size = f64::hypot(torque.noise + through, MODEL_ERROR * torque.value.norm());
-                let error = (r.torque(position.value) - torque.value) / size;
+                let weight = self.weights.as_ref().and_then(|weights| weights.get(at));
+                let error = match weight {
+                    Some(weight) => (r.torque(weight.position) + weight.torque - torque.value) / weight.size,
+                    None => {
+                        let through = (r.torque_of_force / r.position_of_force).norm() * position.noise;
+                        let size = f64::hypot(torque.noise + through, MODEL_ERROR * torque.value.norm());
+                        (r.torque(position.value) - torque.value) / size
+                    }
+                };
                 residuals.extend([error.re, error.im]);
             }
             residuals.push(beyond(x[2], FILTER_OF_RATE / rates.servo_period_s, FILTER_WITHIN));
@@ -417,7 +503,7 @@ impl Measurement<'_> {
         rates: Rates,
         from: Option<&Candidate>,
     ) -> Option<Candidate> {
-        let Self { levels, lag, viscous } = *self;
+        let Self { levels, lag, viscous, .. } = *self;
         let corner = corner_hz(&levels.first()?.position)?;
         let drive_of = |x: &[f64]| {
             let direct = Drive {
@@ -476,6 +562,27 @@ impl Measurement<'_> {
         let drive = drive_of(&minimum.x);
         Some(Candidate { path, rates, drive, minimum, friction })
     }
+}
+
+/// Relative error of the model with which the sum of the squares of the weighted `errors` (absolute, and torque) is their
+/// number.
+fn model_error(weights: &[Weight], errors: &[[f64; 2]]) -> f64 {
+    let is_too_small = |of_model: f64| {
+        let square = |(weight, [error, torque]): (&Weight, &[f64; 2])| {
+            (error / weight.noise.hypot(of_model * torque)).powi(2)
+        };
+        weights.iter().zip(errors).map(square).sum::<f64>() > weights.len() as f64
+    };
+    let [mut low, mut high] = MODEL_ERRORS.map(f64::ln);
+    for _ in 0..HALVINGS {
+        let middle = 0.5 * (low + high);
+        if is_too_small(middle.exp()) {
+            low = middle;
+        } else {
+            high = middle;
+        }
+    }
+    high.exp()
 }
 
 /// Frequency at which the phase reaches −45°, near the corner of the position loop, Hz.

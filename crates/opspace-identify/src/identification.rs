@@ -1,5 +1,6 @@
 //! Result of an identification, and its parameters.
 
+use crate::background::Background;
 use crate::confidence::ServoIntervals;
 use crate::friction::{ConstantVelocityRun, Friction};
 use crate::gains;
@@ -225,6 +226,9 @@ pub struct Measured {
     pub torque: Option<Vec<Point>>,
     /// Distortion of the position.
     pub distortion: Distortion,
+    /// Responses at the lines that are not excited, if torque is measured.
+    #[serde(skip)]
+    pub(crate) background: Option<Background>,
 }
 
 /// Result of the identification of a joint, successful or not.

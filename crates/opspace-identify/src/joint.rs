@@ -2,6 +2,7 @@
 //! runs.
 
 use crate::amplitude_level::AmplitudeLevel;
+use crate::background::Background;
 use crate::confidence::{Interval95, ServoIntervals};
 use crate::excitation::{Multisine, odd_lines};
 use crate::friction;
@@ -126,9 +127,10 @@ const VISCOUS_WITHIN: f64 = 0.5;
 const INERTIA_WITHIN: f64 = 0.02;
 
 /// Factors between the inertias from motor current and from URDF and rotor: from which on, by the nearer end of the interval,
-/// the results are refused, and, by the farther end, doubted.
+/// the results are refused, and, by the farther end, doubted: below the factors 1.25 and 1/0.75, which an interval that holds
+/// the inertia then always reaches.
 const SCALE_REFUSED: f64 = 1.15;
-const SCALE_DOUBTED: f64 = 1.12;
+const SCALE_DOUBTED: f64 = 1.18;
 
 /// Distortion (rms outside the excited lines over rms at them) above which no linear servo can be inverted.
 const LINEAR: f64 = 0.5;
@@ -159,6 +161,7 @@ impl Joint<'_, '_> {
                 speed: m.speed,
                 position: m.position.clone(),
                 torque: m.torque.clone(),
+                background: m.background.clone(),
             })
             .collect();
         let rates = self.known.rates(0);
@@ -266,7 +269,12 @@ impl Joint<'_, '_> {
         };
         all.kp = widen(all.kp, viscous);
         all.kv = widen(all.kv, viscous + inertia);
-        all.coulomb = widen(all.coulomb, gains.deviation[1] + inertia);
+        // Friction is a lag times kp kv. Errors of the two gains have opposite signs: taken as independent, they are an upper
+        // bound.
+        let relative =
+            |interval: Interval95| interval.half_width() / (0.5 * (interval.lower + interval.upper));
+        let [kp, kv, _] = gains.intervals.map(relative);
+        all.coulomb = widen(all.coulomb, kp.hypot(kv) + inertia);
         // Errors of the model of friction look like another filter.
         all.velocity_filter_hz = None;
         all.viscous = None;
@@ -469,6 +477,7 @@ impl Joint<'_, '_> {
             position: frequency_response(&position, lines, period_s),
             torque: (!torque.is_empty()).then(|| frequency_response(&torque, lines, period_s)),
             distortion: distortion(&position, lines),
+            background: Background::new(&position, &torque, lines, period_s),
         })
     }
 

@@ -25,7 +25,7 @@ impl Minimum {
     /// Returns the standard deviation of each parameter, from the residuals: the larger of that of independent residuals
     /// of equal variance, and of residuals that are correlated with those at neighbouring places (W. Newey, K. West, *A
     /// simple, positive semi-definite, heteroskedasticity and autocorrelation consistent covariance matrix*, Econometrica
-    /// 55(3), 1987). `places` has the places of the first residuals; the others are independent. The correlation ends at
+    /// 55(3), 1987). `places` has the places of the first residuals; the others are those of priors, independent and of variance 1. The correlation ends at
     /// the distance `width`. Errors of a model are correlated, and move the parameters more than independent noise of the same size. `None` if the residuals
     /// do not determine the parameters.
     #[must_use]
@@ -34,22 +34,24 @@ impl Minimum {
         let normal = self.jacobian.tr_mul(&self.jacobian);
         let decomposed = SVD::try_new_unordered(normal, true, true, 5.0 * f64::EPSILON, MAX_ITERATIONS)?;
         let bread = decomposed.pseudo_inverse(1e-300).ok()?;
-        let spread = n as f64 / n.saturating_sub(p).max(1) as f64;
-        let independent = self.cost / n as f64 * spread;
+        let measured = places.len().min(n);
+        let spread = measured as f64 / measured.saturating_sub(p).max(1) as f64;
+        let square = self.residuals.rows(0, measured).norm_squared() / measured.max(1) as f64 * spread;
         let scores: Vec<DVector<f64>> =
-            (0..n).map(|k| self.jacobian.row(k).transpose() * self.residuals[k]).collect();
-        let weight = |k: usize, l: usize| match (places.get(k), places.get(l)) {
-            (Some(here), Some(there)) => 1.0 - (here - there).abs() / width,
-            _ => f64::from(u8::from(k == l)),
-        };
+            (0..measured).map(|k| self.jacobian.row(k).transpose() * self.residuals[k]).collect();
+        let weight = |k: usize, l: usize| 1.0 - (places[k] - places[l]).abs() / width;
         let mut meat = DMatrix::zeros(p, p);
         for (k, one) in scores.iter().enumerate() {
             for (l, other) in scores.iter().enumerate().filter(|(l, _)| weight(k, *l) > 0.0) {
-                meat.ger(weight(k, l), one, other, 1.0);
+                meat.ger(weight(k, l) * spread, one, other, 1.0);
             }
         }
-        let correlated = &bread * meat * &bread * spread;
-        let deviation = |i: usize| f64::max(independent * bread[(i, i)], correlated[(i, i)]).max(0.0).sqrt();
+        let rows = self.jacobian.rows(0, measured);
+        let others = self.jacobian.rows(measured, n - measured);
+        let priors = others.tr_mul(&others);
+        let independent = &bread * (rows.tr_mul(&rows) * square + &priors) * &bread;
+        let correlated = &bread * (meat + priors) * &bread;
+        let deviation = |i: usize| f64::max(independent[(i, i)], correlated[(i, i)]).max(0.0).sqrt();
         Some((0..p).map(deviation).collect())
     }
 
@@ -133,5 +135,22 @@ mod tests {
         };
         let found = minimise(&[1.0, 0.1], residuals).expect("finite");
         assert!(found.x.iter().zip(truth).all(|(x, t)| (x - t).abs() < TOLERANCE), "{found:?}");
+    }
+    /// Checks that a parameter that only a prior determines has the deviation of the prior, however small the residuals of
+    /// the measurements are.
+    #[test]
+    fn parameter_without_measurement_has_deviation_of_its_prior() {
+        const TOLERANCE: f64 = 0.02;
+        const WITHIN: f64 = 2.3;
+        let places: Vec<f64> = (0..20).map(f64::from).collect();
+        let noise = |k: f64| 1e-3 * (7.0 * k).sin();
+        let residuals = |x: &[f64]| {
+            let measured = (0..20).map(|k| x[0] - noise(f64::from(k)));
+            Some(measured.chain([x[1] / WITHIN]).collect())
+        };
+        let found = minimise(&[0.5, 0.1], residuals).expect("finite");
+        let deviations = found.deviations(&places, 0.8).expect("determined");
+        assert!((deviations[1] / WITHIN - 1.0).abs() < TOLERANCE, "{deviations:?}");
+        assert!(deviations[0] < 1e-3, "{deviations:?}");
     }
 }

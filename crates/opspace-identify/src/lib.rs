@@ -61,6 +61,7 @@
 #![forbid(unsafe_code)]
 
 pub mod amplitude_level;
+mod background;
 pub mod confidence;
 pub mod excitation;
 pub mod friction;

@@ -114,7 +114,8 @@ pub fn distortion(realisations: &[Realisation], lines: &[usize]) -> Distortion {
 
 type Spectrum = Vec<Complex<f64>>;
 
-fn transform(realisation: &Realisation) -> (Spectrum, Vec<Spectrum>) {
+/// Transforms of the setpoint, and of each period of the response.
+pub(crate) fn transform(realisation: &Realisation) -> (Spectrum, Vec<Spectrum>) {
     let mut planner = RealFftPlanner::<f64>::new();
     let plan = planner.plan_fft_forward(realisation.input.len());
     let spectrum = |samples: &[f64]| {
