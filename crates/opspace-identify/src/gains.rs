@@ -259,7 +259,6 @@ pub fn fit(levels: &[AmplitudeLevel], rates: Rates, lag: Lag, viscous: f64) -> O
         // The motion within an interval depends on the inertia, which the first fit gives.
         for _ in 0..TURNS {
             first.drive.inertia = load::fit(levels, &first.drive, first.rates)?.fast_inertia;
-            responses.weigh(&first);
             first = responses.candidate(SetpointPath::Direct, first.rates, Some(&first))?;
         }
         let bound = REFINED * first.cost();
@@ -286,10 +285,16 @@ pub fn fit(levels: &[AmplitudeLevel], rates: Rates, lag: Lag, viscous: f64) -> O
     let comparisons: Vec<PathComparison> = comparisons.collect();
     let mut selected = paths.into_iter().find(|fitted| least(fitted) < CLEARLY * best)?;
     if responses.measures_torque() {
-        // The weights are those of the selected path.
-        let best = best_of(&selected)?;
-        responses.weigh(&best);
-        selected = selected.iter().filter_map(|c| responses.candidate(c.path, c.rates, Some(c))).collect();
+        // The weights are those of the selected path. Paths are compared without them: small errors of the model, with weights
+        // that are sharper than these errors, look like another path.
+        let mut best = best_of(&selected)?;
+        for _ in 0..TURNS {
+            best.drive.inertia = load::fit(levels, &best.drive, best.rates)?.fast_inertia;
+            responses.weigh(&best);
+            best = responses.candidate(best.path, best.rates, Some(&best))?;
+        }
+        selected =
+            selected.iter().filter_map(|c| responses.candidate(c.path, c.rates, Some(&best))).collect();
     }
     selected.sort_by(|a, b| a.cost().total_cmp(&b.cost()));
     let mut gains = responses.gains(&selected)?;
