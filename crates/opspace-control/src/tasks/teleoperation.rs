@@ -34,6 +34,9 @@ use std::f64::consts::TAU;
 /// Store of a passivity control that only observes, J.
 const UNLIMITED_J: NonNegative = NonNegative::literal(1e9);
 
+/// Force up to which the follower touches nothing: noise of its sensor and inertia of what it holds, N or Nm.
+const FREE_N: f64 = 0.5;
+
 /// Force above which the follower is in contact, N or Nm.
 const CONTACT_N: f64 = 2.0;
 
@@ -557,5 +560,5 @@ impl Teleoperation {
 
 /// Share of contact, from 0 to 1: of the damping that acts, or counts, in contact only.
 fn contact(packet: &Packet) -> f64 {
-    (packet.force.norm() / CONTACT_N).min(1.0)
+    ((packet.force.norm() - FREE_N) / (CONTACT_N - FREE_N)).clamp(0.0, 1.0)
 }

@@ -1,6 +1,7 @@
 //! Energy that a teleoperated pair gives to the operator and to the wall that it hits.
 
-use crate::coupled_common::{NEAR_TABLE, STORE_J, load, project, run, teleoperation};
+use crate::coupled_common::{NEAR_TABLE, NO_TABLE, STORE_J, load, project, run, teleoperation};
+use opspace_backend::signal_names::PORT_FORCE;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::time::{SystemTime, UNIX_EPOCH};
@@ -73,4 +74,15 @@ fn estimated_force_leaves_the_leader_its_energy() {
     let run = run(&load(&project("experiments/teleop-wall.toml"), &settings));
     let acted_s = run.summary.couplings["hands"].passivity_time_s;
     assert_eq!(acted_s, Some(0.0));
+}
+
+/// Motion at up to 0.2 m/s that touches nothing, with 100 ms each way. Compared: the force that the coupling commands to the leader,
+/// and the noise of the follower's sensor, 0.2 N.
+#[test]
+fn delay_does_not_brake_free_motion() {
+    let channel = "channels.net={ delay_s = 0.1, hold_after_s = 0.5 }";
+    let run = run(&teleoperation(&[NO_TABLE, channel, "couplings.hands.channel=\"net\""]));
+    let force = run.hand("leader", PORT_FORCE, 0.2, 1.5);
+    let largest = force.iter().flat_map(|(_, row)| row).fold(0.0, |most: f64, f| most.max(f.abs()));
+    assert!(!force.is_empty() && largest < 0.4, "{largest} N");
 }
