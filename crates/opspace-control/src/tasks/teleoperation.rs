@@ -60,7 +60,7 @@ pub(crate) struct Teleoperation {
     force_scale: f64,
     /// True if the force is measured: an estimated one is late by the lag of its observer.
     is_measured: bool,
-    /// Of the leader; zero at the follower.
+    /// Handle feedback of the leader; zero at the follower.
     handle_feedback: f64,
     /// Part of a cycle in which the command before still acts, and the one by which the state is predicted.
     lateness: f64,

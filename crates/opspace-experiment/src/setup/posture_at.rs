@@ -112,7 +112,8 @@ pub struct PostureAt {
 }
 
 /// Searches for a posture within the joint limits in which a frame is at `position_m`, with the orientation `rpy_rad` (about
-/// fixed axes) if it is given. The first search starts at `start` (n; rad, m), which need not be within the limits.
+/// fixed axes) if it is given. The first search starts at `start` (n; rad, m), which need not be within the limits. Of the
+/// postures that reach the pose, the one is returned whose joints are farthest from their limits.
 ///
 /// # Errors
 /// A frame that the robot does not have, or that cannot move along all axes of the pose in any posture.
@@ -150,7 +151,7 @@ pub fn posture_at(
         (lower + margin, upper - margin)
     });
     let search = PostureSearch { model, ranges: ranges.collect() };
-    let mut best: Option<(f64, PostureAt)> = None;
+    let mut best: Option<(f64, f64, PostureAt)> = None;
     for (number, start) in search.starts(&[start]).iter().enumerate() {
         let found = search.solve(&task, start);
         let joints = model.joints().iter().zip(&search.ranges).zip(found.q.iter());
@@ -159,7 +160,11 @@ pub fn posture_at(
         kinematics(model, &mut data, &q, &vec![0.0; n]);
         let left = error(&task, model, &data);
         let missed = ["m", "rad"].map(|unit| norm_in(&task, &left, unit));
-        if best.as_ref().is_none_or(|(least, _)| left.norm() < *least) {
+        let (left, room) = (left.norm(), room(&search.ranges, &q));
+        let is_better = |(least, widest, _): &(f64, f64, PostureAt)| {
+            if left < REACHED_M && *least < REACHED_M { room > *widest } else { left < *least }
+        };
+        if best.as_ref().is_none_or(is_better) {
             let joints: Vec<String> = model
                 .joints()
                 .iter()
@@ -167,19 +172,22 @@ pub fn posture_at(
                 .map(|(joint, q)| format!("{} = {q:?}", dotted(std::slice::from_ref(&joint.name))))
                 .collect();
             let start_rad = format!("start_rad = {{ {} }}", joints.join(", "));
-            best = Some((left.norm(), PostureAt { q, missed, tries: number + 1, start_rad }));
+            best = Some((left, room, PostureAt { q, missed, tries: 0, start_rad }));
         }
-        if left.norm() < REACHED_M {
-            break;
-        }
-        if let Some((_, best)) = &mut best {
+        if let Some((.., best)) = &mut best {
             best.tries = number + 1;
         }
     }
     Ok(best.map_or_else(
         || PostureAt { q: start.to_vec(), missed: [f64::INFINITY; 2], tries: 0, start_rad: String::new() },
-        |(_, best)| best,
+        |(.., best)| best,
     ))
+}
+
+/// Smallest distance of a joint from the ends of its range, over half of the range: from 0 to 1, or 1 without ranges.
+fn room(ranges: &[(f64, f64)], q: &[f64]) -> f64 {
+    let of = |(&(lower, upper), q): (&(f64, f64), &f64)| (q - lower).min(upper - q) / (0.5 * (upper - lower));
+    ranges.iter().zip(q).map(of).filter(|room| room.is_finite()).fold(1.0, f64::min)
 }
 
 /// Norm of an error over the rows of a task with the given unit, in this unit.
