@@ -106,7 +106,7 @@ impl Background {
         let (mut from, mut to) = (above, above);
         loop {
             let below = from.checked_sub(1).map(|at| (distance(&self.lines[at]), at));
-            let next = self.lines.get(to).map(|line| distance(line));
+            let next = self.lines.get(to).map(distance);
             let is_below = match (below, next) {
                 (None, None) => break,
                 (Some((one, _)), Some(other)) => one <= other,
@@ -133,6 +133,7 @@ mod tests {
     use crate::excitation::{Multisine, odd_lines};
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
+    use std::slice::from_ref;
 
     const SAMPLES: usize = 1000;
     const PERIOD_S: f64 = 1e-3;
@@ -175,12 +176,12 @@ mod tests {
     fn nearest_lines_that_are_left_out_are_used() {
         let lines = [5, 7, 31];
         let one = Realisation { input: vec![1.0; 80], periods: vec![vec![0.0; 80]] };
-        let background = Background::new(&[one.clone()], &[one.clone()], &lines, PERIOD_S).expect("lines");
+        let background = Background::new(from_ref(&one), from_ref(&one), &lines, PERIOD_S).expect("lines");
         let numbers = |line: usize| -> Vec<usize> {
             background.lines[background.near(line)].iter().map(|line| line.number).collect()
         };
         assert_eq!(numbers(5), [3, 4, 6, 8, 9, 10]);
         assert_eq!(numbers(31), [25, 26, 27, 28, 29, 30]);
-        assert!(Background::new(&[one.clone()], &[], &lines, PERIOD_S).is_none(), "no torque");
+        assert!(Background::new(from_ref(&one), &[], &lines, PERIOD_S).is_none(), "no torque");
     }
 }

@@ -25,8 +25,8 @@ impl Minimum {
     /// Returns the standard deviation of each parameter, from the residuals: the larger of that of independent residuals
     /// of equal variance, and of residuals that are correlated with those at neighbouring places (W. Newey, K. West, *A
     /// simple, positive semi-definite, heteroskedasticity and autocorrelation consistent covariance matrix*, Econometrica
-    /// 55(3), 1987). `places` has the places of the first residuals; the others are those of priors, independent and of variance
-    /// 1. The correlation ends at the distance `width`. Errors of a model are correlated, and move the parameters more than
+    /// 55(3), 1987). `places` has the places of the first residuals; the others are those of priors, independent and with a
+    /// variance of one. The correlation ends at the distance `width`. Errors of a model are correlated, and move the parameters more than
     /// independent noise of the same size. `None` if the residuals do not determine the parameters.
     #[must_use]
     pub fn deviations(&self, places: &[f64], width: f64) -> Option<Vec<f64>> {
