@@ -142,8 +142,9 @@ mod tests {
     fn parameter_without_measurement_has_deviation_of_its_prior() {
         const TOLERANCE: f64 = 0.02;
         const WITHIN: f64 = 2.3;
+        const NOISE: f64 = 1e-3;
         let places: Vec<f64> = (0..20).map(f64::from).collect();
-        let noise = |k: f64| 1e-3 * (7.0 * k).sin();
+        let noise = |k: f64| NOISE * (7.0 * k).sin();
         let residuals = |x: &[f64]| {
             let measured = (0..20).map(|k| x[0] - noise(f64::from(k)));
             Some(measured.chain([x[1] / WITHIN]).collect())
@@ -151,6 +152,6 @@ mod tests {
         let found = minimise(&[0.5, 0.1], residuals).expect("finite");
         let deviations = found.deviations(&places, 0.8).expect("determined");
         assert!((deviations[1] / WITHIN - 1.0).abs() < TOLERANCE, "{deviations:?}");
-        assert!(deviations[0] < 1e-3, "{deviations:?}");
+        assert!(deviations[0] < NOISE, "{deviations:?}");
     }
 }

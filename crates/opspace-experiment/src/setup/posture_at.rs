@@ -152,7 +152,8 @@ pub fn posture_at(
     });
     let search = PostureSearch { model, ranges: ranges.collect() };
     let mut best: Option<(f64, f64, PostureAt)> = None;
-    for (number, start) in search.starts(&[start]).iter().enumerate() {
+    let starts = search.starts(&[start]);
+    for start in &starts {
         let found = search.solve(&task, start);
         let joints = model.joints().iter().zip(&search.ranges).zip(found.q.iter());
         let q: Vec<f64> =
@@ -172,10 +173,7 @@ pub fn posture_at(
                 .map(|(joint, q)| format!("{} = {q:?}", dotted(std::slice::from_ref(&joint.name))))
                 .collect();
             let start_rad = format!("start_rad = {{ {} }}", joints.join(", "));
-            best = Some((left, room, PostureAt { q, missed, tries: 0, start_rad }));
-        }
-        if let Some((.., best)) = &mut best {
-            best.tries = number + 1;
+            best = Some((left, room, PostureAt { q, missed, tries: starts.len(), start_rad }));
         }
     }
     Ok(best.map_or_else(

@@ -76,13 +76,16 @@ fn estimated_force_leaves_the_leader_its_energy() {
     assert_eq!(acted_s, Some(0.0));
 }
 
+/// Largest force, N: a quarter of that of a damping which noise brings about, 1.7 N.
+const UNBRAKED_N: f64 = 0.4;
+
 /// Motion at up to 0.2 m/s that touches nothing, with 100 ms each way. Compared: the force that the coupling commands to the leader,
-/// and the noise of the follower's sensor, 0.2 N.
+/// and a quarter of that with damping.
 #[test]
 fn delay_does_not_brake_free_motion() {
     let channel = "channels.net={ delay_s = 0.1, hold_after_s = 0.5 }";
     let run = run(&teleoperation(&[NO_TABLE, channel, "couplings.hands.channel=\"net\""]));
     let force = run.hand("leader", PORT_FORCE, 0.2, 1.5);
     let largest = force.iter().flat_map(|(_, row)| row).fold(0.0, |most: f64, f| most.max(f.abs()));
-    assert!(!force.is_empty() && largest < 0.4, "{largest} N");
+    assert!(!force.is_empty() && largest < UNBRAKED_N, "{largest} N");
 }
