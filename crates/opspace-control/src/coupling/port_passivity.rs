@@ -24,6 +24,9 @@
 //! store is whole again, as a *reserve* ([`PortPassivity::set_reserve`]), and sends it when the spring relaxes and it was
 //! not spent. The bound does not depend on the reserve.
 //!
+//! A side that turns back gives out energy before that of its partner arrives, one round trip later. It can therefore
+//! [keep](PortPassivity::keep) a share of what flows in, beyond its half of the store.
+//!
 //! # Force into the handle (impedance)
 //!
 //! The force F of a cycle acts until the next one, in a displacement Δx that is not known yet. It is bounded by
@@ -134,6 +137,8 @@ pub struct PortPassivity {
     /// Energy that has flowed in, and is neither spent nor sent.
     unsent_j: f64,
     reserve_j: f64,
+    /// Energy beyond the own half of the store that is not sent.
+    kept_j: f64,
     gap: Vector6<f64>,
     is_repair_paused: bool,
     largest_debt_j: f64,
@@ -164,6 +169,7 @@ impl PortPassivity {
             sent_j: 0.0,
             unsent_j: 0.0,
             reserve_j: 0.0,
+            kept_j: 0.0,
             gap: Vector6::zeros(),
             is_repair_paused: false,
             largest_debt_j: 0.0,
@@ -186,6 +192,14 @@ impl PortPassivity {
         if energy_j.is_finite() {
             self.reserve_j = energy_j.max(0.0);
             self.send();
+        }
+    }
+
+    /// Keeps a tenth of what flows in until the budget is `energy_j` (J, not negative) above the own half of the store; zero at
+    /// first: then only the half is restored. For a side without a [reserve](Self::set_reserve).
+    pub fn keep(&mut self, energy_j: f64) {
+        if energy_j.is_finite() {
+            self.kept_j = energy_j.max(0.0);
         }
     }
 
@@ -352,12 +366,12 @@ impl PortPassivity {
         let (gained_j, spent_j) = (self.flow.in_j() - before.in_j(), self.flow.out_j() - before.out_j());
         if self.reserve_j == 0.0 {
             // Without a spring, what flows in is the partner's, except what pays a debt and a share that restores the own half
-            // of the store: a side that keeps more starves the other one.
+            // of the store and what is kept: a side that keeps more starves the other one.
             let flowed_in_j = gained_j + std::mem::take(&mut self.unsent_j);
             let beyond_store_j = self.beyond_store_j();
             let after_debt_j = flowed_in_j.min((self.half_store_j + beyond_store_j).max(0.0));
-            let spent_store_j = (after_debt_j - beyond_store_j).max(0.0);
-            let due_j = after_debt_j - (RESTORED_SHARE * after_debt_j).min(spent_store_j);
+            let lacking_j = (self.kept_j + after_debt_j - beyond_store_j).max(0.0);
+            let due_j = after_debt_j - (KEPT_SHARE * after_debt_j).min(lacking_j);
             let sent_j = due_j.min(self.physical_beyond_store_j().max(0.0));
             self.sent_j += sent_j;
             self.unsent_j = (due_j - sent_j - spent_j).max(0.0);
@@ -423,8 +437,8 @@ fn nearest_force(force: &Vector6<f64>, displacement: &Vector6<f64>, budget_j: f6
     (force - displacement * high) * share(high)
 }
 
-/// Share of the energy that flows in which restores the own half of the store, if some of it was spent.
-const RESTORED_SHARE: f64 = 0.1;
+/// Share of the energy that flows in which restores the own half of the store, if some of it was spent, and what is kept.
+const KEPT_SHARE: f64 = 0.1;
 
 /// Doublings of the bracket: enough for all but motion at exactly the radius of the bound.
 const DOUBLINGS: usize = 40;

@@ -151,6 +151,14 @@ impl Teleoperation {
         };
         let part = (command_delay_s / period_s).min(1.0);
         let (lateness, lead) = if is_predicted(command_delay_s) { (0.0, part) } else { (part, 0.0) };
+        let mut passivity = PortPassivity::new(&limits, angular, period_s);
+        if matches!(p.passivity, Passivity::On(_))
+            && side == CouplingSide::Leader
+            && p.reflect != Reflected::Position
+        {
+            // The leader returns before the follower, whose energy it gives out, can know of it.
+            passivity.keep(limits.store_j.get());
+        }
         Ok(Self {
             side,
             reflect: p.reflect,
@@ -169,7 +177,7 @@ impl Teleoperation {
             compliance: ContactCompliance::new(period_s),
             clutch_open_s: p.clutch_open_s.clone(),
             period_s,
-            passivity: PortPassivity::new(&limits, angular, period_s),
+            passivity,
             session: f64::NAN,
             met: None,
             wave,

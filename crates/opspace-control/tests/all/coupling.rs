@@ -10,6 +10,7 @@ use opspace_control::coupling::{
 use proptest::prelude::*;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use std::collections::VecDeque;
 
 /// Rounding of the energies of a run, relative to the sum of their magnitudes and 1 J.
 const ROUNDING: f64 = 1e-12;
@@ -135,6 +136,9 @@ impl Side {
         let period_us = (500.0 * 40f64.powf(random.random_range(0.0..1.0))) as u64;
         let angular = [0, 1, 2, 3, 4, 5].map(|_| random.random_range(0.0..1.0) < 0.3);
         let hysteresis_j = [0.0, 0.002, 0.1][random.random_range(0..3)];
+        let mut port =
+            PortPassivity::new(&parameters(store_j, hysteresis_j), &angular, period_us as f64 * 1e-6);
+        port.keep([0.0, 0.05, 1.0][random.random_range(0..3)]);
         Self {
             causality,
             law: KINDS[random.random_range(0..4)],
@@ -143,7 +147,7 @@ impl Side {
             angular,
             period_us,
             next_us: random.random_range(0..period_us),
-            port: PortPassivity::new(&parameters(store_j, hysteresis_j), &angular, period_us as f64 * 1e-6),
+            port,
             received: ReceivedState::new(f64::INFINITY),
             is_limited: true,
             mass: 10f64.powf(random.random_range(-1.0..1.0)),
@@ -684,6 +688,41 @@ fn ports_pass_the_energy_of_a_spring() {
         assert!((felt / stiffness - 1.0).abs() < 0.02, "{felt} of {stiffness} N/m");
         assert!(active < 0.01, "{active}");
     }
+}
+
+/// Handle that is pressed in and released by 20 mm each second, for 10 s, with 20 ms each way, against a damper of 60 Ns/m and the
+/// force of a follower that is a reference in a spring of 1 kN/m. The leader keeps this energy. Returns the fraction of cycles in
+/// which its force was limited.
+fn limited_by_delay(kept_j: f64) -> f64 {
+    const DELAY: usize = 20;
+    let mut ports = [0, 1].map(|_| PortPassivity::new(&parameters(STORE_J, 0.002), &LINEAR, PERIOD_S));
+    let [leader, follower] = &mut ports;
+    leader.keep(kept_j);
+    let (mut force, mut x_before, mut tip) = (Vector6::zeros(), 0.0, 0.0);
+    let mut sent = VecDeque::from(vec![(0.0, 0.0); DELAY]);
+    let mut returned = sent.clone();
+    for k in 0..10_000 {
+        let phase = std::f64::consts::TAU * PERIOD_S * f64::from(k);
+        let (x, v) = (0.01 * (1.0 - phase.cos()), 0.01 * phase.sin() * std::f64::consts::TAU);
+        leader.observe(&force, &along_x(x - x_before));
+        sent.push_back((x - x_before, leader.energy_in_j()));
+        let (step, energy_in_j) = sent.pop_front().expect("a packet");
+        follower.receive(energy_in_j);
+        tip += follower.limit_displacement(&along_x(step), &along_x(1000.0 * tip)).x;
+        returned.push_back((1000.0 * tip, follower.energy_in_j()));
+        let (reflected, energy_in_j) = returned.pop_front().expect("a packet");
+        leader.receive(energy_in_j);
+        force = leader.limit_force(&along_x(v), &along_x(-reflected - 60.0 * v));
+        x_before = x;
+    }
+    leader.active_s() / 10.0
+}
+
+/// Compared: the fraction of limited cycles without the energy that the damper takes, and with it.
+#[test]
+fn energy_that_is_kept_covers_the_delay() {
+    let [without, with] = [0.0, STORE_J].map(limited_by_delay);
+    assert!(without > 0.0 && with == 0.0, "{without}, {with}");
 }
 
 /// The handle as above; the follower is a mass of 1 kg at a spring, and both sides get the force of the same coupling
