@@ -126,6 +126,11 @@ const ABOVE_STRIBECK: f64 = 0.1;
 const VISCOUS_WITHIN: f64 = 0.5;
 const INERTIA_WITHIN: f64 = 0.02;
 
+/// Errors of intervals without motor current that the friction before sliding causes, which is not in the fit: of kv and Coulomb
+/// friction, and of the delay in servo ticks. Over simulated joints with random parameters, such intervals hold the truth in 90 %.
+const PRESLIDING_WITHIN: f64 = 0.05;
+const PRESLIDING_WITHIN_TICKS: f64 = 1.0;
+
 /// Factors between the inertias from motor current and from URDF and rotor: from which on, by the nearer end of the interval,
 /// the results are refused, and, by the farther end, doubted: below the factors 1.25 and 1/0.75, which an interval that holds
 /// the inertia then always reaches.
@@ -259,7 +264,7 @@ impl Joint<'_, '_> {
     }
 
     /// Adds the errors of declared values to intervals without motor current: of the inertia, between that with the other
-    /// joints free and held, and of the viscous friction, which is not estimated.
+    /// joints free and held, and of the viscous friction, which is not estimated; and those of the friction before sliding.
     fn add_declared(&self, all: &mut ServoIntervals, gains: &Gains, scale: f64) {
         let Some([free, held]) = self.known.inertia else { return };
         let viscous = VISCOUS_WITHIN * self.known.viscous_friction / (scale * gains.drive.kv);
@@ -268,13 +273,17 @@ impl Joint<'_, '_> {
             interval.map(|i| Interval95 { lower: i.lower / (1.0 + by), upper: i.upper * (1.0 + by) })
         };
         all.kp = widen(all.kp, viscous);
-        all.kv = widen(all.kv, viscous + inertia);
+        all.kv = widen(all.kv, viscous + inertia + PRESLIDING_WITHIN);
+        all.delay = all.delay.map(|delay| Interval95 {
+            lower: (delay.lower - PRESLIDING_WITHIN_TICKS).max(0.0),
+            upper: delay.upper + PRESLIDING_WITHIN_TICKS,
+        });
         // Friction is a lag times kp kv. Errors of the two gains have opposite signs: taken as independent, they are an upper
         // bound.
         let relative =
             |interval: Interval95| interval.half_width() / (0.5 * (interval.lower + interval.upper));
         let [kp, kv, _] = gains.intervals.map(relative);
-        all.coulomb = widen(all.coulomb, kp.hypot(kv) + inertia);
+        all.coulomb = widen(all.coulomb, kp.hypot(kv) + inertia + PRESLIDING_WITHIN);
         // Errors of the model of friction look like another filter.
         all.velocity_filter_hz = None;
         all.viscous = None;
