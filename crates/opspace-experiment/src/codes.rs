@@ -65,6 +65,8 @@ codes! {
     // References.
     GoalOutOfReach "goal-out-of-reach" Effect::Reported,
     JointTooFast "joint-too-fast" Effect::Reported,
+    AccelerationAboveLimit "acceleration-above-limit" Effect::Reported,
+    TorqueAboveLimit "torque-above-limit" Effect::Reported,
     ReferenceTooFast "reference-too-fast" Effect::Reported,
     UnfinishedReference "unfinished-reference" Effect::Reported,
     LateEvent "late-event" Effect::Reported,

@@ -7,6 +7,7 @@
 //! |---|---|
 //! | `goals` | references that are out of reach, or reachable only beyond the joint position limits |
 //! | `speeds` | references faster than the joints or the speed limit of the task |
+//! | `accelerations` | references that need more acceleration or torque of a joint than its limits |
 //! | `stability` | gains too high for the rate, the delay and the servo |
 //! | `admittance` | force axes of inverse kinematics that oscillate on the objects of the environment |
 //! | `limits` | limits that contradict each other, the start posture or the arm's weight |
@@ -26,6 +27,7 @@
 //! All checks use the nominal robot, which starts in the start posture of the task and follows the references without
 //! error.
 
+mod accelerations;
 mod admittance;
 mod boundary;
 mod case;
@@ -94,6 +96,9 @@ pub fn diagnostics(experiment: &Experiment) -> Vec<Diagnostic> {
     // References that are out of reach would require arbitrary speeds and torques.
     if out_of_reach.is_empty() {
         found.extend(speeds::of_joints(&case, &followed));
+        if experiment.options().controller == ControllerKind::Osc {
+            found.extend(accelerations::of_joints(&case, &followed));
+        }
         found.extend(limits::on_the_way(&case, &followed));
     }
     found.extend(out_of_reach);

@@ -3,6 +3,7 @@
 use crate::codes::AllowedRefusal;
 use crate::evaluate::escape_record::EscapeRecord;
 use crate::evaluate::expectations;
+use crate::evaluate::limited_reference::LimitedReference;
 use crate::evaluate::metrics::{Evaluated, Evaluator, JointMetrics, Metrics, TaskMetrics, Timing};
 use crate::evaluate::unreached::UnreachedGoal;
 use crate::run::error::RunError;
@@ -77,6 +78,9 @@ pub struct Summary {
     /// Goals that tasks did not reach, each with the limits that prevent it, in order of time.
     #[serde(default)]
     pub unreached_goals: Vec<UnreachedGoal>,
+    /// Moving references that tasks did not follow, each with the limits that prevent it, in order of time.
+    #[serde(default)]
+    pub limited_references: Vec<LimitedReference>,
     /// Escapes of tasks from singular poses, in order of time.
     #[serde(default)]
     pub escapes: Vec<EscapeRecord>,
@@ -127,7 +131,7 @@ impl Experiment {
         outcome: &OutcomeRecord,
         realtime_factor: Option<f64>,
     ) -> Summary {
-        let Evaluated { evaluation, failures, unreached, escapes, interruptions, times } = evaluated;
+        let Evaluated { evaluation, failures, unreached, limited, escapes, interruptions, times } = evaluated;
         Summary {
             task: self.task().name(),
             robot: self.robot().name(),
@@ -157,6 +161,7 @@ impl Experiment {
             missed_expectations: expectations::missed(self.task(), &evaluation),
             failures,
             unreached_goals: unreached,
+            limited_references: limited,
             escapes,
             metrics: evaluation.metrics,
             tasks: evaluation.tasks,

@@ -114,6 +114,21 @@ const MADE_TO_GO_WRONG: [(&str, &str); 10] = [
     ("ur5e-pulled-straight", "nothing brings 'flange' back along x"),
 ];
 
+/// Compared: torque and acceleration of a horizontal swing of one link by hand. A mass of 1 kg m² or more at 2.5 Hz needs
+/// more than the 60 Nm of the shoulder; with 0.5 Hz it does not.
+#[test]
+fn references_beyond_torque_limits_are_found() {
+    let of = |frequency_hz: f64| {
+        let wave =
+            format!("reference.sinusoid.x = [{{ amplitude_m = 0.1, frequency_hz = {frequency_hz} }}]\n");
+        diagnostics(&experiment(TIP, &[("reference = \"hold\"\n", &wave)], RunOptions::default(), &[]))
+    };
+    assert!(of(0.5).iter().all(|found| found.code != Code::TorqueAboveLimit));
+    let found = of(2.5);
+    let found = found.iter().find(|found| found.code == Code::TorqueAboveLimit).expect("a diagnostic");
+    assert_says(found, "task.tip.cartesian.reference", &["Nm from joint '", "allowed: "]);
+}
+
 /// The tip of the planar arm starts at z = sin 0.6 + sin 1.8 = 1.538 m and reaches 2 m.
 #[test]
 fn misplaced_objects_are_found() {
