@@ -114,6 +114,23 @@ const MADE_TO_GO_WRONG: [(&str, &str); 10] = [
     ("ur5e-pulled-straight", "nothing brings 'flange' back along x"),
 ];
 
+/// Compared: stiffnesses of an impedance that give frequencies of 18 and 800 rad/s with a mass of 1.5 kg, and the message; the
+/// proposed stiffness is not reported. The controller holds each torque for 1 ms or more.
+#[test]
+fn stiffness_that_the_rate_does_not_permit_is_found() {
+    let gains = "gains = { frequency_rad_per_s = 14.0, damping_ratio = 1.0 }";
+    let found = |stiffness: &str| {
+        let spring = format!("impedance = {{ stiffness_n_per_m = {stiffness}, damping_ratio = 0.7 }}");
+        diagnostics(&experiment(HAND, &[(gains, &spring)], RunOptions::default(), &[]))
+    };
+    assert_eq!(found("500.0"), []);
+    let [stiff] = &found("1e6")[..] else { panic!("one diagnostic") };
+    assert_eq!(stiff.code, Code::GainsTooHigh);
+    assert_says(stiff, "task.hand.cartesian.impedance.stiffness_n_per_m", &["1000000", "unstable"]);
+    let proposed = stiff.help.split_whitespace().nth(2).unwrap();
+    assert_eq!(found(proposed), [], "{}", stiff.help);
+}
+
 /// Compared: torque and acceleration of a horizontal swing of one link by hand. A mass of 1 kg m² or more at 2.5 Hz needs
 /// more than the 60 Nm of the shoulder; with 0.5 Hz it does not.
 #[test]
