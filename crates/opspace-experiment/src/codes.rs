@@ -88,6 +88,7 @@ codes! {
     ReferenceInCollision "reference-in-collision" Effect::Reported,
     StartInObject "start-in-object" Effect::Reported,
     ObjectOutOfReach "object-out-of-reach" Effect::Reported,
+    IgnoredCompliance "ignored-compliance" Effect::Reported,
     ContactOscillation "contact-oscillation" Effect::Reported,
     ContactImpact "contact-impact" Effect::Reported,
     UnstableAdmittance "unstable-admittance" Effect::Reported,

@@ -13,6 +13,7 @@
 //! | `limits` | limits that contradict each other, the start posture or the arm's weight |
 //! | `freedom` | a start at a singularity; degrees of freedom without a task; compliant axes that nothing brings back |
 //! | `servo_gain` | position or velocity loops with a small gain margin |
+//! | `ignored_compliance` | impedances and compliant axes of tasks that inverse kinematics runs |
 //! | `margins` | ranges of true over nominal values in which the arm is stable |
 //! | `refusal` | margins too small for a real robot |
 //! | `impedances` | real part of the impedance of drives with their transformer |
@@ -40,6 +41,7 @@ mod freedom;
 mod gear_resonance;
 mod gears;
 mod goals;
+mod ignored_compliance;
 mod impedances;
 mod limits;
 mod margins;
@@ -65,6 +67,7 @@ pub use diagnostic::Diagnostic;
 pub use freedom::SingularPostures;
 pub use gear_resonance::GearResonance;
 pub use gears::{GearMargin, GearScale, gear_margin};
+pub(crate) use ignored_compliance::compliance;
 pub use impedances::{JointImpedance, impedances};
 pub use margins::{Margins, Quantity, RangeEnd, StableRange, margins, margins_with};
 pub use refusal::{LEAST_EXCESS, checked_for_real_robot, refusals};
@@ -89,6 +92,7 @@ pub fn diagnostics(experiment: &Experiment) -> Vec<Diagnostic> {
         found.extend(stability::stiff_gains(&case));
         found.extend(contact::contacts(&case));
     }
+    found.extend(ignored_compliance::ignored(&case));
     found.extend(admittance::unstable_contacts(&case));
     found.extend(torque_floor::feed_forward_impulses(experiment));
     found.extend(limits::of_postures(&case, &followed));

@@ -561,6 +561,7 @@ pub(crate) mod tests {
             failures: Vec::new(),
             unreached_goals: Vec::new(),
             limited_references: Vec::new(),
+            ignored_compliance: Vec::new(),
             escapes: Vec::new(),
             tasks: Default::default(),
             joints: Default::default(),

@@ -131,6 +131,27 @@ fn stiffness_that_the_rate_does_not_permit_is_found() {
     assert_eq!(found(proposed), [], "{}", stiff.help);
 }
 
+/// Checks that inverse kinematics reports an impedance and compliant axes, and torque control neither.
+#[test]
+fn compliance_that_inverse_kinematics_ignores_is_found() {
+    let of = |controller: ControllerKind, change: (&str, &str)| {
+        let options = RunOptions { controller, ..RunOptions::default() };
+        let found = diagnostics(&experiment(HAND, &[change], options, &[]));
+        found.into_iter().filter(|found| found.code == Code::IgnoredCompliance).collect::<Vec<_>>()
+    };
+    let gains = "gains = { frequency_rad_per_s = 14.0, damping_ratio = 1.0 }";
+    let spring = (gains, "impedance = { stiffness_n_per_m = 500.0, damping_ratio = 0.7 }");
+    let compliant = ("x = \"motion\"", "x = \"compliant\"");
+    for controller in [ControllerKind::Ik, ControllerKind::IkLead] {
+        let [found] = &of(controller, spring)[..] else { panic!("one diagnostic") };
+        assert_says(found, "task.hand.cartesian.impedance", &["its impedance has no effect"]);
+        let [found] = &of(controller, compliant)[..] else { panic!("one diagnostic") };
+        assert_says(found, "task.hand.cartesian.axes", &["its compliance along x has no effect"]);
+        assert_eq!(of(controller, ("duration_s = 2.0", "duration_s = 2.5")), []);
+    }
+    assert_eq!(of(ControllerKind::Osc, spring), []);
+}
+
 /// Compared: torque and acceleration of a horizontal swing of one link by hand. A mass of 1 kg m² or more at 2.5 Hz needs
 /// more than the 60 Nm of the shoulder; with 0.5 Hz it does not.
 #[test]
