@@ -72,6 +72,7 @@ pub use impedances::{JointImpedance, impedances};
 pub use margins::{Margins, Quantity, RangeEnd, StableRange, margins, margins_with};
 pub use refusal::{LEAST_EXCESS, checked_for_real_robot, refusals};
 pub use servo_gain::{GainMargin, ServoLoop, gain_margin};
+pub use times::PathDuration;
 pub use torque_floor::{JointFloor, TORQUE_HZ, floors};
 pub use variation::Variation;
 
@@ -118,6 +119,12 @@ pub fn diagnostics(experiment: &Experiment) -> Vec<Diagnostic> {
 #[must_use]
 pub fn singular_postures(experiment: &Experiment) -> Vec<SingularPostures> {
     PreflightCase::new(experiment).map_or_else(Vec::new, |case| freedom::singular_postures_of(&case))
+}
+
+/// Computes the durations of the paths that tasks follow.
+#[must_use]
+pub fn path_durations(experiment: &Experiment) -> Vec<PathDuration> {
+    times::path_durations_of(experiment)
 }
 
 /// Computes the frequencies of the joints whose gear stiffness is declared, at the start.
