@@ -167,6 +167,30 @@ fn references_beyond_torque_limits_are_found() {
     assert_says(found, "task.tip.cartesian.reference", &["Nm from joint '", "allowed: "]);
 }
 
+/// Checks positions in degrees, of which the message names all joints, and a goal in mm.
+#[test]
+fn degrees_and_millimetres_are_suspected() {
+    let folder = TempDir::new().unwrap();
+    let start =
+        "start_rad = { shoulder_pitch = -0.45, shoulder_roll = -0.35, shoulder_yaw = 0.25, elbow = -1.35 }";
+    let robots = root().join("robots");
+    let degrees =
+        "start_rad = { shoulder_pitch = -26.0, shoulder_roll = -20.0, shoulder_yaw = 14.0, elbow = -77.0 }";
+    let text = HAND.replace("ROBOTS", robots.to_str().unwrap()).replace(start, degrees);
+    fs::write(folder.path().join("task.toml"), text).unwrap();
+    let file = folder.path().join("task.toml");
+    let error = Experiment::load(Files::Disk, &file, None, RunOptions::default(), &[]).unwrap_err();
+    for joint in ["shoulder_pitch", "shoulder_roll", "shoulder_yaw"] {
+        let is_named = error.message().contains(&format!("'{joint}'"));
+        assert!(is_named || error.message().starts_with("-77 "), "{joint}: {}", error.message());
+    }
+    assert!(error.help().is_some_and(|help| help.contains("degrees")), "{:?}", error.help());
+    let far = ("offset_m = [0.05, 0.0, 0.05]", "offset_m = [0.0, 50.0, 0.0]");
+    let found = diagnostics(&experiment(HAND, &[far], RunOptions::default(), &[]));
+    let found = found.iter().find(|found| found.code == Code::GoalOutOfReach).expect("a diagnostic");
+    assert!(found.help.contains("mm"), "{}", found.help);
+}
+
 /// The tip of the planar arm starts at z = sin 0.6 + sin 1.8 = 1.538 m and reaches 2 m.
 #[test]
 fn misplaced_objects_are_found() {
