@@ -10,7 +10,7 @@ use crate::setup::assumed_drives::{assumed_drives, servo_gains, velocity_gains};
 use crate::setup::first_motion::{Clearance, ControlledAxes, FirstMotion, first_motion};
 use crate::setup::first_task::first_task_toml;
 use crate::setup::robot_template::{NewRobot, assumed_robot_toml, robot_toml};
-use crate::setup::tip::joints_beyond;
+use crate::setup::tip::{arms, joints_beyond};
 use opspace_backend::CommandKind;
 use opspace_model::{Limits, Model, ParsedUrdf, UrdfJoint, UrdfWarning, urdf_joints};
 use std::collections::{BTreeMap, BTreeSet};
@@ -230,6 +230,7 @@ fn notes(loaded: &SelectedPart<'_>, model: &Model, motion: &FirstMotion) -> Vec<
              writes `use` into robot.toml; if the arm ends elsewhere, add `--to` with its last link"
         ));
     }
+    notes.extend(note_of_arms(loaded, model));
     notes.extend(note_of_posture(motion));
     notes.push(
         "collisions are not avoided: robot.toml has no [collision]. See the capsules of the links with `opspace model DIR \
@@ -238,6 +239,24 @@ fn notes(loaded: &SelectedPart<'_>, model: &Model, motion: &FirstMotion) -> Vec<
             .to_owned(),
     );
     notes
+}
+
+/// Arms of a robot that is taken as a whole, with the options that would take one of them.
+fn note_of_arms(loaded: &SelectedPart<'_>, model: &Model) -> Option<String> {
+    let arms = arms(model);
+    if loaded.used.is_some() || arms.len() < 2 {
+        return None;
+    }
+    let options: Vec<String> = arms
+        .iter()
+        .map(|arm| format!("`--from {} --to {}` ({} joints)", arm.from, arm.to, arm.joints))
+        .collect();
+    Some(format!(
+        "the robot has {} chains of joints, and all of its {} joints are taken. To take one chain, add {}",
+        arms.len(),
+        model.n(),
+        options.join(", or ")
+    ))
 }
 
 /// Conditions that the start of the first task does not keep.
