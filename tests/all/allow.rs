@@ -33,6 +33,8 @@ fn explain_lists_codes_and_prints_pages() {
         assert!(page.contains(words), "{words} in {page}");
     }
     assert!(!page.contains("```") && !page.contains("**"), "{page}");
+    let margin = opspace(folder.path(), &["explain", "small-gain-margin"]).exits(0).stdout;
+    assert!(margin.contains("Refuses a run on a real robot, and is reported otherwise"), "{margin}");
     opspace(folder.path(), &["explain", "compliant-drif"])
         .exits(2)
         .says(&["did you mean 'compliant-drift'?"]);

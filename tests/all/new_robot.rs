@@ -120,6 +120,7 @@ fn runs_without_a_value(urdf: &str, about: &str) {
     let at = |path: &str| folder.path().join(path);
     fs::write(at("robot.urdf"), urdf).unwrap();
     let said = opspace(folder.path(), &["new", "mine", "--urdf", "robot.urdf", "--assume"]).exits(0).stdout;
+    assert!(read(at("mine/first-task.toml")).contains("friction_compensation = { gain = 0.8 }"), "{about}");
     let checked = opspace(folder.path(), &["check", "mine", "mine/first-task.toml"]).exits(0).stdout;
     assert!(checked.contains("assumed, results rest on them"), "{about}: {checked}");
     let run = opspace(folder.path(), &["run", "mine/first-task.toml", "--out", "out"]).exits(0);

@@ -158,6 +158,8 @@ pub fn results(console: Console, summaries: &[Summary], measures: &[Measure]) ->
     failures(summaries).iter().for_each(|failure| text += &format!("FAILED {failure}\n"));
     if let [one] = summaries {
         one.unreached_goals.iter().for_each(|goal| text += &format!("NOTE {goal}\n"));
+        one.ignored_compliance.iter().for_each(|task| text += &format!("NOTE {task}\n"));
+        one.limited_references.iter().for_each(|reference| text += &format!("NOTE {reference}\n"));
         final_notes(one).iter().for_each(|note| text += &format!("NOTE {note}\n"));
         one.escapes.iter().for_each(|escape| text += &format!("NOTE {escape}\n"));
     }

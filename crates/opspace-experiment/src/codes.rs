@@ -65,6 +65,8 @@ codes! {
     // References.
     GoalOutOfReach "goal-out-of-reach" Effect::Reported,
     JointTooFast "joint-too-fast" Effect::Reported,
+    AccelerationAboveLimit "acceleration-above-limit" Effect::Reported,
+    TorqueAboveLimit "torque-above-limit" Effect::Reported,
     ReferenceTooFast "reference-too-fast" Effect::Reported,
     UnfinishedReference "unfinished-reference" Effect::Reported,
     LateEvent "late-event" Effect::Reported,
@@ -86,6 +88,7 @@ codes! {
     ReferenceInCollision "reference-in-collision" Effect::Reported,
     StartInObject "start-in-object" Effect::Reported,
     ObjectOutOfReach "object-out-of-reach" Effect::Reported,
+    IgnoredCompliance "ignored-compliance" Effect::Reported,
     ContactOscillation "contact-oscillation" Effect::Reported,
     ContactImpact "contact-impact" Effect::Reported,
     UnstableAdmittance "unstable-admittance" Effect::Reported,

@@ -9,6 +9,7 @@ pub mod escape_record;
 pub mod expectations;
 pub(crate) mod failures;
 pub(crate) mod harmonics;
+pub mod limited_reference;
 pub(crate) mod metric_tables;
 pub mod metrics;
 pub mod notes;

@@ -7,11 +7,13 @@
 //! |---|---|
 //! | `goals` | references that are out of reach, or reachable only beyond the joint position limits |
 //! | `speeds` | references faster than the joints or the speed limit of the task |
+//! | `accelerations` | references that need more acceleration or torque of a joint than its limits |
 //! | `stability` | gains too high for the rate, the delay and the servo |
 //! | `admittance` | force axes of inverse kinematics that oscillate on the objects of the environment |
 //! | `limits` | limits that contradict each other, the start posture or the arm's weight |
 //! | `freedom` | a start at a singularity; degrees of freedom without a task; compliant axes that nothing brings back |
 //! | `servo_gain` | position or velocity loops with a small gain margin |
+//! | `ignored_compliance` | impedances and compliant axes of tasks that inverse kinematics runs |
 //! | `margins` | ranges of true over nominal values in which the arm is stable |
 //! | `refusal` | margins too small for a real robot |
 //! | `impedances` | real part of the impedance of drives with their transformer |
@@ -26,6 +28,7 @@
 //! All checks use the nominal robot, which starts in the start posture of the task and follows the references without
 //! error.
 
+mod accelerations;
 mod admittance;
 mod boundary;
 mod case;
@@ -38,6 +41,7 @@ mod freedom;
 mod gear_resonance;
 mod gears;
 mod goals;
+mod ignored_compliance;
 mod impedances;
 mod limits;
 mod margins;
@@ -63,10 +67,12 @@ pub use diagnostic::Diagnostic;
 pub use freedom::SingularPostures;
 pub use gear_resonance::GearResonance;
 pub use gears::{GearMargin, GearScale, gear_margin};
+pub(crate) use ignored_compliance::compliance;
 pub use impedances::{JointImpedance, impedances};
 pub use margins::{Margins, Quantity, RangeEnd, StableRange, margins, margins_with};
 pub use refusal::{LEAST_EXCESS, checked_for_real_robot, refusals};
 pub use servo_gain::{GainMargin, ServoLoop, gain_margin};
+pub use times::PathDuration;
 pub use torque_floor::{JointFloor, TORQUE_HZ, floors};
 pub use variation::Variation;
 
@@ -87,6 +93,7 @@ pub fn diagnostics(experiment: &Experiment) -> Vec<Diagnostic> {
         found.extend(stability::stiff_gains(&case));
         found.extend(contact::contacts(&case));
     }
+    found.extend(ignored_compliance::ignored(&case));
     found.extend(admittance::unstable_contacts(&case));
     found.extend(torque_floor::feed_forward_impulses(experiment));
     found.extend(limits::of_postures(&case, &followed));
@@ -94,6 +101,9 @@ pub fn diagnostics(experiment: &Experiment) -> Vec<Diagnostic> {
     // References that are out of reach would require arbitrary speeds and torques.
     if out_of_reach.is_empty() {
         found.extend(speeds::of_joints(&case, &followed));
+        if experiment.options().controller == ControllerKind::Osc {
+            found.extend(accelerations::of_joints(&case, &followed));
+        }
         found.extend(limits::on_the_way(&case, &followed));
     }
     found.extend(out_of_reach);
@@ -109,6 +119,12 @@ pub fn diagnostics(experiment: &Experiment) -> Vec<Diagnostic> {
 #[must_use]
 pub fn singular_postures(experiment: &Experiment) -> Vec<SingularPostures> {
     PreflightCase::new(experiment).map_or_else(Vec::new, |case| freedom::singular_postures_of(&case))
+}
+
+/// Computes the durations of the paths that tasks follow.
+#[must_use]
+pub fn path_durations(experiment: &Experiment) -> Vec<PathDuration> {
+    times::path_durations_of(experiment)
 }
 
 /// Computes the frequencies of the joints whose gear stiffness is declared, at the start.

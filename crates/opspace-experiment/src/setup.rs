@@ -5,6 +5,7 @@ pub mod assumed_drives;
 pub mod first_motion;
 pub mod first_task;
 pub mod new_robot;
+pub mod own_body;
 pub mod posture_at;
 pub mod robot_template;
 pub mod tip;

@@ -13,8 +13,9 @@ use opspace_experiment::files::joint_layers::urdf_values_text;
 use opspace_experiment::files::origin::Kind;
 use opspace_experiment::files::robot::load_urdf;
 use opspace_experiment::preflight::{
-    DetectableForce, GainMargin, GearResonance, ServoLoop, SingularPostures, collision_thresholds,
-    coupling_diagnostics, detectable_forces, gain_margin, gear_resonances, not_checked, singular_postures,
+    DetectableForce, GainMargin, GearResonance, PathDuration, ServoLoop, SingularPostures,
+    collision_thresholds, coupling_diagnostics, detectable_forces, gain_margin, gear_resonances, not_checked,
+    path_durations, singular_postures,
 };
 use opspace_experiment::run::collision::KeptDistances;
 use opspace_experiment::{
@@ -45,7 +46,11 @@ pub fn check(args: &CheckArgs, extensions: &Extensions, console: Console) -> Out
                 text += &thresholds_text(&checked.thresholds);
                 checked.strength.iter().for_each(|strength| text += &strength.text());
                 checked.singular.iter().for_each(|singular| text += &format!("  {singular}\n"));
-                checked.distances.iter().for_each(|distances| text += &pairs_text(distances));
+                checked.paths.iter().for_each(|path| text += &format!("  {path}\n"));
+                checked
+                    .distances
+                    .iter()
+                    .for_each(|distances| text += &pairs_text(distances, console.verbose));
                 checked.allowed.iter().for_each(|refusal| text += &format!("  allowed: {refusal}\n"));
                 if checked.is_task && checked.found.is_empty() && checked.allowed.is_empty() {
                     text += "  no problems found\n";
@@ -83,6 +88,8 @@ struct Checked {
     strength: Option<Strength>,
     /// Nearly singular postures of each task.
     singular: Vec<SingularPostures>,
+    /// Durations of the paths that tasks follow.
+    paths: Vec<PathDuration>,
     /// Pairs of links and obstacles that the controller keeps apart.
     distances: Option<KeptDistances>,
     found: Vec<Found>,
@@ -104,6 +111,7 @@ impl Checked {
             thresholds: Vec::new(),
             strength: None,
             singular: Vec::new(),
+            paths: Vec::new(),
             distances: None,
             found: Vec::new(),
             allowed: Vec::new(),
@@ -190,6 +198,13 @@ fn warn(console: Console, urdf: &str, warnings: &[UrdfWarning], model: &Model) {
     model_warnings(model).iter().for_each(|w| console.note(&format!("{urdf}: {w} [{}]", w.code())));
 }
 
+/// Prints warnings about the capsules of a robot, for example meshes that were not found.
+fn warn_about_capsules(console: Console, robot: &RobotDefinition) {
+    for warning in robot.capsule_warnings() {
+        console.note(&format!("{}: {warning} [{}]", robot.urdf.name(), warning.code()));
+    }
+}
+
 fn check_one(
     path: &Path,
     settings: &[String],
@@ -222,9 +237,7 @@ fn check_one(
         no_settings()?;
         let robot = RobotDefinition::load(Files::Disk, path, &[])?;
         warn(console, robot.urdf.name(), &robot.warnings, &robot.model);
-        for warning in robot.capsule_warnings() {
-            console.note(&format!("{}: {warning} [{}]", robot.urdf.name(), warning.code()));
-        }
+        warn_about_capsules(console, &robot);
         let values = values_text(&robot);
         robot.defaults().iter().for_each(|default| console.detail(&format!("  {default}")));
         Ok(Checked { values, ..Checked::clean(format!("a robot of {} joints", robot.model.n())) })
@@ -263,6 +276,8 @@ fn check_one(
             let of_transformer = strength.iter().flat_map(|strength| strength.diagnostics(&experiment));
             found.extend(small.into_iter().chain(of_transformer).map(|new| Found::new(new, &experiment)));
             let singular = singular_postures(&experiment);
+            let paths = path_durations(&experiment);
+            warn_about_capsules(console, experiment.robot());
             let distances = experiment.kept_distances().cloned();
             let gears = gear_resonances(&experiment);
             let forces = detectable_forces(&experiment);
@@ -277,6 +292,7 @@ fn check_one(
                 thresholds,
                 strength,
                 singular,
+                paths,
                 distances,
                 found,
                 allowed: experiment.allowed().to_vec(),
@@ -318,11 +334,17 @@ fn reason_name(reason: DropReason) -> &'static str {
     }
 }
 
-/// Describes the pairs that are kept apart, and those that are not.
-fn pairs_text(distances: &KeptDistances) -> String {
+/// Number of pairs that are named unless all are asked for.
+const NAMED_PAIRS: usize = 5;
+
+/// Describes the pairs that are kept apart, and those that are not; the first ones by name, or `all`.
+fn pairs_text(distances: &KeptDistances, all: bool) -> String {
     let list = |pairs: Vec<[&str; 2]>| {
-        let names: Vec<String> = pairs.iter().map(|[a, b]| format!("{a} and {b}")).collect();
-        if names.is_empty() { String::new() } else { format!(": {}", names.join(", ")) }
+        let named = if all { pairs.len() } else { NAMED_PAIRS };
+        let names: Vec<String> = pairs.iter().take(named).map(|[a, b]| format!("{a} and {b}")).collect();
+        let others = pairs.len().saturating_sub(named);
+        let rest = if others > 0 { format!(", and {others} others (-v names all)") } else { String::new() };
+        if names.is_empty() { String::new() } else { format!(": {}{rest}", names.join(", ")) }
     };
     let dropped = |reason: DropReason| -> Vec<[&str; 2]> {
         let pairs = distances.dropped.iter().filter(|pair| pair.reason == reason);
@@ -401,6 +423,7 @@ fn as_json(path: &Path, checked: &Result<Checked, FileError>) -> Value {
                 "collision_thresholds_nm": checked.thresholds.iter().cloned().collect::<BTreeMap<_, _>>(),
                 "transformer": checked.strength.as_ref().map(Strength::json),
                 "singular_postures": checked.singular.iter().map(singular_as_json).collect::<Vec<Value>>(),
+                "paths": checked.paths.iter().map(path_as_json).collect::<Vec<Value>>(),
                 "kept_distances": checked.distances.as_ref().map(pairs_json),
                 "findings": findings,
                 "allowed": checked.allowed,
@@ -426,6 +449,16 @@ fn gear_as_json(gear: &GearResonance) -> Value {
         "stiffness_nm_per_rad": gear.stiffness_nm_per_rad,
         "antiresonance_hz": gear.antiresonance_hz,
         "resonance_hz": gear.resonance_hz,
+    })
+}
+
+fn path_as_json(path: &PathDuration) -> Value {
+    json!({
+        "task": path.task,
+        "length_m": path.length_m,
+        "duration_s": path.duration_s,
+        "has_approach": path.has_approach,
+        "time_optimal": path.time_optimal,
     })
 }
 

@@ -2,12 +2,14 @@
 
 use crate::cli::ModelArgs;
 use crate::console::{Exit, Failure, render};
+use opspace_control::rank::reach;
 use opspace_experiment::evaluate::posture::{Conditioning, PostureReport};
 use opspace_experiment::evaluate::table::{Cell, Table};
 use opspace_experiment::files::suggest::nearest;
+use opspace_experiment::setup::own_body::OwnBody;
 use opspace_experiment::setup::posture_at::{PostureAt, posture_at};
 use opspace_experiment::setup::tip::tip;
-use opspace_experiment::{Files, RobotDefinition, TaskDefinition};
+use opspace_experiment::{Files, RobotDefinition, Source, TaskDefinition};
 use opspace_model::{FrameId, JointKind, Model, neutral};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
@@ -32,6 +34,8 @@ pub struct Posture {
     source: String,
     /// Start positions for a task file, if they were searched for.
     start_rad: Option<String>,
+    /// Links that touch in all postures that were found, if one was searched for.
+    contact: Option<[String; 2]>,
     report: PostureReport,
     /// Torque limits (n; Nm or N); infinite where there are none.
     limits: Vec<f64>,
@@ -47,14 +51,15 @@ impl Posture {
         robot: Option<&RobotDefinition>,
     ) -> Result<Option<Self>, Failure> {
         let Some(frame) = frame(args.frame.as_deref(), model, robot)? else { return Ok(None) };
-        let (q, source, start_rad) = match args.at.as_slice() {
+        let (q, source, start_rad, contact) = match args.at.as_slice() {
             [] => {
                 let (q, source) = positions(&args.q, model, robot)?;
-                (q, source, None)
+                (q, source, None, None)
             }
             pose => {
-                let found = found_at(pose, frame, model, robot)?;
-                (found.q, "found for --at".to_owned(), Some(found.start_rad))
+                let mut own_body = own_body(args, frame, model, robot)?;
+                let found = found_at(pose, frame, model, robot, own_body.as_mut())?;
+                (found.q, "found for --at".to_owned(), Some(found.start_rad), found.contact)
             }
         };
         let Some(report) = PostureReport::new(model, &q, frame) else {
@@ -65,7 +70,7 @@ impl Posture {
             RobotDefinition::torque_limits,
         );
         let outside = outside(model, &q);
-        Ok(Some(Self { q, source, start_rad, report, limits, outside }))
+        Ok(Some(Self { q, source, start_rad, contact, report, limits, outside }))
     }
 
     /// Text of the posture.
@@ -73,6 +78,12 @@ impl Posture {
         let mut text = format!("\nposture: {}\n", self.source);
         if let Some(start_rad) = &self.start_rad {
             let _ = writeln!(text, "{start_rad}");
+        }
+        if let Some([first, second]) = &self.contact {
+            let _ = writeln!(
+                text,
+                "  links '{first}' and '{second}' touch, as far as their capsules show: no posture was found without contact"
+            );
         }
         for joint in &self.outside {
             let _ = writeln!(text, "  {joint}");
@@ -164,6 +175,7 @@ impl Posture {
         let masses: BTreeMap<&str, Option<f64>> = AXES.into_iter().zip(self.report.effective_mass).collect();
         json!({
             "source": self.source,
+            "contact": self.contact,
             "q": self.q,
             "joints": joints.collect::<Vec<Value>>(),
             "frames": frames.collect::<Vec<Value>>(),
@@ -225,12 +237,33 @@ fn frame(
     Ok(used.or_else(|| tip(model)))
 }
 
+/// Capsules of the robot's own links: those of robot.toml, or those of the URDF. `None` for a floating base.
+fn own_body(
+    args: &ModelArgs,
+    frame: FrameId,
+    model: &Model,
+    robot: Option<&RobotDefinition>,
+) -> Result<Option<OwnBody>, Failure> {
+    if model.is_floating() {
+        return Ok(None);
+    }
+    let reach_m = reach(model, frame);
+    Ok(match robot {
+        Some(robot) => {
+            let stated = Some(robot.capsules()).filter(|capsules| !capsules.is_empty());
+            OwnBody::new(model, &robot.urdf, stated, reach_m, 0.0)
+        }
+        None => OwnBody::new(model, &Source::read(&args.robot)?, None, reach_m, 0.0),
+    })
+}
+
 /// Posture in which the frame is at a pose of the world.
 fn found_at(
     pose: &[f64],
     frame: FrameId,
     model: &Model,
     robot: Option<&RobotDefinition>,
+    own_body: Option<&mut OwnBody>,
 ) -> Result<PostureAt, Failure> {
     let (position, rpy) = match *pose {
         [x, y, z] => ([x, y, z], None),
@@ -242,8 +275,8 @@ fn found_at(
     };
     let start = default_positions(model, robot).0;
     let name = &model.frame(frame).name;
-    let found =
-        posture_at(model, name, position, rpy, &start).map_err(|error| bad(format!("--at: {error}")))?;
+    let found = posture_at(model, name, position, rpy, &start, own_body)
+        .map_err(|error| bad(format!("--at: {error}")))?;
     let [metres, radians] = found.missed;
     if metres > MISSED_M || radians > MISSED_RAD {
         let turn = if rpy.is_some() { format!(" and {radians:.2} rad") } else { String::new() };

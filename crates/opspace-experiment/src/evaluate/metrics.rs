@@ -12,6 +12,7 @@ mod hand;
 mod holds;
 mod interruptions;
 mod joints;
+mod limited_references;
 mod objects;
 mod ripple;
 pub(crate) mod run_log;
@@ -29,6 +30,7 @@ pub use crate::evaluate::metric_tables::{
 
 use crate::evaluate::escape_record::EscapeRecord;
 use crate::evaluate::failures::{HeldJoints, failures};
+use crate::evaluate::limited_reference::LimitedReference;
 use crate::evaluate::unreached::UnreachedGoal;
 use crate::run::experiment::Experiment;
 use cycles::Cycles;
@@ -37,6 +39,7 @@ use estimates::Estimates;
 use hand::Hand;
 use interruptions::Interruptions;
 use joints::JointTorques;
+use limited_references::LimitedReferences;
 use objects::Objects;
 use opspace_log::Recording;
 use run_log::{Control, Run};
@@ -80,6 +83,7 @@ pub(crate) struct Evaluator<'a> {
     estimates: Estimates,
     held_joints: HeldJoints,
     unreached: UnreachedGoals<'a>,
+    limited: LimitedReferences<'a>,
     escapes: Escapes,
     interruptions: Interruptions,
     times: CycleTimes,
@@ -90,6 +94,7 @@ pub(crate) struct Evaluated {
     pub(crate) evaluation: Evaluation,
     pub(crate) failures: Vec<String>,
     pub(crate) unreached: Vec<UnreachedGoal>,
+    pub(crate) limited: Vec<LimitedReference>,
     pub(crate) escapes: Vec<EscapeRecord>,
     pub(crate) interruptions: Interruptions,
     pub(crate) times: CycleTimes,
@@ -109,6 +114,7 @@ impl<'a> Evaluator<'a> {
             estimates: Estimates::new(experiment),
             held_joints: HeldJoints::new(experiment),
             unreached: UnreachedGoals::new(experiment),
+            limited: LimitedReferences::new(experiment),
             escapes: Escapes::default(),
             interruptions: Interruptions::default(),
             times: CycleTimes::new(),
@@ -129,6 +135,7 @@ impl<'a> Evaluator<'a> {
         self.joint_torques.add(&run);
         self.cycles.add(&run);
         self.unreached.add(&run);
+        self.limited.add(&run);
         self.escapes.add(&run);
         self.estimates.add(&run);
         self.objects.add(&run);
@@ -157,8 +164,16 @@ impl<'a> Evaluator<'a> {
         }
         let unreached = self.unreached.finish();
         let failures = failures(&evaluation, &self.held_joints, &unreached);
-        let (interruptions, times) = (self.interruptions, self.times);
-        Evaluated { evaluation, failures, unreached, escapes: self.escapes.finish(), interruptions, times }
+        // A task that rests while a slow reference moves is already listed as one that does not reach its goal.
+        let is_listed = |limited: &LimitedReference| {
+            let end_s = |goal: &UnreachedGoal| goal.end_s.unwrap_or(f64::INFINITY);
+            let covers = |goal: &UnreachedGoal| (goal.begin_s..=end_s(goal)).contains(&limited.largest_s);
+            unreached.iter().any(|goal| goal.task == limited.task && covers(goal))
+        };
+        let mut limited = self.limited.finish();
+        limited.retain(|limited| !is_listed(limited));
+        let (escapes, interruptions, times) = (self.escapes.finish(), self.interruptions, self.times);
+        Evaluated { evaluation, failures, unreached, limited, escapes, interruptions, times }
     }
 }
 

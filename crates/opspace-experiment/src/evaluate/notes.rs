@@ -156,8 +156,14 @@ pub fn final_notes(summary: &Summary) -> Vec<String> {
         let units = errors.iter().zip(["mm", "mrad"]);
         let texts: Vec<String> =
             units.filter_map(|(error, unit)| Some(format!("{:.1} {unit}", 1e3 * (*error)?))).collect();
+        // A reference that moves at the end has no final error.
+        let moving = task.pose.position_max_m.filter(|_| task.pose.position_final_m.is_none());
+        let moving = moving.map_or(String::new(), |most| {
+            format!("; its position reference moves then, at most {:.1} mm away during the run", 1e3 * most)
+        });
         is_away.then(|| {
-            format!("task '{name}': goal not reached, {} away at the end of the run", texts.join(" and "))
+            let texts = texts.join(" and ");
+            format!("task '{name}': goal not reached, {texts} away at the end of the run{moving}")
         })
     };
     tasks.filter_map(note).collect()
@@ -264,6 +270,16 @@ mod tests {
         }
         run.unreached_goals.push(UnreachedGoal { task: "known".to_owned(), ..UnreachedGoal::default() });
         assert_eq!(final_notes(&run), ["task 'far': goal not reached, 12.0 mm away at the end of the run"]);
+        run.tasks.retain(|name, _| name == "moving");
+        let pose = &mut run.tasks.entry("moving".to_owned()).or_default().pose;
+        (pose.position_max_m, pose.orientation_final_rad) = (Some(99e-3), Some(0.03));
+        assert_eq!(
+            final_notes(&run),
+            [
+                "task 'moving': goal not reached, 30.0 mrad away at the end of the run; its position reference moves then, at most \
+              99.0 mm away during the run"
+            ]
+        );
         run.faulted = Some("a fault".to_owned());
         assert!(final_notes(&run).is_empty());
     }

@@ -560,6 +560,8 @@ pub(crate) mod tests {
             missed_expectations: Vec::new(),
             failures: Vec::new(),
             unreached_goals: Vec::new(),
+            limited_references: Vec::new(),
+            ignored_compliance: Vec::new(),
             escapes: Vec::new(),
             tasks: Default::default(),
             joints: Default::default(),

@@ -1,5 +1,6 @@
 //! Goals that a task did not reach, with what kept it from them.
 
+use crate::evaluate::limited_reference::{joint_limits, out_of_reach};
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
@@ -57,16 +58,8 @@ impl fmt::Display for UnreachedGoal {
             .filter_map(|(error, unit)| Some(format!("{:.1} {unit}", 1e3 * (*error)?)))
             .collect();
         write!(f, ", {} away: ", errors.join(" and "))?;
-        let mut causes = Vec::new();
-        let of_joints = |kind: &str, joints: &[String]| {
-            (!joints.is_empty()).then(|| format!("{kind} of {}", joints.join(", ")))
-        };
-        causes.extend(of_joints("position limits", &self.position_limits));
-        causes.extend(of_joints("speed or acceleration limits", &self.speed_limits));
-        causes.extend(of_joints("torque limits", &self.torque_limits));
-        let singular = self.singular_along.as_ref();
-        causes
-            .extend(singular.map(|along| format!("out of reach: the arm is nearly singular along {along}")));
+        let mut causes = joint_limits(&self.position_limits, &self.speed_limits, &self.torque_limits);
+        causes.extend(self.singular_along.iter().map(|along| out_of_reach(along)));
         let above: Vec<String> = self.overridden_by.iter().map(|name| format!("task '{name}'")).collect();
         causes.extend((!above.is_empty()).then(|| format!("overridden by {}", above.join(", "))));
         write!(f, "{}", causes.join("; "))

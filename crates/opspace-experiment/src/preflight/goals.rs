@@ -14,6 +14,9 @@ use opspace_model::{Data, FrameId, kinematics};
 /// Number of parts into which a run's instants are divided; the worst instant of each part is examined.
 const PARTS: usize = 8;
 
+/// Distance over the reach of the arm from which on a length was probably meant in mm.
+const MANY_REACHES: f64 = 20.0;
+
 /// Returns a diagnostic for each task whose reference is out of reach.
 pub(crate) fn out_of_reach(case: &PreflightCase<'_>, followed: &Rollout) -> Vec<Diagnostic> {
     let mut names: Vec<&str> = Vec::new();
@@ -100,7 +103,12 @@ fn too_far(case: &PreflightCase<'_>, asked: &[Asked<'_>]) -> Option<Diagnostic> 
         motion.controlled_name(),
         short(reach_m)
     );
-    let help = format!("move it {} m closer, or reduce the motion", short(distance_m - reach_m));
+    let in_mm = if distance_m > MANY_REACHES * reach_m && 1e-3 * distance_m <= reach_m {
+        "; lengths are in m: if the file means mm, divide them by 1000"
+    } else {
+        ""
+    };
+    let help = format!("move it {} m closer, or reduce the motion{in_mm}", short(distance_m - reach_m));
     Some(Diagnostic::new(Code::GoalOutOfReach, &asked.key(case), message, help))
 }
 

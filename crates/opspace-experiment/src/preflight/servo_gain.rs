@@ -176,11 +176,15 @@ impl GainMargin {
         let current = match self.transformer.ends_with("+current") || !measured {
             true => String::new(),
             false => {
-                format!("use '{name}+current', which corrects wrong gains by measured motor current, or ")
+                format!(
+                    "write profile.{profile}.transformer = \"{name}+current\", which corrects wrong gains by measured motor \
+                     current, or "
+                )
             }
         };
         let help = format!(
-            "{current}{relief}, or raise the nominal gains: overestimated gains only make the response slower",
+            "{current}{relief}, or raise the nominal gains of its servo (profile.{profile}.servo): overestimated gains only make the \
+             response slower",
         );
         Some(
             Diagnostic::new(Code::SmallGainMargin, &["profile", profile, "transformer"], message, help)

@@ -40,7 +40,7 @@ pub(crate) fn of_joints(case: &PreflightCase<'_>, followed: &Rollout) -> Option<
 }
 
 /// Key of the moving reference of highest priority.
-fn key_of_fastest(case: &PreflightCase<'_>, instant: &Instant) -> Option<Vec<String>> {
+pub(super) fn key_of_fastest(case: &PreflightCase<'_>, instant: &Instant) -> Option<Vec<String>> {
     let stack = &case.task_sets[instant.task_set];
     let moving = stack.tasks.tasks().zip(&instant.tasks).find(|(_, asked)| asked.velocity > 1e-6);
     let in_joints = || {

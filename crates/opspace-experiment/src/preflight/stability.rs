@@ -43,17 +43,22 @@
 //! L(s) = C(s) Z(T)/s² Σ h_k exp(−s k T)
 //! ```
 //!
-//! The coupling of joints, friction and the lag of the motor are not included. Two cases are not
-//! examined: force feedback, which depends on the stiffness of the environment, and impedances, which depend on the
-//! inertia of the arm along the axis.
+//! The stiffness K of an impedance is an acceleration K/m of the mass m = 1/(J M⁻¹ Jᵀ) that the arm has along the axis at the
+//! start.
+//!
+//! The coupling of joints, friction and the lag of the motor are not included. Force feedback, which depends on the stiffness of
+//! the environment, is not examined, and neither are impedances that vary or shape the mass.
 
 use super::case::PreflightCase;
 use super::diagnostic::{Diagnostic, short};
 use super::phase_margin::{Margin, hold, least_margin, rounded_down};
 use crate::codes::Code;
 use nalgebra::{Complex, Matrix6xX};
+use opspace_backend::quantity::NonNegative;
 use opspace_backend::{CommandKind, Sample, Setpoints};
-use opspace_control::{AXIS_NAMES, AxisMode, JointTask, RowGains, Task, TaskParameters};
+use opspace_control::{
+    AXIS_NAMES, AxisMode, ImpedanceParameters, JointTask, PerAxis, RowGains, Task, TaskParameters,
+};
 use opspace_transformer::moving_joint::MovingJoint;
 use opspace_transformer::torque_response::torque_response;
 use opspace_transformer::{
@@ -67,6 +72,9 @@ const LEAST_MARGIN_DEG: f64 = 30.0;
 
 /// Phase margin of the proposed gains, degrees.
 const GOOD_MARGIN_DEG: f64 = 45.0;
+
+/// Damping ratio of an impedance whose file states neither a ratio nor a damping.
+const IMPEDANCE_DAMPING_RATIO: f64 = 0.7;
 
 /// Finds gains that are too high: for each task the worst axis or joint over all task sets.
 pub(crate) fn stiff_gains(case: &PreflightCase<'_>) -> Vec<Diagnostic> {
@@ -118,7 +126,7 @@ fn stiff_task(
         (margin.degrees < LEAST_MARGIN_DEG.min(0.5 * ideal)).then_some((follower, margin))
     });
     let (follower, margin) = worst.min_by(|a, b| a.1.degrees.total_cmp(&b.1.degrees))?;
-    let AxisLoop { law, plant, of, joint, key, quantity, value } = &follower;
+    let AxisLoop { law, plant, of, joint, key, quantity, value, .. } = &follower;
     let how = if margin.degrees < 0.0 {
         format!("would be unstable on this robot: the phase margin is {:.0}°", margin.degrees)
     } else {
@@ -133,7 +141,7 @@ fn stiff_task(
     let help = match plant.highest_scale(law) {
         Some(scale) => format!(
             "{quantity} = {} gives a phase margin of {GOOD_MARGIN_DEG:.0}°",
-            rounded_down(scale * value)
+            rounded_down(scale.powi(follower.order) * value)
         ),
         None => "raise damping_ratio: with this one no stiffness has enough margin".to_owned(),
     };
@@ -151,6 +159,8 @@ struct AxisLoop<'a> {
     /// Quantity that makes the loop stiff, and its value.
     quantity: &'static str,
     value: f64,
+    /// Power of the frequency of the loop to which the quantity is proportional: 2 for a stiffness.
+    order: i32,
 }
 
 /// Lists tasks with unknown gains: their stability is not checked.
@@ -175,7 +185,7 @@ pub(crate) fn not_checked(case: &PreflightCase<'_>) -> Vec<Diagnostic> {
             let (key, message, help) = if stack.task.get(name).is_some_and(has_impedance) {
                 let message = format!(
                     "task '{name}': how fast the impedance along {unknown} answers depends on the mass that the arm has there: \
-                     its stability with the rate and delay of this robot is not checked"
+                     its stability with the rate and delay of this robot is checked at the start at most"
                 );
                 let help = "run it in simulation, with the contacts and pushes that it will meet; `opspace model ROBOT` prints \
                             these masses, and the frequency is the square root of stiffness over mass";
@@ -266,9 +276,72 @@ fn row_followers<'a>(
             key: key.clone(),
             quantity,
             value,
+            order: 1,
+        }));
+    }
+    followers.extend(impedance_followers(case, responses, stack, task, &jacobian));
+    followers
+}
+
+/// Control loops of each axis of an impedance with each joint that moves it. `jacobian` is that of the task at the start.
+fn impedance_followers<'a>(
+    case: &'a PreflightCase<'_>,
+    responses: &'a [Vec<f64>],
+    stack: usize,
+    task: &dyn Task,
+    jacobian: &Matrix6xX<f64>,
+) -> Vec<AxisLoop<'a>> {
+    let Some(TaskParameters::Cartesian(parameters)) = case.task_sets[stack].task.get(task.name()) else {
+        return Vec::new();
+    };
+    let Some(impedance) = parameters.impedance.as_ref().filter(|impedance| is_constant(impedance)) else {
+        return Vec::new();
+    };
+    let mobility = case.data.mass_matrix_factor.mobility(&mut jacobian.clone());
+    let motion = parameters.axes.with_mode(AxisMode::Motion);
+    let mut followers = Vec::new();
+    for (row, name) in task.row_names().iter().enumerate() {
+        let Some(axis) = AXIS_NAMES.iter().position(|axis| axis == name) else { continue };
+        let (stiffness, damping, quantity) = match axis {
+            0..3 => (impedance.stiffness_n_per_m, impedance.damping_ns_per_m, "stiffness_n_per_m"),
+            _ => (impedance.stiffness_nm_per_rad, impedance.damping_nms_per_rad, "stiffness_nm_per_rad"),
+        };
+        let of_axis = |values: Option<PerAxis<NonNegative>>| values.and_then(|values| values.get(axis));
+        let Some(stiffness) = of_axis(stiffness).map(NonNegative::get) else { continue };
+        // Inverse of the mass, 1/kg, or of the moment of inertia, 1/(kg m²): rows of rotations are scaled to m.
+        let mobility = mobility[(row, row)] / task.row_unit(row).1.powi(2);
+        if !motion[axis] || stiffness == 0.0 || mobility <= 0.0 {
+            continue;
+        }
+        let square = stiffness * mobility;
+        let ratio = impedance.damping_ratio.map_or(IMPEDANCE_DAMPING_RATIO, NonNegative::get);
+        let damping =
+            of_axis(damping).map_or(2.0 * ratio * square.sqrt(), |damping| damping.get() * mobility);
+        let law = AxisFeedback { stiffness: square, damping, integral: 0.0 };
+        let largest = jacobian.row(row).amax();
+        let joints = (0..case.model.n()).filter(|&joint| jacobian[(row, joint)].abs() > 1e-6 * largest);
+        followers.extend(joints.map(|joint| AxisLoop {
+            law,
+            plant: Plant::new(case, responses, joint),
+            of: format!(
+                "{quantity} = {} along {} ({} rad/s with the mass at the start)",
+                short(stiffness),
+                AXIS_NAMES[axis],
+                short(square.sqrt())
+            ),
+            joint: case.joint(joint),
+            key: vec!["cartesian", "impedance", quantity],
+            quantity,
+            value: stiffness,
+            order: 2,
         }));
     }
     followers
+}
+
+/// True if the gains of an impedance do not vary with time, and act on the arm's own mass.
+fn is_constant(impedance: &ImpedanceParameters) -> bool {
+    impedance.profile.is_none() && impedance.inertia_kg.is_none() && impedance.inertia_kg_m2.is_none()
 }
 
 /// Control loops of the joints of a joint task.
@@ -301,7 +374,8 @@ fn joint_followers<'a>(
         };
         if value > 0.0 {
             let of = format!("{quantity} = {}", short(value));
-            followers.push(AxisLoop { law, plant, of, joint: case.joint(joint), key, quantity, value });
+            let joint = case.joint(joint);
+            followers.push(AxisLoop { law, plant, of, joint, key, quantity, value, order: 1 });
         }
     }
     followers

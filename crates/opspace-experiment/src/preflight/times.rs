@@ -3,8 +3,10 @@
 use super::case::{ActiveTasks, PreflightCase};
 use super::diagnostic::{Diagnostic, short};
 use crate::codes::Code;
+use crate::run::experiment::Experiment;
 use crate::run::rollout::Rollout;
 use opspace_control::{CartesianReference, JointReference, ScalarReference, TaskParameters};
+use std::fmt;
 
 /// Largest difference between two durations that count as equal, s.
 const ROUNDING_S: f64 = 1e-6;
@@ -90,6 +92,61 @@ fn unfinished(case: &PreflightCase<'_>, followed: &Rollout) -> Vec<Diagnostic> {
         Some(Diagnostic::new(Code::UnfinishedReference, &["duration_s"], message, help))
     });
     unfinished.collect()
+}
+
+/// Duration of a path that a task follows.
+#[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
+pub struct PathDuration {
+    /// Name of the task.
+    pub task: String,
+    /// Length of the path, m.
+    pub length_m: f64,
+    /// Duration of the motion along the path, s.
+    pub duration_s: f64,
+    /// True if a motion to the start of the path comes before, whose duration is not included.
+    pub has_approach: bool,
+    /// True if the path is as fast as its limits permit.
+    pub time_optimal: bool,
+}
+
+impl fmt::Display for PathDuration {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { task, length_m, duration_s, .. } = self;
+        write!(f, "task '{task}': its path of {} m takes {} s", short(*length_m), short(*duration_s))?;
+        if self.time_optimal {
+            write!(f, ", time-optimal")?;
+        }
+        if self.has_approach { write!(f, ", after the motion to its start") } else { Ok(()) }
+    }
+}
+
+/// Durations of the paths of all tasks, each task once for each of its paths.
+pub(super) fn path_durations_of(experiment: &Experiment) -> Vec<PathDuration> {
+    let mut found: Vec<PathDuration> = Vec::new();
+    let file = &experiment.task().file;
+    let events = experiment.task().events.iter().map(|event| (&event.priority, &event.task));
+    for (priority, tasks) in std::iter::once((&file.priority, &file.task)).chain(events) {
+        for name in priority {
+            let Some(Reference::Cartesian(CartesianReference::Path(path))) =
+                tasks.get(name).and_then(reference)
+            else {
+                continue;
+            };
+            let Ok(summary) = path.summary() else { continue };
+            let new = PathDuration {
+                task: name.clone(),
+                length_m: summary.length_m,
+                duration_s: summary.duration_s,
+                has_approach: path.start.is_some(),
+                time_optimal: path.time_optimal,
+            };
+            if !found.contains(&new) {
+                found.push(new);
+            }
+        }
+    }
+    found
 }
 
 /// Duration of a motion.

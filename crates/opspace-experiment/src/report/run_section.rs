@@ -83,6 +83,8 @@ impl RunSection {
             summary.missed_expectations.iter().map(|missed| format!("Expectation missed: {missed}.")),
         );
         warnings.extend(summary.unreached_goals.iter().map(|goal| format!("Note: {goal}.")));
+        warnings.extend(summary.ignored_compliance.iter().map(|task| format!("Note: {task}.")));
+        warnings.extend(summary.limited_references.iter().map(|reference| format!("Note: {reference}.")));
         warnings.extend(final_notes(&summary).iter().map(|note| format!("Note: {note}.")));
         warnings.extend(summary.escapes.iter().map(|escape| format!("Note: {escape}.")));
         // Entries for a replay; a robot without a transformer has none to be shown.

@@ -24,7 +24,7 @@ use opspace_control::{
 use opspace_loop::{
     CollisionDetector, ControlLoop, EstimatedForce, LoopConfig, LoopError, SensorCompensation,
 };
-use opspace_model::{Limits, Placement};
+use opspace_model::{JointKind, Limits, Placement};
 use opspace_sim::{
     ArmConfig, Key, PhysicsEngine, PlantError, Scene, SimulatedArm, Simulation, SimulationConfig,
     SimulationError,
@@ -700,9 +700,11 @@ impl Experiment {
             let joint = model.joint(name).map_err(|unknown| {
                 at(format!("this robot has no joint '{name}'"), Some(choices(name, &unknown.known)))
             })?;
-            let limits = &model.joints()[joint].limits;
-            check_start(limits, value).map_err(|(message, help)| at(message, Some(help)))?;
             start[joint] = value;
+            let Err((message, help)) = check_start(&model.joints()[joint].limits, value) else { continue };
+            let others = self.others_outside(name);
+            let help = if self.are_degrees() { format!("{help}; {IN_DEGREES}") } else { help };
+            return Err(at(format!("{message}{others}"), Some(help)));
         }
         for (joint, &value) in model.joints().iter().zip(&start) {
             if value < joint.limits.lower || value > joint.limits.upper {
@@ -716,6 +718,32 @@ impl Experiment {
             }
         }
         Ok(start)
+    }
+
+    /// Names the other joints whose start positions are outside their limits.
+    fn others_outside(&self, first: &str) -> String {
+        let model = &self.robot.model;
+        let is_outside = |(name, value): (&String, &f64)| {
+            let joint = model.joint(name).ok()?;
+            let is_other = name.as_str() != first;
+            (is_other && check_start(&model.joints()[joint].limits, *value).is_err())
+                .then(|| format!("'{name}' at {value}"))
+        };
+        let others: Vec<String> = self.task.file.start_rad.iter().filter_map(is_outside).collect();
+        if others.is_empty() { String::new() } else { format!("; so are {}", others.join(", ")) }
+    }
+
+    /// True if the start positions are outside the limits, but inside if they are degrees, and one is large.
+    fn are_degrees(&self) -> bool {
+        let model = &self.robot.model;
+        let rotates = |joint: &JointKind| matches!(joint, JointKind::Revolute | JointKind::Continuous);
+        let angles = self.task.file.start_rad.iter().filter_map(|(name, &value)| {
+            let joint = &model.joints()[model.joint(name).ok()?];
+            rotates(&joint.kind).then_some((joint, value))
+        });
+        let angles: Vec<_> = angles.collect();
+        angles.iter().any(|(_, value)| value.abs() > LEAST_DEGREES)
+            && angles.iter().all(|(joint, value)| check_start(&joint.limits, value.to_radians()).is_ok())
     }
 
     fn control_error(&self, error: &ControlError) -> FileError {
@@ -800,6 +828,12 @@ fn explained(error: &ControlError) -> (String, Option<String>) {
     };
     (message, help)
 }
+
+/// Remedy for angles that are probably degrees.
+const IN_DEGREES: &str = "positions are in rad: if the file means degrees, multiply them by π/180";
+
+/// Size of an angle from which on it is probably one in degrees.
+const LEAST_DEGREES: f64 = 7.0;
 
 /// Checks a start position of a joint, rad or m. The error is a message and a help.
 pub(crate) fn check_start(limits: &Limits, value: f64) -> Result<(), (String, String)> {

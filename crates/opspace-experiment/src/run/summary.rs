@@ -3,11 +3,14 @@
 use crate::codes::AllowedRefusal;
 use crate::evaluate::escape_record::EscapeRecord;
 use crate::evaluate::expectations;
+use crate::evaluate::limited_reference::LimitedReference;
 use crate::evaluate::metrics::{Evaluated, Evaluator, JointMetrics, Metrics, TaskMetrics, Timing};
 use crate::evaluate::unreached::UnreachedGoal;
+use crate::preflight::compliance;
 use crate::run::error::RunError;
-use crate::run::experiment::Experiment;
+use crate::run::experiment::{ControllerKind, Experiment};
 use crate::run::log_header::is_real;
+use opspace_control::TaskParameters;
 use opspace_log::{LogFile, OutcomeRecord, Recording};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -77,9 +80,15 @@ pub struct Summary {
     /// Goals that tasks did not reach, each with the limits that prevent it, in order of time.
     #[serde(default)]
     pub unreached_goals: Vec<UnreachedGoal>,
+    /// Moving references that tasks did not follow, each with the limits that prevent it, in order of time.
+    #[serde(default)]
+    pub limited_references: Vec<LimitedReference>,
     /// Escapes of tasks from singular poses, in order of time.
     #[serde(default)]
     pub escapes: Vec<EscapeRecord>,
+    /// Tasks whose impedance or compliant axes the controller ignores, because it is inverse kinematics: text for each.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub ignored_compliance: Vec<String>,
     /// Metrics of the run.
     pub metrics: Metrics,
     /// Metrics of the tasks that have a priority at the start, by name.
@@ -119,6 +128,21 @@ impl Experiment {
         Ok(self.summary_of(log.recording(), evaluator.finish(), outcome, realtime_factor))
     }
 
+    /// Describes the tasks of the run whose compliance the controller ignores.
+    fn ignored_compliance(&self) -> Vec<String> {
+        let controller = self.options().controller;
+        if controller == ControllerKind::Osc {
+            return Vec::new();
+        }
+        let tasks = self.task().tasks_of_the_run().into_iter();
+        let text = |(name, task): (&str, &TaskParameters)| {
+            let (what, _) = compliance(task)?;
+            let controller = controller.name();
+            Some(format!("task '{name}': {what} has no effect with controller '{controller}'"))
+        };
+        tasks.filter_map(|(name, task)| text((name, task))).collect()
+    }
+
     /// Summary of a run from its metrics; `recording` needs no rows.
     pub(super) fn summary_of(
         &self,
@@ -127,7 +151,7 @@ impl Experiment {
         outcome: &OutcomeRecord,
         realtime_factor: Option<f64>,
     ) -> Summary {
-        let Evaluated { evaluation, failures, unreached, escapes, interruptions, times } = evaluated;
+        let Evaluated { evaluation, failures, unreached, limited, escapes, interruptions, times } = evaluated;
         Summary {
             task: self.task().name(),
             robot: self.robot().name(),
@@ -157,7 +181,9 @@ impl Experiment {
             missed_expectations: expectations::missed(self.task(), &evaluation),
             failures,
             unreached_goals: unreached,
+            limited_references: limited,
             escapes,
+            ignored_compliance: self.ignored_compliance(),
             metrics: evaluation.metrics,
             tasks: evaluation.tasks,
             joints: evaluation.joints,

@@ -1,11 +1,10 @@
 //! A first motion of a robot: a start pose away from limits, singularities and self-contact, and a displacement of the tip
 //! that the arm can do there.
 
-use crate::files::collision::generated_capsules;
 use crate::files::source::Source;
+use crate::setup::own_body::{Contacts, OwnBody};
 use crate::setup::tip::tip;
 use nalgebra::{DMatrix, DVector, Matrix3, Matrix6xX, Vector3};
-use opspace_model::collision::{CollisionData, CollisionModel, PairSampling, collision_distances};
 use opspace_model::{
     Data, FrameId, JointKind, Model, Postures, forward_kinematics, frame_jacobian, frame_placement, gravity,
 };
@@ -44,6 +43,18 @@ pub enum ControlledAxes {
     One,
 }
 
+/// Conditions that the postures of a first motion keep.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum Clearance {
+    /// Links keep a distance from each other and from the floor under the base, and no load is large.
+    Full,
+    /// Links keep a distance from each other, and no load is large; they may be below the base.
+    WithoutFloor,
+    /// None: links may touch, and loads may be large.
+    None,
+}
+
 /// First motion of a robot.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
@@ -62,6 +73,10 @@ pub struct FirstMotion {
     pub distance_m: f64,
     /// Duration of the displacement, s.
     pub duration_s: f64,
+    /// Conditions that its postures keep.
+    pub clearance: Clearance,
+    /// Links that touch each other or the floor at the start, as far as their capsules show.
+    pub contacts: Contacts,
 }
 
 /// Search for a motion.
@@ -76,7 +91,7 @@ struct Search<'a> {
     moves: Vec<bool>,
     /// Length of the arm, m.
     reach_m: f64,
-    collision: Option<(CollisionModel, CollisionData)>,
+    own_body: Option<OwnBody>,
 }
 
 /// Finds a first motion of the frame `tip`, or of the end of the longest chain of joints. `torque_limits` (n; Nm, N) are
@@ -103,15 +118,15 @@ pub fn first_motion(
         if joints < least_joints {
             continue;
         }
-        // Without a posture that keeps all conditions, loads and contacts are accepted.
-        for strict in [true, false] {
-            if let Some(found) = search.motion(axes, strict) {
+        // Without a posture that keeps all conditions, a place below the base is accepted, then loads and contacts.
+        for clearance in [Clearance::Full, Clearance::WithoutFloor, Clearance::None] {
+            if let Some(found) = search.motion(axes, clearance) {
                 return Some(found);
             }
         }
     }
     let start = search.posture(0);
-    Some(search.at(start, ControlledAxes::One, 0, 0.0, 1.0))
+    Some(search.at(start, ControlledAxes::One, (0, 0.0), 1.0, Clearance::None))
 }
 
 impl<'a> Search<'a> {
@@ -129,16 +144,11 @@ impl<'a> Search<'a> {
             torque_limits,
             moves,
             reach_m: 0.0,
-            collision: None,
+            own_body: None,
         };
         search.reach_m = search.reach();
-        let capsules = generated_capsules(urdf).ok().map(|generated| generated.capsules);
-        let collision = capsules.and_then(|capsules| CollisionModel::new(model, &capsules).ok());
-        search.collision = collision.map(|mut collision| {
-            collision.drop_unneeded_pairs(model, &PairSampling::default());
-            let data = CollisionData::new(&collision);
-            (collision, data)
-        });
+        let within_m = LEAST_DISTANCE * search.reach_m;
+        search.own_body = OwnBody::new(model, urdf, None, search.reach_m, within_m);
         Some(search)
     }
 
@@ -171,11 +181,11 @@ impl<'a> Search<'a> {
         self.model.joints().iter().enumerate().map(rest).map(rounded).collect()
     }
 
-    fn motion(&mut self, axes: ControlledAxes, strict: bool) -> Option<FirstMotion> {
+    fn motion(&mut self, axes: ControlledAxes, clearance: Clearance) -> Option<FirstMotion> {
         let mut scored: Vec<(f64, Vec<f64>)> = Vec::new();
         for number in 0..POSTURES {
             let q = self.posture(number);
-            let score = self.score(&q, axes, strict);
+            let score = self.score(&q, axes, clearance);
             if score > 0.0 {
                 scored.push((score, q));
             }
@@ -186,13 +196,13 @@ impl<'a> Search<'a> {
             for (_, start) in scored.iter().take(TRIED) {
                 let mut ways: Vec<(f64, usize, f64)> = Vec::new();
                 for (axis, sign) in (0..3).flat_map(|axis| [(axis, 1.0), (axis, -1.0)]) {
-                    let duration = self.duration(start, axes, axis, sign * distance_m, strict);
+                    let duration = self.duration(start, axes, axis, sign * distance_m, clearance);
                     ways.extend(duration.map(|duration_s| (duration_s, axis, sign * distance_m)));
                 }
                 // The motion that needs the slowest joints.
                 let best = ways.into_iter().min_by(|a, b| a.0.total_cmp(&b.0));
                 if let Some((duration_s, axis, distance)) = best {
-                    return Some(self.at(start.clone(), axes, axis, distance, duration_s));
+                    return Some(self.at(start.clone(), axes, (axis, distance), duration_s, clearance));
                 }
             }
         }
@@ -203,19 +213,20 @@ impl<'a> Search<'a> {
         &mut self,
         start: Vec<f64>,
         axes: ControlledAxes,
-        axis: usize,
-        distance_m: f64,
+        (axis, distance_m): (usize, f64),
         duration_s: f64,
+        clearance: Clearance,
     ) -> FirstMotion {
+        let contacts = self.contacts(&start, 0.0);
         forward_kinematics(self.model, &mut self.data, &start);
         let tip_m = frame_placement(self.model, &self.data, self.frame).translation.into();
         let frame = self.model.frame(self.frame).name.clone();
-        FirstMotion { start, frame, tip_m, axes, axis, distance_m, duration_s }
+        FirstMotion { start, frame, tip_m, axes, axis, distance_m, duration_s, clearance, contacts }
     }
 
     /// Quality of a posture from 0 to 1: the product of the distances from limits, singularities and largest loads; 0 if it
     /// cannot be used.
-    fn score(&mut self, q: &[f64], axes: ControlledAxes, strict: bool) -> f64 {
+    fn score(&mut self, q: &[f64], axes: ControlledAxes, clearance: Clearance) -> f64 {
         let singular = self.least_singular_value(q, axes);
         if singular < LEAST_SINGULAR_VALUE {
             return 0.0;
@@ -224,7 +235,7 @@ impl<'a> Search<'a> {
         let loads =
             self.data.gravity.iter().zip(self.torque_limits).map(|(torque, limit)| torque.abs() / limit);
         let load = loads.fold(0.0, f64::max);
-        if strict && (load > LARGEST_LOAD || self.is_in_contact()) {
+        if clearance != Clearance::None && (load > LARGEST_LOAD || !self.is_clear(q, clearance)) {
             return 0.0;
         }
         let near = self.model.joints().iter().zip(q).map(|(joint, q)| {
@@ -239,11 +250,18 @@ impl<'a> Search<'a> {
         room * (singular / (4.0 * LEAST_SINGULAR_VALUE)).min(1.0) * (1.0 - load.min(0.99))
     }
 
-    /// True if links are closer to each other than is safe.
-    fn is_in_contact(&mut self) -> bool {
-        let Some((collision, data)) = &mut self.collision else { return false };
-        collision_distances(collision, self.model, &self.data, LEAST_DISTANCE * self.reach_m, data);
-        data.near().next().is_some()
+    /// True if links keep a safe distance from each other, and from the floor if that is a condition.
+    fn is_clear(&mut self, q: &[f64], clearance: Clearance) -> bool {
+        let contacts = self.contacts(q, LEAST_DISTANCE * self.reach_m);
+        contacts.links.is_none() && (contacts.with_floor.is_none() || clearance == Clearance::WithoutFloor)
+    }
+
+    /// Links that are nearer than `within_m` to each other, or to the floor.
+    fn contacts(&mut self, q: &[f64], within_m: f64) -> Contacts {
+        let own_body = self.own_body.as_mut();
+        own_body.map_or_else(Contacts::default, |own_body| {
+            own_body.contacts(self.model, &mut self.data, q, within_m)
+        })
     }
 
     /// Least singular value of the Jacobian of the task over the length of the arm.
@@ -278,7 +296,7 @@ impl<'a> Search<'a> {
         axes: ControlledAxes,
         axis: usize,
         distance_m: f64,
-        strict: bool,
+        clearance: Clearance,
     ) -> Option<f64> {
         let mut q = start.to_vec();
         forward_kinematics(self.model, &mut self.data, &q);
@@ -300,7 +318,7 @@ impl<'a> Search<'a> {
                 let inverse = jacobian.pseudo_inverse(1e-9).ok()?;
                 q.iter_mut().zip((inverse * error).iter()).for_each(|(q, change)| *q += change);
             }
-            if self.score(&q, axes, strict) <= 0.0 || !self.is_within_limits(&q) {
+            if self.score(&q, axes, clearance) <= 0.0 || !self.is_within_limits(&q) {
                 return None;
             }
             for ((most, q), before) in slowest.iter_mut().zip(&q).zip(&before) {

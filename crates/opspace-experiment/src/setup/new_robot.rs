@@ -7,10 +7,10 @@ use crate::files::source::{FileError, Source};
 use crate::files::suggest::choices;
 use crate::setup::arm_template::ArmTemplate;
 use crate::setup::assumed_drives::{assumed_drives, servo_gains, velocity_gains};
-use crate::setup::first_motion::{ControlledAxes, FirstMotion, first_motion};
+use crate::setup::first_motion::{Clearance, ControlledAxes, FirstMotion, first_motion};
 use crate::setup::first_task::first_task_toml;
 use crate::setup::robot_template::{NewRobot, assumed_robot_toml, robot_toml};
-use crate::setup::tip::joints_beyond;
+use crate::setup::tip::{arms, joints_beyond};
 use opspace_backend::CommandKind;
 use opspace_model::{Limits, Model, ParsedUrdf, UrdfJoint, UrdfWarning, urdf_joints};
 use std::collections::{BTreeMap, BTreeSet};
@@ -230,6 +230,8 @@ fn notes(loaded: &SelectedPart<'_>, model: &Model, motion: &FirstMotion) -> Vec<
              writes `use` into robot.toml; if the arm ends elsewhere, add `--to` with its last link"
         ));
     }
+    notes.extend(note_of_arms(loaded, model));
+    notes.extend(note_of_posture(motion));
     notes.push(
         "collisions are not avoided: robot.toml has no [collision]. See the capsules of the links with `opspace model DIR \
          --capsules`; to use them, append `[collision]` and `margin_m = 0.02` to robot.toml. They are made from meshes if \
@@ -237,6 +239,49 @@ fn notes(loaded: &SelectedPart<'_>, model: &Model, motion: &FirstMotion) -> Vec<
             .to_owned(),
     );
     notes
+}
+
+/// Arms of a robot that is taken as a whole, with the options that would take one of them.
+fn note_of_arms(loaded: &SelectedPart<'_>, model: &Model) -> Option<String> {
+    let arms = arms(model);
+    if loaded.used.is_some() || arms.len() < 2 {
+        return None;
+    }
+    let options: Vec<String> = arms
+        .iter()
+        .map(|arm| format!("`--from {} --to {}` ({} joints)", arm.from, arm.to, arm.joints))
+        .collect();
+    Some(format!(
+        "the robot has {} chains of joints, and all of its {} joints are taken. To take one chain, add {}",
+        arms.len(),
+        model.n(),
+        options.join(", or ")
+    ))
+}
+
+/// Conditions that the start of the first task does not keep.
+fn note_of_posture(motion: &FirstMotion) -> Option<String> {
+    let remedy = "compare it with the real arm before anything moves, and choose another [start_rad] in first-task.toml";
+    let searched = "no posture was found in which";
+    match (motion.clearance, &motion.contacts.links, &motion.contacts.with_floor) {
+        (Clearance::Full, ..) => None,
+        (_, Some([first, second]), _) => Some(format!(
+            "{searched} the arm can move and its links do not touch: links '{first}' and '{second}' touch at the start, as far \
+             as their capsules show; {remedy}"
+        )),
+        (_, None, Some(link)) => Some(format!(
+            "{searched} the arm can move and no link is below its base: link '{link}' is below it at the start. If the arm \
+             stands on a floor or a table, {remedy}"
+        )),
+        (Clearance::None, None, None) => Some(format!(
+            "{searched} the arm can move with all links apart and with torques below 60 % of their limits: the arm may \
+             touch itself, or be overloaded, during the first task; {remedy}"
+        )),
+        (Clearance::WithoutFloor, None, None) => Some(format!(
+            "{searched} the arm can move above its base: it may be below it during the first task. If the arm stands on a \
+             floor or a table, {remedy}"
+        )),
+    }
 }
 
 /// Describes the first motion.

@@ -2,6 +2,7 @@
 
 use crate::files::toml_path::dotted;
 use crate::run::rollout::{error, input};
+use crate::setup::own_body::OwnBody;
 use nalgebra::{DVector, Matrix6, Matrix6xX, Vector6};
 use opspace_backend::quantity::Positive;
 use opspace_control::references::reference::Waypoint;
@@ -109,11 +110,14 @@ pub struct PostureAt {
     pub tries: usize,
     /// Start positions for a task file.
     pub start_rad: String,
+    /// Links that touch each other, as far as their capsules show; `None` if none do.
+    pub contact: Option<[String; 2]>,
 }
 
 /// Searches for a posture within the joint limits in which a frame is at `position_m`, with the orientation `rpy_rad` (about
 /// fixed axes) if it is given. The first search starts at `start` (n; rad, m), which need not be within the limits. Of the
-/// postures that reach the pose, the one is returned whose joints are farthest from their limits.
+/// postures that reach the pose, those are preferred in which no links of `own_body` touch, and then the one whose joints are
+/// farthest from their limits.
 ///
 /// # Errors
 /// A frame that the robot does not have, or that cannot move along all axes of the pose in any posture.
@@ -123,6 +127,7 @@ pub fn posture_at(
     position_m: [f64; 3],
     rpy_rad: Option<[f64; 3]>,
     start: &[f64],
+    mut own_body: Option<&mut OwnBody>,
 ) -> Result<PostureAt, ControlError> {
     let axes =
         if rpy_rad.is_some() { Axes::pose(AxisMode::Motion) } else { Axes::position(AxisMode::Motion) };
@@ -151,21 +156,21 @@ pub fn posture_at(
         (lower + margin, upper - margin)
     });
     let search = PostureSearch { model, ranges: ranges.collect() };
-    let mut best: Option<(f64, f64, PostureAt)> = None;
+    let mut best: Option<(Quality, PostureAt)> = None;
     let starts = search.starts(&[start]);
     for start in &starts {
         let found = search.solve(&task, start);
         let joints = model.joints().iter().zip(&search.ranges).zip(found.q.iter());
         let q: Vec<f64> =
             joints.map(|((joint, range), q)| rounded(without_turns(joint.kind, *range, *q))).collect();
+        let contacts = own_body.as_mut().map(|own_body| own_body.contacts(model, &mut data, &q, 0.0));
+        let contact = contacts.and_then(|contacts| contacts.links);
         kinematics(model, &mut data, &q, &vec![0.0; n]);
         let left = error(&task, model, &data);
         let missed = ["m", "rad"].map(|unit| norm_in(&task, &left, unit));
-        let (left, room) = (left.norm(), room(&search.ranges, &q));
-        let is_better = |(least, widest, _): &(f64, f64, PostureAt)| {
-            if left < REACHED_M && *least < REACHED_M { room > *widest } else { left < *least }
-        };
-        if best.as_ref().is_none_or(is_better) {
+        let quality =
+            Quality { left_m: left.norm(), is_clear: contact.is_none(), room: room(&search.ranges, &q) };
+        if best.as_ref().is_none_or(|(least, _)| quality.is_better_than(least)) {
             let joints: Vec<String> = model
                 .joints()
                 .iter()
@@ -173,13 +178,41 @@ pub fn posture_at(
                 .map(|(joint, q)| format!("{} = {q:?}", dotted(std::slice::from_ref(&joint.name))))
                 .collect();
             let start_rad = format!("start_rad = {{ {} }}", joints.join(", "));
-            best = Some((left, room, PostureAt { q, missed, tries: starts.len(), start_rad }));
+            best = Some((quality, PostureAt { q, missed, tries: starts.len(), start_rad, contact }));
         }
     }
     Ok(best.map_or_else(
-        || PostureAt { q: start.to_vec(), missed: [f64::INFINITY; 2], tries: 0, start_rad: String::new() },
-        |(.., best)| best,
+        || PostureAt {
+            q: start.to_vec(),
+            missed: [f64::INFINITY; 2],
+            tries: 0,
+            start_rad: String::new(),
+            contact: None,
+        },
+        |(_, best)| best,
     ))
+}
+
+/// Quality of a posture that a search finds.
+#[derive(Clone, Copy, Debug)]
+struct Quality {
+    /// Norm of the remaining error, m; rotations are scaled to m.
+    left_m: f64,
+    /// True if no links touch.
+    is_clear: bool,
+    /// Distance from the limits, from 0 to 1.
+    room: f64,
+}
+
+impl Quality {
+    fn is_better_than(&self, other: &Self) -> bool {
+        let reaches = |quality: &Self| quality.left_m < REACHED_M;
+        match (reaches(self), reaches(other)) {
+            (true, true) if self.is_clear == other.is_clear => self.room > other.room,
+            (true, true) => self.is_clear,
+            _ => self.left_m < other.left_m,
+        }
+    }
 }
 
 /// Smallest distance of a joint from the ends of its range, over half of the range: from 0 to 1, or 1 without ranges.
@@ -204,4 +237,90 @@ fn without_turns(kind: JointKind, (lower, upper): (f64, f64), q: f64) -> f64 {
 /// Position with four decimals.
 fn rounded(q: f64) -> f64 {
     (q * 1e4).round() / 1e4
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Quality, REACHED_M, posture_at, room};
+    use crate::files::source::Source;
+    use crate::setup::own_body::OwnBody;
+    use opspace_model::Model;
+
+    /// Two links of 1 m whose joints turn about y, on a column of 0.5 m without inertia. The elbow turns further to one side.
+    const ARM: &str = r#"<robot name="arm"><link name="base"/>
+        <joint name="shoulder" type="revolute"><parent link="base"/><child link="upper"/><origin xyz="0 0 0.5"/>
+        <axis xyz="0 1 0"/><limit lower="-3" upper="3" effort="50" velocity="2"/></joint>
+        <link name="upper"><inertial><origin xyz="0 0 0.5"/><mass value="1"/>
+        <inertia ixx="0.1" iyy="0.1" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>
+        <joint name="elbow" type="revolute"><parent link="upper"/><child link="fore"/><origin xyz="0 0 1"/>
+        <axis xyz="0 1 0"/><limit lower="-3" upper="1.7" effort="50" velocity="2"/></joint>
+        <link name="fore"><inertial><origin xyz="0 0 0.5"/><mass value="1"/>
+        <inertia ixx="0.1" iyy="0.1" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>
+        <joint name="end" type="fixed"><parent link="fore"/><child link="tip"/><origin xyz="0 0 1"/></joint>
+        <link name="tip"/></robot>"#;
+
+    fn quality(left_m: f64, is_clear: bool, room: f64) -> Quality {
+        Quality { left_m, is_clear, room }
+    }
+
+    /// Checks the order of postures: those that reach, those without contact, those far from the limits.
+    #[test]
+    fn reach_then_contact_then_room_decide() {
+        let (reached, missed) = (0.1 * REACHED_M, 10.0 * REACHED_M);
+        for (better, worse) in [
+            (quality(reached, false, 0.1), quality(missed, true, 0.9)),
+            (quality(reached, true, 0.1), quality(reached, false, 0.9)),
+            (quality(reached, true, 0.9), quality(reached, true, 0.1)),
+            (quality(missed, false, 0.1), quality(2.0 * missed, true, 0.9)),
+        ] {
+            assert!(better.is_better_than(&worse) && !worse.is_better_than(&better), "{better:?} {worse:?}");
+        }
+    }
+
+    /// Compared: the two postures of a planar arm, with the elbow at ±arccos(−0.18) or so by the law of cosines. The search
+    /// begins at the one that is closer to its limit, and returns the other.
+    #[test]
+    fn posture_far_from_the_limits_is_returned() {
+        let model = Model::from_urdf(ARM).expect("a URDF");
+        let goal_m = [1.2, 0.0, 0.7];
+        let distance_m = f64::hypot(goal_m[0], goal_m[2] - 0.5);
+        let elbow = (0.5 * distance_m * distance_m - 1.0).acos();
+        let shoulder = |elbow: f64| f64::atan2(goal_m[0], goal_m[2] - 0.5) - 0.5 * elbow;
+        let first = [shoulder(elbow), elbow];
+        let found = posture_at(&model, "tip", goal_m, None, &first, None).expect("a posture");
+        assert!(found.missed[0] < 1e-3, "{found:?}");
+        let expected = [shoulder(-elbow), -elbow];
+        let ranges = [(-2.98, 2.98), (-2.98, 1.68)];
+        assert!(room(&ranges, &expected) > room(&ranges, &first));
+        for (found, expected) in found.q.iter().zip(expected) {
+            assert!((found - expected).abs() < 1e-3, "{found} {expected}");
+        }
+    }
+
+    /// Checks a place that the arm reaches only with its forearm through its column, and one beside it.
+    #[test]
+    fn contact_with_the_own_base_is_named() {
+        let model = Model::from_urdf(ARM).expect("a URDF");
+        let urdf = Source::new("arm.urdf", ARM.to_owned());
+        let mut own_body = OwnBody::new(&model, &urdf, None, 2.0, 0.0).expect("links that can touch");
+        let mut at = |goal_m: [f64; 3]| {
+            posture_at(&model, "tip", goal_m, None, &[0.5, 0.5], Some(&mut own_body)).expect("a posture")
+        };
+        let through = at([0.0, 0.0, 0.2]);
+        assert_eq!(through.contact, Some(["fore".to_owned(), "base".to_owned()]), "{through:?}");
+        let beside = at([1.2, 0.0, 0.7]);
+        assert_eq!(beside.contact, None, "{beside:?}");
+    }
+
+    /// Checks that an arm on a column has a floor under its base.
+    #[test]
+    fn link_below_the_base_touches_the_floor() {
+        let model = Model::from_urdf(ARM).expect("a URDF");
+        let urdf = Source::new("arm.urdf", ARM.to_owned());
+        let mut own_body = OwnBody::new(&model, &urdf, None, 2.0, 0.0).expect("links that can touch");
+        let mut data = opspace_model::Data::new(&model);
+        let mut contacts = |q: [f64; 2]| own_body.contacts(&model, &mut data, &q, 0.0);
+        assert_eq!(contacts([1.57, 1.0]).with_floor.as_deref(), Some("fore"));
+        assert_eq!(contacts([0.5, 0.5]), super::super::own_body::Contacts::default());
+    }
 }

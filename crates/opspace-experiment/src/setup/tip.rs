@@ -49,6 +49,57 @@ pub fn joints_beyond(model: &Model, frame: FrameId) -> Vec<&str> {
         .collect()
 }
 
+/// Arm of a robot: a chain of joints that branches off from the others.
+#[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct Arm {
+    /// Link that holds its first joint.
+    pub from: String,
+    /// Its last link, without fingers.
+    pub to: String,
+    /// Number of its joints.
+    pub joints: usize,
+}
+
+/// Returns the arms of a robot: chains of at least three joints, each from the link where it branches off, or from the base, to
+/// its end or to the hand that it holds. One chain without a branch is one arm.
+#[must_use]
+pub fn arms(model: &Model) -> Vec<Arm> {
+    let bodies = model.bodies();
+    let children = |body: usize| (0..bodies.len()).filter(move |&child| bodies[child].parent == Some(body));
+    let mut arms = Vec::new();
+    let mut starts: Vec<usize> = (0..bodies.len()).filter(|&body| bodies[body].parent.is_none()).collect();
+    while let Some(first) = starts.pop() {
+        let (mut last, mut joints) = (first, 1);
+        while let [next] = children(last).collect::<Vec<_>>()[..]
+            && (joints < LEAST_ARM_JOINTS || !is_finger(model, next))
+        {
+            (last, joints) = (next, joints + 1);
+        }
+        let below: Vec<usize> = children(last).collect();
+        let is_hand = joints >= LEAST_ARM_JOINTS && below.iter().all(|&body| depth(model, body) <= joints);
+        if is_hand {
+            let from = bodies[first].parent;
+            let link = |body: Option<usize>| model.frames().iter().find(|frame| frame.body == body);
+            let to = last_frame(model, last).map(|frame| model.frame(frame).name.clone());
+            if let (Some(from), Some(to)) = (link(from), to) {
+                arms.push(Arm { from: from.name.clone(), to, joints });
+            }
+        } else {
+            starts.extend(below);
+        }
+    }
+    arms.reverse();
+    arms
+}
+
+/// Number of joints of the longest chain that begins with a body.
+fn depth(model: &Model, body: usize) -> usize {
+    let bodies = model.bodies();
+    let below = (0..bodies.len()).filter(|&child| bodies[child].parent == Some(body));
+    1 + below.map(|child| depth(model, child)).max().unwrap_or(0)
+}
+
 /// True if the joint of a body is that of a finger, by its name.
 fn is_finger(model: &Model, body: usize) -> bool {
     let name = model.joints()[model.bodies()[body].joint].name.to_lowercase();
@@ -63,4 +114,48 @@ fn last_frame(model: &Model, body: usize) -> Option<FrameId> {
     let name =
         named.iter().find_map(|word| frames().find(|name| name.contains(word))).or(frames().next_back())?;
     model.frame_id(name).ok()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::arms;
+    use opspace_model::Model;
+
+    /// Checks a torso with two arms of four joints, one with a gripper of two fingers, and one arm alone.
+    #[test]
+    fn each_chain_of_a_robot_is_an_arm() {
+        let link = |name: &str| {
+            format!(
+                "<link name=\"{name}\"><inertial><mass value=\"1\"/><inertia ixx=\"0.1\" iyy=\"0.1\" izz=\"0.1\" ixy=\"0\" \
+                 ixz=\"0\" iyz=\"0\"/></inertial></link>"
+            )
+        };
+        let joint = |parent: &str, child: &str| {
+            format!(
+                "<joint name=\"to_{child}\" type=\"revolute\"><parent link=\"{parent}\"/><child link=\"{child}\"/>\
+                 <axis xyz=\"0 1 0\"/><limit lower=\"-1\" upper=\"1\" effort=\"1\" velocity=\"1\"/></joint>{}",
+                link(child)
+            )
+        };
+        let chain = |side: &str, from: &str| -> String {
+            let names: Vec<String> = (1..=4).map(|number| format!("{side}{number}")).collect();
+            let parents = std::iter::once(from).chain(names.iter().map(String::as_str));
+            parents.zip(&names).map(|(parent, child)| joint(parent, child)).collect()
+        };
+        let hand = joint("left4", "finger_a") + &joint("left4", "finger_b");
+        let head = "<robot name=\"r\"><link name=\"base\"/>".to_owned();
+        let two = head.clone()
+            + &joint("base", "torso")
+            + &chain("left", "torso")
+            + &hand
+            + &chain("right", "torso")
+            + "</robot>";
+        let found = arms(&Model::from_urdf(&two).expect("a URDF"));
+        let mut found: Vec<(&str, &str, usize)> =
+            found.iter().map(|arm| (arm.from.as_str(), arm.to.as_str(), arm.joints)).collect();
+        found.sort_unstable();
+        assert_eq!(found, [("torso", "left4", 4), ("torso", "right4", 4)]);
+        let one = head + &chain("only", "base") + "</robot>";
+        assert_eq!(arms(&Model::from_urdf(&one).expect("a URDF")).len(), 1);
+    }
 }

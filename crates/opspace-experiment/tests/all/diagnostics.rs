@@ -114,6 +114,82 @@ const MADE_TO_GO_WRONG: [(&str, &str); 10] = [
     ("ur5e-pulled-straight", "nothing brings 'flange' back along x"),
 ];
 
+/// Compared: stiffnesses of an impedance that give frequencies of 18 and 800 rad/s with a mass of 1.5 kg, and the message; the
+/// proposed stiffness is not reported. The controller holds each torque for 1 ms or more.
+#[test]
+fn stiffness_that_the_rate_does_not_permit_is_found() {
+    let gains = "gains = { frequency_rad_per_s = 14.0, damping_ratio = 1.0 }";
+    let found = |stiffness: &str| {
+        let spring = format!("impedance = {{ stiffness_n_per_m = {stiffness}, damping_ratio = 0.7 }}");
+        diagnostics(&experiment(HAND, &[(gains, &spring)], RunOptions::default(), &[]))
+    };
+    assert_eq!(found("500.0"), []);
+    let [stiff] = &found("1e6")[..] else { panic!("one diagnostic") };
+    assert_eq!(stiff.code, Code::GainsTooHigh);
+    assert_says(stiff, "task.hand.cartesian.impedance.stiffness_n_per_m", &["= 1e6 along ", "phase margin"]);
+    let proposed = stiff.help.split_whitespace().nth(2).unwrap();
+    assert_eq!(found(proposed), [], "{}", stiff.help);
+}
+
+/// Checks that inverse kinematics reports an impedance and compliant axes, and torque control neither.
+#[test]
+fn compliance_that_inverse_kinematics_ignores_is_found() {
+    let of = |controller: ControllerKind, change: (&str, &str)| {
+        let options = RunOptions { controller, ..RunOptions::default() };
+        let found = diagnostics(&experiment(HAND, &[change], options, &[]));
+        found.into_iter().filter(|found| found.code == Code::IgnoredCompliance).collect::<Vec<_>>()
+    };
+    let gains = "gains = { frequency_rad_per_s = 14.0, damping_ratio = 1.0 }";
+    let spring = (gains, "impedance = { stiffness_n_per_m = 500.0, damping_ratio = 0.7 }");
+    let compliant = ("x = \"motion\"", "x = \"compliant\"");
+    for controller in [ControllerKind::Ik, ControllerKind::IkLead] {
+        let [found] = &of(controller, spring)[..] else { panic!("one diagnostic") };
+        assert_says(found, "task.hand.cartesian.impedance", &["its impedance has no effect"]);
+        let [found] = &of(controller, compliant)[..] else { panic!("one diagnostic") };
+        assert_says(found, "task.hand.cartesian.axes", &["its compliance along x has no effect"]);
+        assert_eq!(of(controller, ("duration_s = 2.0", "duration_s = 2.5")), []);
+    }
+    assert_eq!(of(ControllerKind::Osc, spring), []);
+}
+
+/// Checks a motion of the tip of 0.1 m at 5 Hz, which needs 37 Nm of the elbow's 20 Nm, and one at 0.5 Hz, which does not.
+#[test]
+fn references_beyond_torque_limits_are_found() {
+    let of = |frequency_hz: f64| {
+        let wave =
+            format!("reference.sinusoid.x = [{{ amplitude_m = 0.1, frequency_hz = {frequency_hz} }}]\n");
+        diagnostics(&experiment(TIP, &[("reference = \"hold\"\n", &wave)], RunOptions::default(), &[]))
+    };
+    assert!(of(0.5).iter().all(|found| found.code != Code::TorqueAboveLimit));
+    let found = of(5.0);
+    let found = found.iter().find(|found| found.code == Code::TorqueAboveLimit).expect("a diagnostic");
+    assert_says(found, "task.tip.cartesian.reference", &["Nm from joint '", "allowed: "]);
+}
+
+/// Checks positions in degrees, of which the message names all joints, and a goal in mm.
+#[test]
+fn degrees_and_millimetres_are_suspected() {
+    let folder = TempDir::new().unwrap();
+    let start =
+        "start_rad = { shoulder_pitch = -0.45, shoulder_roll = -0.35, shoulder_yaw = 0.25, elbow = -1.35 }";
+    let robots = root().join("robots");
+    let degrees =
+        "start_rad = { shoulder_pitch = -26.0, shoulder_roll = -20.0, shoulder_yaw = 14.0, elbow = -77.0 }";
+    let text = HAND.replace("ROBOTS", robots.to_str().unwrap()).replace(start, degrees);
+    fs::write(folder.path().join("task.toml"), text).unwrap();
+    let file = folder.path().join("task.toml");
+    let error = Experiment::load(Files::Disk, &file, None, RunOptions::default(), &[]).unwrap_err();
+    for joint in ["shoulder_pitch", "shoulder_roll", "shoulder_yaw"] {
+        let is_named = error.message().contains(&format!("'{joint}'"));
+        assert!(is_named || error.message().starts_with("-77 "), "{joint}: {}", error.message());
+    }
+    assert!(error.help().is_some_and(|help| help.contains("degrees")), "{:?}", error.help());
+    let far = ("offset_m = [0.05, 0.0, 0.05]", "offset_m = [0.0, 50.0, 0.0]");
+    let found = diagnostics(&experiment(HAND, &[far], RunOptions::default(), &[]));
+    let found = found.iter().find(|found| found.code == Code::GoalOutOfReach).expect("a diagnostic");
+    assert!(found.help.contains("mm"), "{}", found.help);
+}
+
 /// The tip of the planar arm starts at z = sin 0.6 + sin 1.8 = 1.538 m and reaches 2 m.
 #[test]
 fn misplaced_objects_are_found() {

@@ -169,6 +169,56 @@ fn task_of_higher_priority_is_named() {
     }
 }
 
+/// A circle of the flange in the y-z plane, with a radius in m.
+fn circle(radius_m: f64, frequency_hz: f64) -> String {
+    let wave = |phase_rad: f64, offset_m: f64| {
+        format!(
+            "[{{ amplitude_m = {radius_m}, frequency_hz = {frequency_hz}, phase_rad = {phase_rad}, offset_m = {offset_m} }}]"
+        )
+    };
+    let (y, z) = (wave(0.0, 0.0), wave(1.570_796_326_794_9, -radius_m));
+    format!("task.flange.cartesian.reference={{ sinusoid = {{ y = {y}, z = {z} }} }}")
+}
+
+/// Compared: the limits that hold a circle of the Panda back with those in the note, and its error with that of the metrics. A
+/// slow circle has no note.
+#[test]
+fn limited_moving_reference_has_a_note() {
+    let of = |frequency_hz: f64, setting: &str| {
+        let settings = ["event=[]", "duration_s=4.0", &circle(0.12, frequency_hz), setting];
+        run(&experiment("panda-goals", &settings)).1
+    };
+    let slow = of(0.3, "limits.velocity_fraction=1.0");
+    assert_eq!((&slow.limited_references[..], &slow.unreached_goals[..]), (&[][..], &[][..]));
+    let fast = of(1.0, "limits.velocity_fraction=0.2");
+    let [reference] = &fast.limited_references[..] else { panic!("{:?}", fast.limited_references) };
+    assert_eq!(reference.task, "flange");
+    assert!(!reference.speed_limits.is_empty() && reference.position_limits.is_empty(), "{reference}");
+    assert!(reference.share > 0.2 && reference.begin_s < 0.5, "{reference}");
+    let largest_m = fast.tasks["flange"].pose.position_max_m.unwrap();
+    let noted_m = reference.position_m.unwrap();
+    assert!(noted_m > 0.02 && (noted_m / largest_m - 1.0).abs() < 0.2, "{reference}: {largest_m} m");
+    let text = reference.to_string();
+    assert!(
+        text.starts_with("task 'flange': moving reference not followed within limits, from ")
+            && text.contains(" mm")
+            && text.contains("speed or acceleration limits of "),
+        "{text}"
+    );
+    let weak = of(1.0, "limits.torque_fraction=0.31");
+    let [reference] = &weak.limited_references[..] else { panic!("{:?}", weak.limited_references) };
+    assert!(reference.torque_limits.contains(&"joint4".to_owned()), "{reference}");
+}
+
+/// Checks a circle that leaves the reach of the arm: no limits, but the direction.
+#[test]
+fn moving_reference_out_of_reach_has_a_note() {
+    let settings = ["event=[]", "duration_s=6.0", &circle(0.8, 0.1)];
+    let (_, summary) = run(&experiment("ur5e-out-of-reach", &settings));
+    let [reference] = &summary.limited_references[..] else { panic!("{:?}", summary.limited_references) };
+    assert!(reference.singular_along.is_some() && reference.position_m.unwrap() > 0.05, "{reference}");
+}
+
 /// Checks a streamed pose that goes beyond the reach of the arm and returns.
 #[test]
 fn streamed_goal_ends_the_note() {

@@ -16,6 +16,10 @@ use opspace_model::{Data, OperationalSpace, update};
 /// direction that counts as lost.
 const HELD: f64 = 0.5;
 
+/// Least acceleration that limits take from a task that they hold back from a moving reference, relative to the spring term of
+/// its feedback.
+const LEAST_TAKEN: f64 = 0.1;
+
 /// Highest speed of a task at rest in its rows, m/s (rotations are scaled to m), or of a joint, rad/s or m/s.
 const MAX_SPEED: f64 = 0.05;
 
@@ -162,6 +166,51 @@ impl<'a> HeldState<'a> {
         let commanded = &jacobian * &self.alpha + task.bias(model, &self.data);
         let speed = velocity.norm();
         Level { state: self, task, typical, jacobian, speed, wanted, damping, commanded }
+    }
+
+    /// Returns what keeps a task of at most six rows from a moving reference: the limits that take the accelerations `taken`
+    /// from its rows, and the direction of its errors, if the arm is nearly singular along it. `place` is the place of the
+    /// task in the set.
+    pub(super) fn of_moving_task(
+        &self,
+        set: &TaskSet,
+        place: usize,
+        errors: &RowErrors,
+        taken: &Vector6<f64>,
+    ) -> Hold {
+        let n = self.q.len();
+        let mut freedom: DMatrix<f64> = DMatrix::identity(n, n);
+        let mut hold = Hold::default();
+        for (k, (task, typical)) in set.tasks().zip(set.typical_mobilities()).enumerate() {
+            let level = self.level(task, typical.dynamic, if k == place { errors } else { &NO_ERRORS });
+            if k < place {
+                level.reduce(&mut freedom);
+                continue;
+            }
+            if level.wanted.norm() > 0.0 && level.gain(&DMatrix::identity(n, n)) < HELD {
+                let error = level.wanted.normalize();
+                hold.singular_along = Some(direction(error.as_slice(), &task.row_names()));
+            }
+            if taken.norm() > LEAST_TAKEN * level.wanted.norm() && taken.norm() > 0.0 {
+                let zero = Vector6::zeros();
+                let level = Level { wanted: *taken, damping: zero, commanded: zero, ..level };
+                level.add_limits(&freedom, &mut hold);
+            }
+            break;
+        }
+        hold
+    }
+
+    /// Returns the limits that take accelerations `taken` from a task of all joints with the spring terms `wanted` (n; rad/s²
+    /// or m/s²).
+    pub(super) fn of_moving_joints(&self, wanted: &[f64], taken: &[f64]) -> Hold {
+        let mut hold = Hold::default();
+        for (joint, (wanted, taken)) in wanted.iter().zip(taken).enumerate() {
+            if *wanted != 0.0 && taken.abs() > LEAST_TAKEN * wanted.abs() {
+                self.add_limit(joint, taken.signum(), &mut hold);
+            }
+        }
+        hold
     }
 
     /// Returns the causes for each joint of a task of all joints. `wanted` and `damping` are the spring and damper terms

@@ -139,13 +139,7 @@ impl<'a> UnreachedGoals<'a> {
 
     fn examine(&mut self, run: &Run<'_>, k: usize, time_s: f64) {
         let sets = self.sets.get_or_insert_with(|| task_sets(self.experiment));
-        let number = match run.tick.signal(TASK_SET) {
-            Some(number) => number.row(k)[0] as usize,
-            None => {
-                let since_start_s = time_s - run.start_s + run.same_s;
-                self.experiment.task().events.iter().filter(|e| e.time_s <= since_start_s).count()
-            }
-        };
+        let number = task_set_at(run, k);
         let Some(Some(set)) = sets.get(number) else { return };
         let errors: Vec<RowErrors> = set.tasks().map(|task| errors(run, k, task)).collect();
         let is_large = |(task, errors): (&dyn Task, &RowErrors)| {
@@ -157,7 +151,7 @@ impl<'a> UnreachedGoals<'a> {
         if !large.contains(&true) && joint_errors.is_none() {
             return;
         }
-        if !self.update(run, k) {
+        if !update_state(&mut self.state, run, k) {
             return;
         }
         let set = self.sets.as_ref().and_then(|sets| sets.get(number)?.as_ref());
@@ -210,37 +204,40 @@ impl<'a> UnreachedGoals<'a> {
         }
         is_held.then_some(all)
     }
+}
 
-    /// Updates the state of the arm; returns false if the log lacks a signal.
-    fn update(&mut self, run: &Run<'_>, k: usize) -> bool {
-        let row = |name: &str| Some(run.tick.signal(name)?.row(k));
-        let (Some(q), Some(dq), Some(command)) = (row(Q), row(DQ), row(COMMAND)) else { return false };
-        let is = |name: &str, joint: usize, bit: u8| {
-            row(name).is_some_and(|values| values[joint].is_finite() && values[joint] as u8 & bit != 0)
-        };
-        let joints = 0..q.len();
-        let saturated: Vec<bool> = joints.clone().map(|joint| is(TORQUE_SATURATED, joint, 1)).collect();
-        // A saturated torque of a joint at rest contains no friction compensation.
-        let clamped = row(TORQUE_DESIRED).unwrap_or(command);
-        let torque: Vec<f64> = joints
-            .clone()
-            .map(|joint| if saturated[joint] { clamped[joint] } else { command[joint] })
-            .collect();
-        let at_torque: Vec<bool> =
-            joints.clone().map(|joint| saturated[joint] || is(LIMITED, joint, 2)).collect();
-        let at_acceleration: Vec<bool> = joints.map(|joint| is(LIMITED, joint, 1)).collect();
-        self.state.update(&Cycle {
-            q,
-            dq,
-            torque: &torque,
-            at_torque: &at_torque,
-            at_acceleration: &at_acceleration,
-        })
+/// Index of the task set of a cycle.
+pub(super) fn task_set_at(run: &Run<'_>, k: usize) -> usize {
+    match run.tick.signal(TASK_SET) {
+        Some(number) => number.row(k)[0] as usize,
+        None => {
+            let since_start_s = run.tick.time_s[k] - run.start_s + run.same_s;
+            run.experiment.task().events.iter().filter(|event| event.time_s <= since_start_s).count()
+        }
     }
 }
 
+/// Updates the state of the arm to that of a cycle; returns false if the log lacks a signal.
+pub(super) fn update_state(state: &mut HeldState<'_>, run: &Run<'_>, k: usize) -> bool {
+    let row = |name: &str| Some(run.tick.signal(name)?.row(k));
+    let (Some(q), Some(dq), Some(command)) = (row(Q), row(DQ), row(COMMAND)) else { return false };
+    let is = |name: &str, joint: usize, bit: u8| {
+        row(name).is_some_and(|values| values[joint].is_finite() && values[joint] as u8 & bit != 0)
+    };
+    let joints = 0..q.len();
+    let saturated: Vec<bool> = joints.clone().map(|joint| is(TORQUE_SATURATED, joint, 1)).collect();
+    // A saturated torque of a joint at rest contains no friction compensation.
+    let clamped = row(TORQUE_DESIRED).unwrap_or(command);
+    let torque: Vec<f64> =
+        joints.clone().map(|joint| if saturated[joint] { clamped[joint] } else { command[joint] }).collect();
+    let at_torque: Vec<bool> =
+        joints.clone().map(|joint| saturated[joint] || is(LIMITED, joint, 2)).collect();
+    let at_acceleration: Vec<bool> = joints.map(|joint| is(LIMITED, joint, 1)).collect();
+    state.update(&Cycle { q, dq, torque: &torque, at_torque: &at_torque, at_acceleration: &at_acceleration })
+}
+
 /// Task sets of an experiment, in order of time.
-fn task_sets(experiment: &Experiment) -> Vec<Option<TaskSet>> {
+pub(super) fn task_sets(experiment: &Experiment) -> Vec<Option<TaskSet>> {
     let file = &experiment.task().file;
     let events = experiment.task().events.iter().map(|event| (&event.priority, &event.task));
     let sets = std::iter::once((&file.priority, &file.task)).chain(events);
@@ -248,7 +245,7 @@ fn task_sets(experiment: &Experiment) -> Vec<Option<TaskSet>> {
 }
 
 /// Errors of the rows of a task that follow a reference.
-fn errors(run: &Run<'_>, k: usize, task: &dyn Task) -> RowErrors {
+pub(super) fn errors(run: &Run<'_>, k: usize, task: &dyn Task) -> RowErrors {
     let mut errors = NO_ERRORS;
     let signal = |name: &str| run.tick.signal(&signal_names::of(task.name(), name));
     let Some(error) = signal(ERROR) else { return errors };
@@ -265,7 +262,7 @@ fn errors(run: &Run<'_>, k: usize, task: &dyn Task) -> RowErrors {
 }
 
 /// Errors of a task of all joints, zero for small ones; `None` if all are small.
-fn joint_errors(run: &Run<'_>, k: usize, task: &dyn JointTask) -> Option<Vec<f64>> {
+pub(super) fn joint_errors(run: &Run<'_>, k: usize, task: &dyn JointTask) -> Option<Vec<f64>> {
     let error = run.tick.signal(&signal_names::of(task.name(), ERROR))?;
     let least = |unit: &String| if unit == "m" { MIN_POSITION_M } else { MIN_ORIENTATION_RAD };
     let large = error.row(k).iter().zip(error.units());

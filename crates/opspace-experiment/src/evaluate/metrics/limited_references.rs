@@ -1,0 +1,270 @@
+//! Moving references that limits, or the reach of the arm, keep tasks from, over a whole log.
+
+use super::holds::{HeldState, Hold, RowErrors, norm_in};
+use super::run_log::Run;
+use super::unreached_goals::{errors, joint_errors, task_set_at, task_sets, update_state};
+use crate::evaluate::limited_reference::LimitedReference;
+use crate::run::experiment::{ControllerKind, Experiment};
+use nalgebra::Vector6;
+use opspace_backend::signal_names::{self, PHASE, REFERENCE, REFERENCE_ORIENTATION, SLACK};
+use opspace_control::{Task, TaskSet};
+use opspace_loop::Phase;
+use std::collections::BTreeMap;
+
+/// Time between two examined control cycles, s.
+const STEP_S: f64 = 5e-3;
+
+/// Longest time between two examined cycles whose references are compared, s.
+const MAX_GAP_S: f64 = 0.1;
+
+/// Smallest error that counts, m and rad: errors of tracking are smaller.
+const MIN_POSITION_M: f64 = 5e-3;
+const MIN_ORIENTATION_RAD: f64 = 20e-3;
+
+/// Speed above which a reference moves, m/s or rad/s.
+const MOVING: f64 = 1e-3;
+
+/// Shortest time that is reported, s, in sum.
+const MIN_DURATION_S: f64 = 0.1;
+
+/// Smallest fraction of this time in which a cause that is reported acts.
+const MIN_SHARE: f64 = 0.2;
+
+/// Moving references that the tasks of a run did not follow, while segments of the log arrive.
+pub(super) struct LimitedReferences<'a> {
+    experiment: &'a Experiment,
+    state: HeldState<'a>,
+    /// Task sets of the run, in order of time. They are built when control begins.
+    sets: Option<Vec<Option<TaskSet>>>,
+    /// Time before which no cycle is examined, s.
+    next_s: f64,
+    /// Time of the cycle that was examined before, s.
+    before_s: f64,
+    /// Number of examined cycles.
+    cycles: usize,
+    /// References of the tasks at the cycle that was examined before.
+    references: BTreeMap<String, Vec<f64>>,
+    found: BTreeMap<String, Found>,
+}
+
+/// What is found for one task.
+#[derive(Default)]
+struct Found {
+    reference: LimitedReference,
+    cycles: usize,
+    /// Number of cycles in which each cause acts.
+    position: BTreeMap<usize, usize>,
+    speed: BTreeMap<usize, usize>,
+    torque: BTreeMap<usize, usize>,
+    singular: usize,
+}
+
+/// Task that does not follow its moving reference in a cycle.
+struct Behind {
+    task: String,
+    position_m: Option<f64>,
+    orientation_rad: Option<f64>,
+    hold: Hold,
+}
+
+impl<'a> LimitedReferences<'a> {
+    pub(super) fn new(experiment: &'a Experiment) -> Self {
+        Self {
+            experiment,
+            state: HeldState::new(experiment),
+            sets: None,
+            next_s: f64::NEG_INFINITY,
+            before_s: f64::NEG_INFINITY,
+            cycles: 0,
+            references: BTreeMap::new(),
+            found: BTreeMap::new(),
+        }
+    }
+
+    /// Adds a segment. A controller without torques has no accelerations that limits could take.
+    pub(super) fn add(&mut self, run: &Run<'_>) {
+        if self.experiment.options().controller != ControllerKind::Osc {
+            return;
+        }
+        let Some(phase) = run.tick.signal(PHASE) else { return };
+        for k in 0..run.tick.len() {
+            let time_s = run.tick.time_s[k];
+            if phase.row(k)[0] != Phase::Control.code() || time_s < self.next_s - run.same_s {
+                continue;
+            }
+            self.next_s = time_s + STEP_S;
+            self.cycles += 1;
+            for behind in self.behind(run, k, time_s - self.before_s) {
+                let found = self.found.entry(behind.task.clone()).or_default();
+                found.add(behind, time_s - run.start_s);
+            }
+            self.before_s = time_s;
+        }
+    }
+
+    /// Returns the references in the order of their times.
+    pub(super) fn finish(self) -> Vec<LimitedReference> {
+        let joints = self.experiment.robot().model.joints();
+        let names: Vec<&str> = joints.iter().map(|joint| joint.name.as_str()).collect();
+        let cycles = self.cycles;
+        let found = self.found.into_iter();
+        let mut all: Vec<LimitedReference> =
+            found.filter_map(|(task, found)| found.finish(task, cycles, &names)).collect();
+        all.sort_by(|a, b| a.begin_s.total_cmp(&b.begin_s));
+        all
+    }
+
+    /// Tasks that do not follow their moving references in cycle `k`, `step_s` after the one that was examined before.
+    fn behind(&mut self, run: &Run<'_>, k: usize, step_s: f64) -> Vec<Behind> {
+        let sets = self.sets.get_or_insert_with(|| task_sets(self.experiment));
+        let Some(Some(set)) = sets.get(task_set_at(run, k)) else { return Vec::new() };
+        let mut behind = Vec::new();
+        let mut is_updated = None;
+        for (place, task) in set.tasks().enumerate() {
+            let moves = moves(&mut self.references, run, k, task.name(), step_s);
+            let errors = errors(run, k, task);
+            let [position_m, orientation_rad] = ["m", "rad"].map(|unit| norm_in(unit, task, &errors));
+            if !moves || !is_large(position_m, orientation_rad) {
+                continue;
+            }
+            if !*is_updated.get_or_insert_with(|| update_state(&mut self.state, run, k)) {
+                continue;
+            }
+            let taken = taken(run, k, task);
+            let hold = self.state.of_moving_task(set, place, &in_motion(errors, task), &taken);
+            behind.push(Behind { task: task.name().to_owned(), position_m, orientation_rad, hold });
+        }
+        if let Some(task) = set.joint_task()
+            && moves(&mut self.references, run, k, task.name(), step_s)
+            && let Some(errors) = joint_errors(run, k, task)
+            && let Some(slack) = run.tick.signal(&signal_names::of(task.name(), SLACK))
+            && *is_updated.get_or_insert_with(|| update_state(&mut self.state, run, k))
+        {
+            let units = self.experiment.robot().model.joint_units();
+            let largest = |unit: &str| {
+                let of_unit = errors.iter().zip(&units.position).filter(|(_, own)| **own == unit);
+                of_unit.map(|(error, _)| error.abs()).filter(|error| *error > 0.0).reduce(f64::max)
+            };
+            let (position_m, orientation_rad) = (largest("m"), largest("rad"));
+            if is_large(position_m, orientation_rad) {
+                let wanted = errors.iter().enumerate().map(|(joint, error)| {
+                    let gains = task.gains(joint, self.state.inertia(joint));
+                    gains.map_or(0.0, |gains| gains.stiffness_per_s2 * error)
+                });
+                let wanted: Vec<f64> = wanted.collect();
+                let hold = self.state.of_moving_joints(&wanted, slack.row(k));
+                behind.push(Behind { task: task.name().to_owned(), position_m, orientation_rad, hold });
+            }
+        }
+        behind.retain(|behind| behind.has_cause());
+        behind
+    }
+}
+
+/// Returns true if an error counts, m and rad.
+fn is_large(position_m: Option<f64>, orientation_rad: Option<f64>) -> bool {
+    position_m.is_some_and(|error| error > MIN_POSITION_M)
+        || orientation_rad.is_some_and(|error| error > MIN_ORIENTATION_RAD)
+}
+
+/// Returns true if the reference of a task moves; `references` has the references at the cycle before.
+fn moves(
+    references: &mut BTreeMap<String, Vec<f64>>,
+    run: &Run<'_>,
+    k: usize,
+    name: &str,
+    step_s: f64,
+) -> bool {
+    let signals = [REFERENCE, REFERENCE_ORIENTATION].map(|signal| signal_names::of(name, signal));
+    let rows = signals.iter().filter_map(|signal| Some(run.tick.signal(signal)?.row(k)));
+    let now: Vec<f64> = rows.flatten().copied().collect();
+    let changed = references.get(name).filter(|before| before.len() == now.len()).map(|before| {
+        let squares = now.iter().zip(before).map(|(now, before)| (now - before).powi(2));
+        squares.sum::<f64>().sqrt()
+    });
+    references.insert(name.to_owned(), now);
+    // A reference that is absent is NaN, which does not exceed the speed.
+    step_s <= MAX_GAP_S && changed.is_some_and(|changed| changed > MOVING * step_s)
+}
+
+/// Accelerations that limits take from the rows of a task; zero without limits.
+fn taken(run: &Run<'_>, k: usize, task: &dyn Task) -> Vector6<f64> {
+    let mut taken = Vector6::zeros();
+    let Some(slack) = run.tick.signal(&signal_names::of(task.name(), SLACK)) else { return taken };
+    for (row, name) in task.row_names().iter().enumerate().take(taken.len()) {
+        let place = slack.elements().iter().position(|element| element == name);
+        let value = place.map(|place| slack.row(k)[place]).filter(|value| value.is_finite());
+        taken[row] = value.unwrap_or(0.0) * task.row_unit(row).1;
+    }
+    taken
+}
+
+/// Errors of the rows with a feedback of position.
+fn in_motion(mut errors: RowErrors, task: &dyn Task) -> RowErrors {
+    for (row, error) in errors.iter_mut().enumerate().take(task.rows()) {
+        *error = error.filter(|_| task.gains(row).is_some());
+    }
+    errors
+}
+
+impl Behind {
+    /// Returns true if the cause is known.
+    fn has_cause(&self) -> bool {
+        let Hold { position, speed, torque, singular_along, .. } = &self.hold;
+        singular_along.is_some() || [position, speed, torque].iter().any(|list| !list.is_empty())
+    }
+}
+
+impl Found {
+    fn add(&mut self, behind: Behind, since_start_s: f64) {
+        let reference = &mut self.reference;
+        if self.cycles == 0 {
+            reference.begin_s = since_start_s;
+        }
+        self.cycles += 1;
+        // The larger of the two errors relative to the smallest that counts.
+        let size = |position_m: Option<f64>, orientation_rad: Option<f64>| {
+            let of = |error: Option<f64>, least: f64| error.map_or(0.0, |error| error / least);
+            of(position_m, MIN_POSITION_M).max(of(orientation_rad, MIN_ORIENTATION_RAD))
+        };
+        let grows = size(behind.position_m, behind.orientation_rad)
+            > size(reference.position_m, reference.orientation_rad);
+        if grows {
+            (reference.position_m, reference.orientation_rad) = (behind.position_m, behind.orientation_rad);
+            reference.largest_s = since_start_s;
+        }
+        let counts = [
+            (&mut self.position, &behind.hold.position),
+            (&mut self.speed, &behind.hold.speed),
+            (&mut self.torque, &behind.hold.torque),
+        ];
+        for (counts, joints) in counts {
+            joints.iter().for_each(|joint| *counts.entry(*joint).or_default() += 1);
+        }
+        if let Some(along) = behind.hold.singular_along {
+            self.singular += 1;
+            if grows || reference.singular_along.is_none() {
+                reference.singular_along = Some(along);
+            }
+        }
+    }
+
+    /// Returns the reference, if the task was held back for long enough; `cycles` is the number of all cycles.
+    fn finish(self, task: String, cycles: usize, joints: &[&str]) -> Option<LimitedReference> {
+        let is_often = |count: usize| count as f64 >= MIN_SHARE * self.cycles as f64;
+        let names = |counts: &BTreeMap<usize, usize>| -> Vec<String> {
+            let often = counts.iter().filter(|(_, count)| is_often(**count));
+            often.map(|(joint, _)| joints[*joint].to_owned()).collect()
+        };
+        let reference = LimitedReference {
+            task,
+            share: self.cycles as f64 / cycles.max(1) as f64,
+            position_limits: names(&self.position),
+            speed_limits: names(&self.speed),
+            torque_limits: names(&self.torque),
+            singular_along: self.reference.singular_along.filter(|_| is_often(self.singular)),
+            ..self.reference
+        };
+        (self.cycles as f64 * STEP_S >= MIN_DURATION_S && reference.has_cause()).then_some(reference)
+    }
+}
