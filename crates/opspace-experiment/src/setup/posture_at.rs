@@ -281,7 +281,7 @@ mod tests {
     /// begins at the one that is closer to its limit, and returns the other.
     #[test]
     fn posture_far_from_the_limits_is_returned() {
-        let model = Model::from_urdf(ARM).expect("a URDF");
+        let model = Model::from_urdf(ARM).expect("a URDF").model;
         let goal_m = [1.2, 0.0, 0.7];
         let distance_m = f64::hypot(goal_m[0], goal_m[2] - 0.5);
         let elbow = (0.5 * distance_m * distance_m - 1.0).acos();
@@ -300,7 +300,7 @@ mod tests {
     /// Checks a place that the arm reaches only with its forearm through its column, and one beside it.
     #[test]
     fn contact_with_the_own_base_is_named() {
-        let model = Model::from_urdf(ARM).expect("a URDF");
+        let model = Model::from_urdf(ARM).expect("a URDF").model;
         let urdf = Source::new("arm.urdf", ARM.to_owned());
         let mut own_body = OwnBody::new(&model, &urdf, None, 2.0, 0.0).expect("links that can touch");
         let mut at = |goal_m: [f64; 3]| {
@@ -315,7 +315,7 @@ mod tests {
     /// Checks that an arm on a column has a floor under its base.
     #[test]
     fn link_below_the_base_touches_the_floor() {
-        let model = Model::from_urdf(ARM).expect("a URDF");
+        let model = Model::from_urdf(ARM).expect("a URDF").model;
         let urdf = Source::new("arm.urdf", ARM.to_owned());
         let mut own_body = OwnBody::new(&model, &urdf, None, 2.0, 0.0).expect("links that can touch");
         let mut data = opspace_model::Data::new(&model);

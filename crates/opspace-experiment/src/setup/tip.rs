@@ -150,12 +150,12 @@ mod tests {
             + &hand
             + &chain("right", "torso")
             + "</robot>";
-        let found = arms(&Model::from_urdf(&two).expect("a URDF"));
+        let found = arms(&Model::from_urdf(&two).expect("a URDF").model);
         let mut found: Vec<(&str, &str, usize)> =
             found.iter().map(|arm| (arm.from.as_str(), arm.to.as_str(), arm.joints)).collect();
         found.sort_unstable();
         assert_eq!(found, [("torso", "left4", 4), ("torso", "right4", 4)]);
         let one = head + &chain("only", "base") + "</robot>";
-        assert_eq!(arms(&Model::from_urdf(&one).expect("a URDF")).len(), 1);
+        assert_eq!(arms(&Model::from_urdf(&one).expect("a URDF").model).len(), 1);
     }
 }

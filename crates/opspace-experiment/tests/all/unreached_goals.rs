@@ -176,7 +176,7 @@ fn circle(radius_m: f64, frequency_hz: f64) -> String {
             "[{{ amplitude_m = {radius_m}, frequency_hz = {frequency_hz}, phase_rad = {phase_rad}, offset_m = {offset_m} }}]"
         )
     };
-    let (y, z) = (wave(0.0, 0.0), wave(1.570_796_326_794_9, -radius_m));
+    let (y, z) = (wave(0.0, 0.0), wave(std::f64::consts::FRAC_PI_2, -radius_m));
     format!("task.flange.cartesian.reference={{ sinusoid = {{ y = {y}, z = {z} }} }}")
 }
 
