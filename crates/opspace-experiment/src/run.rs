@@ -15,6 +15,7 @@ pub mod log_header;
 pub mod membership;
 mod on_driver;
 mod path_bounds;
+mod path_dynamics;
 pub mod physics;
 mod real_robot;
 pub mod replay;
