@@ -106,7 +106,7 @@ pub use per_joint::PerJoint;
 pub use references::goal::{OrientationGoal, PositionGoal};
 pub use references::joint_reference::JointReference;
 pub use references::online::{MotionLimits, OnlineGoal};
-pub use references::path_bounds::{PathBounds, PathPlace, SpeedBound};
+pub use references::path_bounds::{AccelerationBound, PartBounds, PathBounds, PathPlace};
 pub use references::path_motion::PathSummary;
 pub use references::path_reference::{
     PathArc, PathCircle, PathLine, PathReference, PathSegment, PathSpline, PathStart, Triple,

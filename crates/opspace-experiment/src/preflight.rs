@@ -67,7 +67,6 @@ pub use diagnostic::Diagnostic;
 pub use freedom::SingularPostures;
 pub use gear_resonance::GearResonance;
 pub use gears::{GearMargin, GearScale, gear_margin};
-pub(crate) use ignored_compliance::compliance;
 pub use impedances::{JointImpedance, impedances};
 pub use margins::{Margins, Quantity, RangeEnd, StableRange, margins, margins_with};
 pub use refusal::{LEAST_EXCESS, checked_for_real_robot, refusals};

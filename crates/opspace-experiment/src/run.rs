@@ -2,6 +2,7 @@
 
 mod capabilities;
 pub mod collision;
+pub(crate) mod compliance;
 mod coupled_drivers;
 pub mod coupled_experiment;
 pub mod coupled_logs;
@@ -15,6 +16,7 @@ pub mod log_header;
 pub mod membership;
 mod on_driver;
 mod path_bounds;
+mod path_dynamics;
 pub mod physics;
 mod real_robot;
 pub mod replay;

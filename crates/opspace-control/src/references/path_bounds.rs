@@ -1,7 +1,10 @@
-//! Bounds on the speed along a path that do not follow from the path itself, but from the robot: its joints' speed
-//! limits. They are computed before a run from the joint motion along the path.
+//! Bounds on the motion along a path that do not follow from the path itself, but from the robot: the limits of speed,
+//! acceleration and torque of its joints. They are computed before a run from the joint motion along the path.
 
 use crate::references::timing_law::Span;
+
+/// Least number of spans of a section with bounds on accelerations: the acceleration is constant in each of them.
+const LEAST_SPANS: f64 = 32.0;
 
 /// Place of a path reference.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -14,6 +17,10 @@ pub enum PathPlace {
         s_m: f64,
         /// Speed along the path, m/s.
         speed_m_per_s: f64,
+        /// Acceleration along the path, m/s².
+        acceleration_m_per_s2: f64,
+        /// Number of the section of the path, from 0: a section ends where the path stops.
+        section: usize,
     },
 }
 
@@ -24,16 +31,64 @@ pub struct PathBounds {
     pub approach_factor: f64,
     /// Parts of the path, in order. The first begins at the start of the path, each other one at the end of the previous
     /// one; what follows the last one has no bound.
-    pub parts: Vec<SpeedBound>,
+    pub parts: Vec<PartBounds>,
 }
 
-/// Bound on the speed in a part of a path.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct SpeedBound {
+/// Bounds on the motion in a part of a path.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PartBounds {
     /// End of the part: arc length from the start of the path, m.
     pub end_m: f64,
     /// Highest speed, m/s; infinite if there is no bound.
     pub speed_m_per_s: f64,
+    /// Bounds on acceleration and speed together: the same ones in the same order in each part of a path, for example one
+    /// for each direction of each joint's torque.
+    pub acceleration: Vec<AccelerationBound>,
+}
+
+/// Bound on the acceleration s̈ and the speed ṡ along a path:
+///
+/// ```text
+/// gaining max(s̈, 0) + braking max(−s̈, 0) + squared_speed ṡ² ≤ 1
+/// ```
+///
+/// It is convex in (s̈, ṡ), so that the moving average that limits the jerk keeps it. The torque of a joint along a path is
+/// τ = a(s) s̈ + b(s) ṡ² + g(s) (Bobrow, Dubowsky and Gibson 1985, equation 10).
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct AccelerationBound {
+    /// Coefficient of s̈ > 0, at least 0, s²/m.
+    pub gaining_s2_per_m: f64,
+    /// Coefficient of −s̈ > 0, at least 0, s²/m.
+    pub braking_s2_per_m: f64,
+    /// Coefficient of ṡ², at least 0, s²/m².
+    pub squared_speed_s2_per_m2: f64,
+}
+
+impl AccelerationBound {
+    /// Returns the left side of the bound: at most 1 if the bound is kept.
+    #[must_use]
+    pub fn usage(&self, speed_m_per_s: f64, acceleration_m_per_s2: f64) -> f64 {
+        self.gaining_s2_per_m * acceleration_m_per_s2.max(0.0)
+            + self.braking_s2_per_m * (-acceleration_m_per_s2).max(0.0)
+            + self.squared_speed_s2_per_m2 * speed_m_per_s * speed_m_per_s
+    }
+
+    /// Returns a bound that keeps both this one and `other`.
+    #[must_use]
+    pub fn max(&self, other: &Self) -> Self {
+        Self {
+            gaining_s2_per_m: self.gaining_s2_per_m.max(other.gaining_s2_per_m),
+            braking_s2_per_m: self.braking_s2_per_m.max(other.braking_s2_per_m),
+            squared_speed_s2_per_m2: self.squared_speed_s2_per_m2.max(other.squared_speed_s2_per_m2),
+        }
+    }
+
+    /// Adds the bounds of a list to those of another one, each to the one at the same place.
+    pub fn merge(bounds: &mut Vec<Self>, others: &[Self]) {
+        let known = bounds.len().min(others.len());
+        bounds.iter_mut().zip(others).for_each(|(bound, other)| *bound = bound.max(other));
+        bounds.extend_from_slice(&others[known..]);
+    }
 }
 
 impl Default for PathBounds {
@@ -46,6 +101,7 @@ impl PathBounds {
     /// Returns the spans of a section that begins at `begin_m`, divided where the bounds change.
     pub(crate) fn applied(&self, spans: Vec<Span>, begin_m: f64) -> Vec<Span> {
         let mut bounded = Vec::with_capacity(spans.len());
+        let longest_m = spans.iter().map(|span| span.length).sum::<f64>() / LEAST_SPANS;
         let mut at_m = begin_m;
         for span in spans {
             let end_m = at_m + span.length;
@@ -54,18 +110,32 @@ impl PathBounds {
                 if part.end_m >= end_m {
                     break;
                 }
-                bounded.push(Span {
-                    length: part.end_m - at_m,
-                    speed: span.speed.min(part.speed_m_per_s),
-                    ..span
-                });
+                bounded.extend(part.applied(&span, part.end_m - at_m, longest_m));
                 at_m = part.end_m;
             }
             let last = self.parts.get(self.parts.partition_point(|part| part.end_m < end_m));
-            let speed = last.map_or(span.speed, |part| span.speed.min(part.speed_m_per_s));
-            bounded.push(Span { length: end_m - at_m, speed, ..span });
+            match last {
+                Some(part) => bounded.extend(part.applied(&span, end_m - at_m, longest_m)),
+                None => bounded.push(Span { length: end_m - at_m, ..span }),
+            }
             at_m = end_m;
         }
         bounded
+    }
+}
+
+impl PartBounds {
+    /// Returns a span of another length (m) with these bounds too, divided into spans of at most `longest_m` if accelerations
+    /// are bounded.
+    fn applied(&self, span: &Span, length: f64, longest_m: f64) -> Vec<Span> {
+        let count = if self.acceleration.is_empty() {
+            1.0
+        } else {
+            (length / longest_m).ceil().clamp(1.0, LEAST_SPANS)
+        };
+        let mut bounds = span.bounds.clone();
+        AccelerationBound::merge(&mut bounds, &self.acceleration);
+        let speed = span.speed.min(self.speed_m_per_s);
+        vec![Span { length: length / count, speed, bounds, ..*span }; count as usize]
     }
 }

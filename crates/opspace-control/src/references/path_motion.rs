@@ -174,8 +174,8 @@ impl PathMotion {
         if time_s < self.approach.duration_s {
             return PathPlace::Approach;
         }
-        let [s_m, speed_m_per_s, _] = self.law.at(time_s - self.approach.duration_s);
-        PathPlace::Along { s_m, speed_m_per_s }
+        let [s_m, speed_m_per_s, acceleration_m_per_s2] = self.law.at(time_s - self.approach.duration_s);
+        PathPlace::Along { s_m, speed_m_per_s, acceleration_m_per_s2, section: self.shape.section_at(s_m) }
     }
 
     /// Target at `time_s` (s) after the beginning of the path.

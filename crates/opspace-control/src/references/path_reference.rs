@@ -41,13 +41,13 @@ pub struct PathReference {
     pub angular_acceleration_rad_per_s2: Option<Positive>,
     /// False (the default) for a constant speed in each segment and in each rounded corner, the highest one for its
     /// sharpest place, where the length of the segment permits it; true for the highest speed at each place that the path's
-    /// limits, the joints' speed limits and the speed limits of the task permit.
+    /// limits, the joints' limits of speed, torque and acceleration and the speed limits of the task permit.
     #[serde(default)]
     pub time_optimal: bool,
     /// Number of times that the segments are passed; 1 if absent. The last segment is followed by the first one.
     #[serde(default = "once")]
     pub repeat: Count,
-    /// Bounds of the joints on the speed along the path, if it is time-optimal; not in a file, but computed for a robot.
+    /// Bounds of the joints on the motion along the path, if it is time-optimal; not in a file, but computed for a robot.
     #[serde(skip)]
     pub bounds: PathBounds,
 }

@@ -178,6 +178,12 @@ impl PathShape {
         moved(&Placement { rotation, translation: Vector3::zeros() }, line, turn)
     }
 
+    /// Number of the section at an arc length, m: sections are the parts from stop to stop.
+    pub(crate) fn section_at(&self, s: f64) -> usize {
+        let before = self.pieces.iter().take_while(|piece| piece.begin_m + piece.length_m <= s);
+        before.filter(|piece| piece.stops).count()
+    }
+
     /// Bounds on the motion along the path, from stop to stop.
     pub(crate) fn sections(&self, path: &PathReference) -> Vec<Vec<Span>> {
         let acceleration = path.acceleration_m_per_s2.get();
@@ -210,7 +216,7 @@ impl PathShape {
         let touches = |turn: &&Turn| turn.begin_m < end_m && turn.begin_m + turn.length_m > piece.begin_m;
         let turning = self.turns.iter().filter(touches).any(|turn| turn.vector.norm() > 0.0);
         if piece.curve.is_straight() && !turning {
-            return vec![Span { length: piece.length_m, speed: piece.speed, curvature: 0.0, cone: [0.0; 2] }];
+            return vec![Span { speed: piece.speed, ..Span::free(piece.length_m) }];
         }
         let whole = piece.curve.length_m();
         let knots: Vec<f64> = match &piece.curve {
@@ -247,10 +253,10 @@ impl PathShape {
         let jerk = (path.jerk_m_per_s3.get() / (MARGIN * third)).cbrt();
         let angular_acceleration = limit(path.angular_acceleration_rad_per_s2);
         Span {
-            length,
             speed: piece.speed.min(angular).min(jerk),
             curvature: MARGIN * curvature,
             cone: rates.map(|rate| MARGIN * rate / angular_acceleration),
+            ..Span::free(length)
         }
     }
 }

@@ -9,12 +9,16 @@
 //! provided that they apply to all places that an average contains: the bounds of each place with a largest speed c
 //! therefore apply up to the distance c T from it, which the motion does not exceed within T.
 
+use crate::references::path_bounds::AccelerationBound;
+
 /// Piece of a path with constant bounds, which a part of its coordinate passes with
 ///
 /// ```text
 /// ṡ ≤ speed,   s̈² + (curvature ṡ²)² ≤ acceleration²,   cone[0] |s̈| + cone[1] ṡ² ≤ 1
 /// ```
-#[derive(Clone, Copy, Debug, PartialEq)]
+///
+/// and with the bounds of the robot.
+#[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Span {
     pub length: f64,
     /// Highest speed; may be infinite if the other bounds are not.
@@ -23,31 +27,48 @@ pub(crate) struct Span {
     pub curvature: f64,
     /// Acceleration of another quantity, such as an orientation, per s̈ and per ṡ², relative to its limit.
     pub cone: [f64; 2],
+    /// Bounds of the robot; the same ones in the same order in each span that has any.
+    pub bounds: Vec<AccelerationBound>,
+}
+
+/// Direction in which a pass goes along a path.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Pass {
+    /// With the motion, which gains speed.
+    Forward,
+    /// Against the motion, which brakes.
+    Backward,
 }
 
 impl Span {
+    /// Span of a length without bounds.
+    pub(crate) fn free(length: f64) -> Self {
+        Self { length, speed: f64::INFINITY, curvature: 0.0, cone: [0.0; 2], bounds: Vec::new() }
+    }
+
     /// Largest speed, at any acceleration.
     pub(crate) fn cap(&self, acceleration: f64) -> f64 {
-        self.speed.min((acceleration / self.curvature).sqrt()).min((1.0 / self.cone[1]).sqrt())
+        let path = self.speed.min((acceleration / self.curvature).sqrt()).min((1.0 / self.cone[1]).sqrt());
+        let squared = self.bounds.iter().map(|bound| bound.squared_speed_s2_per_m2);
+        path.min((1.0 / squared.fold(0.0, f64::max)).sqrt())
     }
 
     /// Returns true if the bound of the acceleration is the same at each speed.
     fn is_straight(&self) -> bool {
-        self.curvature == 0.0 && self.cone == [0.0; 2]
+        self.curvature == 0.0 && self.cone == [0.0; 2] && self.bounds.is_empty()
     }
 
-    /// Returns this span with the bounds of `other` too.
-    fn bounded_by(&self, other: &Self) -> Self {
-        Self {
-            length: self.length,
-            speed: self.speed.min(other.speed),
-            curvature: self.curvature.max(other.curvature),
-            cone: [0, 1].map(|i| self.cone[i].max(other.cone[i])),
-        }
+    /// Adds the bounds of `other`.
+    fn add_bounds(&mut self, other: &Self) {
+        self.speed = self.speed.min(other.speed);
+        self.curvature = self.curvature.max(other.curvature);
+        self.cone = [0, 1].map(|i| self.cone[i].max(other.cone[i]));
+        AccelerationBound::merge(&mut self.bounds, &other.bounds);
     }
 
-    /// Largest x after this span for `x` before it, with constant acceleration up to `along`.
-    fn step(&self, x: f64, along: f64, acceleration: f64) -> f64 {
+    /// Largest x at the other end of this span for `x` at the end that the pass comes to first, with constant acceleration
+    /// up to `along`.
+    fn step(&self, x: f64, along: f64, acceleration: f64, pass: Pass) -> f64 {
         let mut next = x + 2.0 * along * self.length;
         if self.curvature > 0.0 {
             // (next − x)²/(4 length²) + curvature² next² = acceleration²
@@ -59,6 +80,15 @@ impl Span {
         if self.cone != [0.0; 2] {
             let per_x = self.cone[0] / (2.0 * self.length);
             next = next.min((1.0 + per_x * x) / (self.cone[1] + per_x));
+        }
+        for bound in &self.bounds {
+            let along = match pass {
+                Pass::Forward => bound.gaining_s2_per_m,
+                Pass::Backward => bound.braking_s2_per_m,
+            };
+            let per_x = along / (2.0 * self.length);
+            // Without either coefficient the quotient is infinite.
+            next = next.min((1.0 + per_x * x) / (bound.squared_speed_s2_per_m2 + per_x));
         }
         next.min(self.cap(acceleration).powi(2))
     }
@@ -197,23 +227,38 @@ fn widened(spans: &[Span], window_s: f64, limits: &PathLimits) -> Vec<Span> {
     knots.sort_by(f64::total_cmp);
     let least = 1e-8 * length;
     knots.dedup_by(|later, earlier| *later - *earlier < least);
-    let free = Span { length: 0.0, speed: f64::INFINITY, curvature: 0.0, cone: [0.0; 2] };
     // The last knot may have been merged into the one before it.
     let last = knots.len() - 1;
     knots[last] = length;
-    let mut widened: Vec<Span> =
-        knots.windows(2).map(|pair| Span { length: pair[1] - pair[0], ..free }).collect();
+    // A tree over the intervals: node k has the nodes 2k and 2k + 1 below it, and its bounds are theirs too. A range of
+    // intervals is the sum of a few nodes.
+    let count = last;
+    let mut nodes = vec![Span::free(0.0); 2 * count];
     for (span, (from, to)) in spans.iter().zip(&ranges) {
         // A range also bounds the intervals of which it covers a part by rounding.
-        let first = knots.partition_point(|knot| knot + least < *from).saturating_sub(1);
-        for (k, interval) in widened.iter_mut().enumerate().skip(first) {
-            if knots[k] + least >= *to {
-                break;
+        let mut first = count + knots[1..].partition_point(|knot| *knot <= *from + least);
+        let mut end = count + knots[..count].partition_point(|knot| *knot + least < *to);
+        while first < end {
+            if first % 2 == 1 {
+                nodes[first].add_bounds(span);
+                first += 1;
             }
-            if knots[k + 1] > *from + least {
-                *interval = interval.bounded_by(span);
+            if end % 2 == 1 {
+                end -= 1;
+                nodes[end].add_bounds(span);
             }
+            first /= 2;
+            end /= 2;
         }
+    }
+    for k in 1..count {
+        let (above, below) = nodes.split_at_mut(2 * k);
+        below[0].add_bounds(&above[k]);
+        below[1].add_bounds(&above[k]);
+    }
+    let mut widened = nodes.split_off(count);
+    for (interval, pair) in widened.iter_mut().zip(knots.windows(2)) {
+        interval.length = pair[1] - pair[0];
     }
     widened
 }
@@ -233,10 +278,10 @@ impl Phases {
         let mut x = vec![0.0; count + 1];
         for (k, span) in spans.iter().enumerate() {
             let next = spans.get(k + 1).map_or(0.0, |next| next.cap(acceleration).powi(2));
-            x[k + 1] = span.step(x[k], along, acceleration).min(next);
+            x[k + 1] = span.step(x[k], along, acceleration, Pass::Forward).min(next);
         }
         for (k, span) in spans.iter().enumerate().rev() {
-            x[k] = x[k].min(span.step(x[k + 1], along, acceleration));
+            x[k] = x[k].min(span.step(x[k + 1], along, acceleration, Pass::Backward));
         }
         let mut motion = Self { phases: Vec::with_capacity(2 * count), duration_s: 0.0, length: 0.0 };
         for (k, span) in spans.iter().enumerate() {
@@ -292,5 +337,122 @@ impl Phases {
             pieces.push(piece);
         }
         TimingLaw { pieces, duration_s: self.duration_s + window_s, length: self.length }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+    use proptest::test_runner::RngSeed;
+
+    /// A bound of the robot with coefficients of which some are zero.
+    fn bound() -> impl Strategy<Value = AccelerationBound> {
+        let coefficient =
+            || prop_oneof![1 => Just(0.0), 3 => (0.05_f64.ln()..5.0_f64.ln()).prop_map(f64::exp)];
+        (coefficient(), coefficient(), coefficient()).prop_map(|(gaining, braking, squared_speed)| {
+            AccelerationBound {
+                gaining_s2_per_m: gaining,
+                braking_s2_per_m: braking,
+                squared_speed_s2_per_m2: squared_speed,
+            }
+        })
+    }
+
+    /// A span with up to `bounds` bounds of the robot.
+    fn span(bounds: usize) -> impl Strategy<Value = Span> {
+        let cone = prop_oneof![Just([0.0; 2]), prop::array::uniform2(0.05..1.0)];
+        let curvature = prop_oneof![Just(0.0), 0.1..20.0];
+        (0.002..0.1, 0.1..2.0, curvature, cone, prop::collection::vec(bound(), 0..=bounds)).prop_map(
+            |(length, speed, curvature, cone, bounds)| Span { length, speed, curvature, cone, bounds },
+        )
+    }
+
+    fn limits() -> impl Strategy<Value = PathLimits> {
+        (0.5..20.0, 5.0..500.0).prop_map(|(acceleration, jerk)| PathLimits { acceleration, jerk })
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig {
+            failure_persistence: None,
+            rng_seed: RngSeed::Fixed(21),
+            ..ProptestConfig::with_cases(200)
+        })]
+
+        /// Compared: speed, acceleration and jerk of the law at 2000 instants with all bounds of the spans there.
+        #[test]
+        fn laws_keep_their_bounds(spans in prop::collection::vec(span(3), 8..40), limits in limits()) {
+            let law = TimingLaw::new(std::slice::from_ref(&spans), &limits);
+            let length: f64 = spans.iter().map(|span| span.length).sum();
+            prop_assert!((law.length - length).abs() < 1e-9 * length);
+            let end = law.pieces.last().expect("a motion").at(law.duration_s);
+            prop_assert!((end[0] - length).abs() < 1e-6 * length && end[1].abs() < 1e-6, "{end:?} of {length}");
+            prop_assert!(law.highest_jerk() <= limits.jerk * (1.0 + 1e-5));
+            let kept = 1.0 + 1e-6;
+            for instant in 0..2000 {
+                let [s, v, a] = law.at(law.duration_s() * f64::from(instant) / 2000.0);
+                let mut end = 0.0;
+                let at = spans.iter().find(|span| { end += span.length; s < end }).unwrap_or(&spans[spans.len() - 1]);
+                prop_assert!(v <= at.speed * kept, "{v} of {}", at.speed);
+                let whole = (a * a + (at.curvature * v * v).powi(2)).sqrt();
+                prop_assert!(whole <= limits.acceleration * kept, "{whole} of {}", limits.acceleration);
+                prop_assert!(at.cone[0] * a.abs() + at.cone[1] * v * v <= kept);
+                for bound in &at.bounds {
+                    prop_assert!(bound.usage(v, a) <= kept, "{} at {s}: {bound:?}", bound.usage(v, a));
+                }
+            }
+        }
+
+        /// Compared: the duration with that of a pass forward and one backward of 20 000 steps, for bounds that change slowly
+        /// along a straight path whose jerk is hardly limited.
+        #[test]
+        fn laws_take_hardly_more_than_the_least_time(ends in prop::array::uniform3(bound()), other in bound()) {
+            let count = 400;
+            let length = 1.0;
+            let limits = PathLimits { acceleration: 20.0, jerk: 2e4 };
+            let at = |s: f64| {
+                let (first, share) = if s < 0.5 { (0, 2.0 * s) } else { (1, 2.0 * s - 1.0) };
+                let mix = |of: fn(&AccelerationBound) -> f64| {
+                    (1.0 - share) * of(&ends[first]) + share * of(&ends[first + 1])
+                };
+                let changing = AccelerationBound {
+                    gaining_s2_per_m: mix(|bound| bound.gaining_s2_per_m),
+                    braking_s2_per_m: mix(|bound| bound.braking_s2_per_m),
+                    squared_speed_s2_per_m2: mix(|bound| bound.squared_speed_s2_per_m2),
+                };
+                [changing, other]
+            };
+            let spans: Vec<Span> = (0..count)
+                .map(|k| {
+                    let place = |k: i32| at(length * f64::from(k) / f64::from(count));
+                    let (begin, end) = (place(k), place(k + 1));
+                    let bounds = begin.iter().zip(&end).map(|(a, b)| a.max(b)).collect();
+                    Span { speed: 3.0, bounds, ..Span::free(length / f64::from(count)) }
+                })
+                .collect();
+            let law = TimingLaw::new(&[spans], &limits);
+            let steps = 20_000_usize;
+            let step = length / steps as f64;
+            let highest = |k: usize| {
+                let squared = at(k as f64 * step).map(|bound| bound.squared_speed_s2_per_m2);
+                (1.0 / squared[0].max(squared[1])).min(9.0)
+            };
+            let rate = |k: usize, x: f64, of: fn(&AccelerationBound) -> f64| {
+                let bounds = at(k as f64 * step);
+                let each = bounds.map(|bound| (1.0 - bound.squared_speed_s2_per_m2 * x).max(0.0) / of(&bound));
+                each[0].min(each[1]).min(limits.acceleration)
+            };
+            let mut x: Vec<f64> = (0..=steps).map(highest).collect();
+            (x[0], x[steps]) = (0.0, 0.0);
+            for k in 0..steps {
+                x[k + 1] = x[k + 1].min(x[k] + 2.0 * step * rate(k, x[k], |bound| bound.gaining_s2_per_m));
+            }
+            for k in (1..=steps).rev() {
+                x[k - 1] = x[k - 1].min(x[k] + 2.0 * step * rate(k, x[k], |bound| bound.braking_s2_per_m));
+            }
+            let least_s: f64 = x.windows(2).map(|pair| 2.0 * step / (pair[0].sqrt() + pair[1].sqrt())).sum();
+            let ratio = law.duration_s() / least_s;
+            prop_assert!(ratio > 0.99 && ratio < 1.03, "{} of {least_s} s", law.duration_s());
+        }
     }
 }

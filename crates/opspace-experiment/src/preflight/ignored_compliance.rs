@@ -3,8 +3,8 @@
 use super::case::PreflightCase;
 use super::diagnostic::Diagnostic;
 use crate::codes::Code;
+use crate::run::compliance::compliance;
 use crate::run::experiment::ControllerKind;
-use opspace_control::{AXIS_NAMES, AxisMode, TaskParameters};
 
 /// Reports each task whose compliance the controller ignores, once.
 pub(crate) fn ignored(case: &PreflightCase<'_>) -> Vec<Diagnostic> {
@@ -30,16 +30,4 @@ pub(crate) fn ignored(case: &PreflightCase<'_>) -> Vec<Diagnostic> {
         }
     }
     found.into_iter().map(|(_, diagnostic)| diagnostic).collect()
-}
-
-/// Names the compliance of a task, with its key; `None` if it has none.
-pub(crate) fn compliance(parameters: &TaskParameters) -> Option<(String, &'static str)> {
-    let TaskParameters::Cartesian(task) = parameters else { return None };
-    if task.impedance.is_some() {
-        return Some(("its impedance".to_owned(), "impedance"));
-    }
-    let compliant = task.axes.with_mode(AxisMode::Compliant);
-    let axes: Vec<&str> =
-        AXIS_NAMES.into_iter().zip(compliant).filter(|(_, is)| *is).map(|(axis, _)| axis).collect();
-    (!axes.is_empty()).then(|| (format!("its compliance along {}", axes.join(", ")), "axes"))
 }

@@ -12,6 +12,7 @@ use crate::files::task::TaskDefinition;
 use crate::run::collision::{KeptDistances, kept_distances};
 use crate::run::membership::Membership;
 use crate::run::path_bounds::{PASSES, bounds, path_of, time_optimal_paths};
+use crate::run::path_dynamics::JointBounds;
 use crate::run::physics::Physics;
 use crate::run::rollout::{Rollout, RolloutCase};
 use opspace_backend::quantity::Positive;
@@ -24,7 +25,7 @@ use opspace_control::{
 use opspace_loop::{
     CollisionDetector, ControlLoop, EstimatedForce, LoopConfig, LoopError, SensorCompensation,
 };
-use opspace_model::{JointKind, Limits, Placement};
+use opspace_model::{Data, JointKind, Limits, Model, Placement};
 use opspace_sim::{
     ArmConfig, Key, PhysicsEngine, PlantError, Scene, SimulatedArm, Simulation, SimulationConfig,
     SimulationError,
@@ -395,19 +396,39 @@ impl Experiment {
         if limits.enforce { limits.velocity_fraction.get().min(1.0) } else { 1.0 }
     }
 
-    /// Bounds the speed of time-optimal paths such that the joints keep their speed limits.
+    /// Limits of speed, torque and acceleration of the joints that are in force.
+    fn joint_bounds<'a>(&self, model: &'a Model) -> JointBounds<'a> {
+        let enforced = self.task.file.limits;
+        let mut limits = self.robot.joint_limits();
+        let velocity_fraction = self.velocity_fraction();
+        // Without enforcement, torques are clipped to the whole limit, and accelerations are free.
+        let torque_fraction = if enforced.enforce { enforced.torque_fraction.get().min(1.0) } else { 1.0 };
+        limits.velocity.iter_mut().for_each(|limit| *limit *= velocity_fraction);
+        limits.torque.iter_mut().for_each(|limit| *limit *= torque_fraction);
+        if !enforced.enforce {
+            limits.acceleration.fill(f64::INFINITY);
+        }
+        JointBounds {
+            model,
+            data: Data::new(model),
+            limits,
+            friction: self.robot.joints().into_iter().map(|joint| joint.friction).collect(),
+            with_gravity: self.gravity_compensated_by() != GravityCompensation::Robot,
+        }
+    }
+
+    /// Bounds the motion along time-optimal paths such that the joints keep their limits of speed, torque and acceleration.
     fn bound_paths(&mut self) -> Result<(), FileError> {
         let mut paths = time_optimal_paths(self.task.task_sets_mut());
         if paths.is_empty() {
             return Ok(());
         }
         let start = self.start()?;
-        let fraction = self.velocity_fraction();
-        let allowed: Vec<f64> =
-            self.robot.model.joints().iter().map(|joint| fraction * joint.limits.velocity).collect();
+        let model = self.robot.model.clone();
+        let mut joints = self.joint_bounds(&model);
         for _ in 0..PASSES {
             let rollout = Rollout::new(&self.rollout_case(&start));
-            let found = paths.iter().map(|path| bounds(path, &rollout, &allowed)).collect::<Vec<_>>();
+            let found = paths.iter().map(|path| bounds(path, &rollout, &mut joints)).collect::<Vec<_>>();
             if found.iter().all(Option::is_none) {
                 break;
             }

@@ -1,20 +1,36 @@
-//! Bounds of the joints' speed limits on the speed along time-optimal paths.
+//! Bounds of the joints' limits of speed, acceleration and torque on the motion along time-optimal paths.
 //!
-//! The joint velocities that a path demands are proportional to its speed: q̇ = q'(s) ṡ, with the joint motion q(s) of a
-//! rollout with all tasks. The largest ṡ at s is therefore ṡ / r, where r is the largest ratio of a joint's speed to its
-//! limit. The timing law of the path then keeps this bound like its own ones, by a pass forward and one backward.
+//! With the joint motion q(s) of a rollout with all tasks, joint velocities and accelerations along a path are
+//!
+//! ```text
+//! q̇ = q'(s) ṡ          q̈ = q'(s) s̈ + q''(s) ṡ²
+//! ```
+//!
+//! The largest ṡ at s is therefore ṡ / r, where r is the largest ratio of a joint's speed to its limit. The torques are
+//! (Bobrow, Dubowsky and Gibson 1985, equation 10)
+//!
+//! ```text
+//! τ = a(s) s̈ + b(s) ṡ² + g(s) + friction          a = M q'          b = M q'' + C(q, q') q'
+//! ```
+//!
+//! so that each direction of each joint's torque and acceleration bounds s̈ and ṡ² together. A bound must be convex in
+//! (s̈, ṡ): what b ṡ² takes off a torque is therefore not counted. The timing law of the path then keeps these bounds like
+//! its own ones, by a pass forward and one backward.
 
-use crate::run::rollout::Rollout;
-use opspace_control::{CartesianReference, PathBounds, PathPlace, PathReference, SpeedBound, TaskParameters};
+use crate::run::path_dynamics::{JointBounds, MotionInstant};
+use crate::run::rollout::{Instant, Rollout};
+use opspace_control::{
+    AccelerationBound, CartesianReference, PartBounds, PathBounds, PathPlace, PathReference, TaskParameters,
+};
 use std::collections::BTreeMap;
 
 /// Largest number of rollouts: the joint motion of a redundant arm depends slightly on the speed.
 pub(crate) const PASSES: usize = 4;
 
-/// Ratio of a speed to its limit up to which a pass changes nothing.
+/// Ratio of a quantity to its limit up to which a pass changes nothing.
 const KEPT: f64 = 1.0 + 1e-9;
 
-/// Margin for places between two instants of a rollout, and for its errors.
+/// Margin of speeds for places between two instants of a rollout, and for its errors.
 const MARGIN: f64 = 1.005;
 
 /// Largest error of a rollout, m, at which its joint velocities are counted: a reference out of reach demands arbitrary
@@ -66,56 +82,106 @@ pub(crate) fn path_of(parameters: &mut TaskParameters) -> Option<&mut PathRefere
     }
 }
 
-/// Computes the bounds of a path from a rollout, for joints with the speeds `allowed` (n; rad/s or m/s). `None` if the
-/// path keeps them, or if the rollout does not visit it.
-pub(crate) fn bounds(path: &TaskPath, rollout: &Rollout, allowed: &[f64]) -> Option<PathBounds> {
+/// Place on a path at an instant of a rollout, and what the joints' limits permit there.
+struct Place {
+    s_m: f64,
+    /// Highest speed, m/s.
+    speed_m_per_s: f64,
+    acceleration: Vec<AccelerationBound>,
+}
+
+/// Computes the bounds of a path from a rollout, for joints with the given limits. `None` if the path keeps them, or if the
+/// rollout does not visit it.
+pub(crate) fn bounds(path: &TaskPath, rollout: &Rollout, joints: &mut JointBounds<'_>) -> Option<PathBounds> {
     let TaskPath { task, path, sets } = path;
-    let visits = rollout.instants.iter().filter(|instant| {
+    let highest = path.speed_m_per_s.get();
+    let counts = |instant: &Instant| {
         sets.contains(&instant.task_set) && instant.tasks.iter().all(|task| task.error.norm() < FOLLOWED_M)
-    });
-    let mut places: Vec<(f64, f64)> = Vec::new();
+    };
+    let mut places: Vec<Place> = Vec::new();
+    // Largest ratios of speeds, and largest usage of torques and accelerations: of the path and of the way to its start.
     let (mut largest, mut approach) = (0.0_f64, 0.0_f64);
-    for instant in visits {
+    let (mut usage, mut approach_usage) = (0.0_f64, 0.0_f64);
+    for (k, instant) in rollout.instants.iter().enumerate().filter(|(_, instant)| counts(instant)) {
         let Some(at) = instant.paths.get(task) else { continue };
-        let of_joints = instant.dq.iter().zip(allowed).map(|(dq, allowed)| dq.abs() / allowed);
-        let ratio = of_joints.fold(at.speed_ratio, f64::max);
+        let neighbours = [k.checked_sub(1), Some(k + 1)]
+            .map(|k| rollout.instants.get(k?).filter(|instant| counts(instant)))
+            .map(|instant| instant.and_then(|instant| MotionInstant::new(instant, task, SLOW * highest)));
+        let ratio = joints.speed_ratio(&instant.dq).max(at.speed_ratio);
+        let Some(motion) = MotionInstant::new(instant, task, SLOW * highest) else { continue };
         match at.place {
-            PathPlace::Approach => approach = approach.max(ratio),
-            PathPlace::Along { s_m, speed_m_per_s } if speed_m_per_s > SLOW * path.speed_m_per_s.get() => {
-                largest = largest.max(ratio);
-                places.push((s_m, speed_m_per_s / ratio));
+            PathPlace::Approach => {
+                approach = approach.max(ratio);
+                approach_usage = approach_usage.max(joints.usage_in_time(&motion, &neighbours));
             }
-            PathPlace::Along { .. } => {}
+            PathPlace::Along { s_m, speed_m_per_s, acceleration_m_per_s2, .. } => {
+                largest = largest.max(ratio);
+                let fastest = highest.min(speed_m_per_s / ratio);
+                let limits = joints.along(&motion, &neighbours);
+                usage = usage.max(limits.usage(speed_m_per_s, acceleration_m_per_s2));
+                places.push(Place {
+                    s_m,
+                    speed_m_per_s: speed_m_per_s / ratio,
+                    acceleration: limits.with_margin(fastest),
+                });
+            }
         }
     }
-    if largest <= KEPT && approach <= KEPT {
+    let keeps = usage <= KEPT && approach_usage <= KEPT;
+    if largest <= KEPT && approach <= KEPT && keeps {
         return None;
     }
-    let longer = if approach > KEPT { MARGIN * approach } else { 1.0 };
-    let approach_factor = longer * path.bounds.approach_factor;
-    let mut parts = parts(places, path.speed_m_per_s.get());
+    let of_speed = if approach > KEPT { MARGIN * approach } else { 1.0 };
+    let of_torque = if approach_usage > KEPT { JointBounds::approach_factor(approach_usage) } else { 1.0 };
+    let approach_factor = of_speed.max(of_torque) * path.bounds.approach_factor;
+    let bounded = path.bounds.parts.iter().any(|part| !part.acceleration.is_empty());
+    // If only speeds are too high, accelerations are not bounded.
+    if usage <= KEPT && !bounded {
+        places.iter_mut().for_each(|place| place.acceleration.clear());
+    }
+    drop_unused(&mut places, highest, path.acceleration_m_per_s2.get());
+    let mut parts = parts(places, highest);
     let visited_m = parts.last().map_or(0.0, |part| part.end_m);
-    parts.extend(path.bounds.parts.iter().filter(|part| part.end_m > visited_m));
+    parts.extend(path.bounds.parts.iter().filter(|part| part.end_m > visited_m).cloned());
     Some(PathBounds { approach_factor, parts })
 }
 
-/// Parts between the `places`, pairs of an arc length and a highest speed (m, m/s). A speed of at least `speed` (m/s) is no
-/// bound.
-fn parts(mut places: Vec<(f64, f64)>, speed: f64) -> Vec<SpeedBound> {
-    places.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let least_m = places.last().map_or(0.0, |last| last.0 / MAX_PARTS);
-    let mut parts: Vec<SpeedBound> = Vec::new();
+/// Removes the bounds that the highest speed (m/s) and acceleration (m/s²) of the path keep everywhere.
+fn drop_unused(places: &mut [Place], speed: f64, acceleration: f64) {
+    let count = places.iter().map(|place| place.acceleration.len()).max().unwrap_or(0);
+    let binds = |place: &Place, k: usize| {
+        let Some(bound) = place.acceleration.get(k) else { return false };
+        bound.usage(speed, acceleration).max(bound.usage(speed, -acceleration)) > 1.0
+    };
+    let used: Vec<bool> = (0..count).map(|k| places.iter().any(|place| binds(place, k))).collect();
+    for place in places {
+        let mut each = used.iter();
+        place.acceleration.retain(|_| each.next().copied().unwrap_or(true));
+    }
+}
+
+/// Parts between the `places`. A speed of at least `speed` (m/s) is no bound.
+fn parts(mut places: Vec<Place>, speed: f64) -> Vec<PartBounds> {
+    places.sort_by(|a, b| a.s_m.total_cmp(&b.s_m));
+    let least_m = places.last().map_or(0.0, |last| last.s_m / MAX_PARTS);
+    let mut parts: Vec<PartBounds> = Vec::new();
     let mut begin_m = 0.0;
     for pair in places.windows(2) {
-        let bound = pair[0].1.min(pair[1].1) / MARGIN;
+        let bound = pair[0].speed_m_per_s.min(pair[1].speed_m_per_s) / MARGIN;
         let bound = if bound < speed { bound } else { f64::INFINITY };
-        let part = SpeedBound { end_m: pair[1].0, speed_m_per_s: bound };
+        let mut acceleration = pair[0].acceleration.clone();
+        AccelerationBound::merge(&mut acceleration, &pair[1].acceleration);
+        let part = PartBounds { end_m: pair[1].s_m, speed_m_per_s: bound, acceleration };
+        let free = part.acceleration.is_empty();
         match parts.last_mut() {
             // What is short, or has no bound like its neighbour, is one part.
             Some(last)
-                if last.end_m - begin_m < least_m || last.speed_m_per_s.min(bound) == f64::INFINITY =>
+                if last.end_m - begin_m < least_m
+                    || (free && last.speed_m_per_s.min(bound) == f64::INFINITY) =>
             {
-                *last = SpeedBound { speed_m_per_s: bound.min(last.speed_m_per_s), ..part };
+                last.end_m = part.end_m;
+                last.speed_m_per_s = bound.min(last.speed_m_per_s);
+                AccelerationBound::merge(&mut last.acceleration, &part.acceleration);
             }
             last => {
                 begin_m = last.map_or(0.0, |last| last.end_m);

@@ -6,7 +6,7 @@ use crate::evaluate::expectations;
 use crate::evaluate::limited_reference::LimitedReference;
 use crate::evaluate::metrics::{Evaluated, Evaluator, JointMetrics, Metrics, TaskMetrics, Timing};
 use crate::evaluate::unreached::UnreachedGoal;
-use crate::preflight::compliance;
+use crate::run::compliance::compliance;
 use crate::run::error::RunError;
 use crate::run::experiment::{ControllerKind, Experiment};
 use crate::run::log_header::is_real;

@@ -38,6 +38,7 @@ mod surface_axes;
 mod task_kinds;
 mod task_metrics;
 mod time_optimal_paths;
+mod time_optimal_torques;
 mod unreached_goals;
 mod velocity_robot;
 mod velocity_source;

@@ -160,7 +160,7 @@ fn small_gain_margin_is_reported() {
     let finding = gain_margin(&small).unwrap().finding(&small).unwrap();
     let told = format!("{} {} {}", finding.key, finding.message, finding.help);
     for words in
-        ["profile.a-med", "0.4 %", "'emulation'", "'emulation+current'", "joint 'shoulder_pitch' by 4."]
+        ["profile.a-med", "0.4 %", "'emulation'", "\"emulation+current\"", "joint 'shoulder_pitch' by 4."]
     {
         assert!(told.contains(words), "`{words}` in {told}");
     }

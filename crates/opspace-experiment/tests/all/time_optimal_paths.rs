@@ -89,7 +89,7 @@ fn follow(experiment: &Experiment) -> MotionAlongPath {
         let pull = 2.0 * (&start - &q);
         let pull = &pull - &inverse * (&rows * &pull);
         let limit = FRACTION * model.joints()[0].limits.velocity;
-        let Some(PathPlace::Along { s_m, speed_m_per_s }) = trajectory.place_at(time_s) else { panic!() };
+        let Some(PathPlace::Along { s_m, speed_m_per_s, .. }) = trajectory.place_at(time_s) else { panic!() };
         at.push([s_m, speed_m_per_s, demanded.amax() / limit]);
         q += STEP_S * (demanded + &inverse * (20.0 * error) + pull);
         step += 1;

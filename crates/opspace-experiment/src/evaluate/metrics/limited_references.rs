@@ -47,7 +47,7 @@ pub(super) struct LimitedReferences<'a> {
     found: BTreeMap<String, Found>,
 }
 
-/// What is found for one task.
+/// Causes that are found for one task.
 #[derive(Default)]
 struct Found {
     reference: LimitedReference,
