@@ -103,10 +103,11 @@ pub use limits::joint_limits::{JointLimits, LimitParameters};
 pub use measurement::Measurement;
 pub use osc::OperationalSpaceController;
 pub use per_joint::PerJoint;
+pub use references::acceleration_bound::AccelerationBound;
 pub use references::goal::{OrientationGoal, PositionGoal};
 pub use references::joint_reference::JointReference;
 pub use references::online::{MotionLimits, OnlineGoal};
-pub use references::path_bounds::{AccelerationBound, PartBounds, PathBounds, PathPlace};
+pub use references::path_bounds::{PartBounds, PathBounds, PathPlace};
 pub use references::path_motion::PathSummary;
 pub use references::path_reference::{
     PathArc, PathCircle, PathLine, PathReference, PathSegment, PathSpline, PathStart, Triple,

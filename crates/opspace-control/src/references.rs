@@ -1,5 +1,6 @@
 //! Reference motions of tasks: position, velocity and acceleration.
 
+pub mod acceleration_bound;
 pub(crate) mod blend;
 pub(crate) mod cubic_spline;
 pub(crate) mod curve;

@@ -9,7 +9,7 @@
 //! provided that they apply to all places that an average contains: the bounds of each place with a largest speed c
 //! therefore apply up to the distance c T from it, which the motion does not exceed within T.
 
-use crate::references::path_bounds::AccelerationBound;
+use crate::references::acceleration_bound::AccelerationBound;
 
 /// Piece of a path with constant bounds, which a part of its coordinate passes with
 ///

@@ -102,7 +102,7 @@ struct Direction {
 }
 
 impl Direction {
-    /// What is left of a fraction of the limit.
+    /// Part of the limit that is left, of the given fraction of it.
     fn available(&self, fraction: f64) -> f64 {
         (fraction * self.limit - self.taken).max(LEAST_AVAILABLE * self.limit)
     }
@@ -121,7 +121,7 @@ impl Direction {
     }
 }
 
-/// What the limits of torque and acceleration permit at a place of a path.
+/// Limits of torque and acceleration at a place of a path.
 pub(crate) struct PlaceLimits {
     directions: Vec<Direction>,
 }

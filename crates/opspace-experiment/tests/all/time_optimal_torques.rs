@@ -113,14 +113,14 @@ fn bounds(experiment: &Experiment) -> PathBounds {
 }
 
 /// Joint motion along a path, one entry per step.
-struct Followed {
+struct JointMotion {
     q: Vec<DVector<f64>>,
     dq: Vec<DVector<f64>>,
     duration_s: f64,
 }
 
 /// Follows a reference: q̇ = J⁺ (ẋ + 20 e) + 2 (I − J⁺ J) (q_0 − q).
-fn follow(arm: &Arm, experiment: &Experiment, reference: &CartesianReference) -> Followed {
+fn follow(arm: &Arm, experiment: &Experiment, reference: &CartesianReference) -> JointMotion {
     let model = &experiment.robot().model;
     let frame = model.frame_id(arm.frame).unwrap();
     let mut data = Data::new(model);
@@ -135,7 +135,7 @@ fn follow(arm: &Arm, experiment: &Experiment, reference: &CartesianReference) ->
     let mut trajectory = Trajectory::new(reference);
     trajectory.start(&home, &Target::at_rest(home), &Matrix3::identity());
     let end = trajectory.at(1e6);
-    let mut followed = Followed { q: vec![], dq: vec![], duration_s: 0.0 };
+    let mut followed = JointMotion { q: vec![], dq: vec![], duration_s: 0.0 };
     let mut jacobian = Matrix6xX::zeros(model.n());
     for step in 0.. {
         let time_s = STEP_S * f64::from(step);
@@ -183,7 +183,7 @@ impl Torques {
 }
 
 /// Inverse dynamics of a followed path, with accelerations from central differences.
-fn torques(model: &Model, friction: &[FrictionParameters], followed: &Followed) -> Vec<Torques> {
+fn torques(model: &Model, friction: &[FrictionParameters], followed: &JointMotion) -> Vec<Torques> {
     let mut data = Data::new(model);
     (1..followed.q.len() - 1)
         .map(|k| {
@@ -247,8 +247,8 @@ fn unlimited(experiment: &Experiment) -> Vec<String> {
 struct Compared {
     experiment: Experiment,
     unlimited: Experiment,
-    new: Followed,
-    old: Followed,
+    new: JointMotion,
+    old: JointMotion,
     new_torques: Vec<Torques>,
     old_torques: Vec<Torques>,
     /// Torque limits that are in force, Nm (n).
