@@ -121,7 +121,7 @@ impl Model {
     }
 
     /// Variant of [`from_urdf_with`](Self::from_urdf_with) with some joints locked, each at a position (rad, m): they are
-    /// fixed joints there, and so are joints that mimic them if mimic joints are enforced.
+    /// fixed joints there, and so are joints that mimic them if mimic joints are enforced. A locked joint needs no limits.
     ///
     /// # Errors
     /// As [`from_urdf`](Self::from_urdf); a locked joint that the URDF does not have, or that is fixed.
@@ -149,12 +149,12 @@ impl Model {
     }
 }
 
-/// Returns the joints of a URDF, in the order of the file. Its links form one tree.
+/// Returns the joints of a URDF, in the order of the file. Its links form one tree. A joint without `<limit>` has no limits.
 ///
 /// # Errors
-/// As [`Model::from_urdf`], but for masses and inertias of moving links.
+/// As [`Model::from_urdf`], but for missing limits, and masses and inertias of moving links.
 pub fn urdf_joints(text: &str) -> Result<Vec<UrdfJoint>, UrdfError> {
-    let Checked { description, .. } = check::check(read::read(text)?)?;
+    let Checked { description, .. } = check::check(read::read(text)?, |_| false)?;
     tree::depth_first(&description)?;
     let joint = |joint: CheckedJoint| {
         let (kind, limits, mimics) = match joint.motion {
@@ -172,7 +172,8 @@ fn load(
     options: UrdfOptions,
     locked: &[(String, f64)],
 ) -> Result<ParsedUrdf, UrdfError> {
-    let Checked { mut description, mut warnings } = check::check(robot)?;
+    let moves = |name: &str| locked.iter().all(|(locked, _)| locked != name);
+    let Checked { mut description, mut warnings } = check::check(robot, moves)?;
     lock(&mut description, options, locked)?;
     let order = tree::depth_first(&description)?;
     let (mut model, standing_kg) = assemble(&description, &order, options.floating_base, &mut warnings)?;

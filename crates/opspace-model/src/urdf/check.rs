@@ -12,6 +12,8 @@ use std::collections::HashMap;
 
 /// Tolerance of principal moments relative to the largest; files contain at least five digits.
 const INERTIA_TOLERANCE: f64 = 1e-6;
+/// Magnitude of principal moments that are rounding errors of zero, kg m²: those of a grain of 1 µg and 0.1 mm.
+const ROUNDING_KG_M2: f64 = 1e-17;
 /// Remedy in errors about a joint's limits.
 pub(super) const LIMIT: &str = "write <limit lower=\"...\" upper=\"...\" velocity=\"...\" effort=\"...\"/>";
 /// Attributes of `<inertia>`, in the order of [`InertialElement::moments`].
@@ -67,7 +69,8 @@ impl Motion {
 }
 
 /// Checks every element of a robot and returns the contents. The connections between elements are checked by `tree`.
-pub(super) fn check(robot: RobotElement) -> Result<Checked, UrdfError> {
+/// `moves` is true for a joint that moves: only these need limits.
+pub(super) fn check(robot: RobotElement, moves: impl Fn(&str) -> bool) -> Result<Checked, UrdfError> {
     check_names("link", robot.links.iter().map(|link| (link.name.as_str(), link.line)))?;
     check_names("joint", robot.joints.iter().map(|joint| (joint.name.as_str(), joint.line)))?;
     if robot.links.is_empty() {
@@ -79,7 +82,7 @@ pub(super) fn check(robot: RobotElement) -> Result<Checked, UrdfError> {
     let joints = robot
         .joints
         .into_iter()
-        .map(|joint| checked_joint(joint, &mut warnings))
+        .map(|joint| checked_joint(joint, &moves, &mut warnings))
         .collect::<Result<_, _>>()?;
     Ok(Checked { description: Description { name: robot.name, links, joints }, warnings })
 }
@@ -128,14 +131,21 @@ fn checked_link(link: LinkElement, warnings: &mut Vec<UrdfWarning>) -> Result<Ch
     Ok(CheckedLink { line: link.line, inertia, indefinite, name: link.name })
 }
 
-fn checked_joint(joint: JointElement, warnings: &mut Vec<UrdfWarning>) -> Result<CheckedJoint, UrdfError> {
+fn checked_joint(
+    joint: JointElement,
+    moves: impl Fn(&str) -> bool,
+    warnings: &mut Vec<UrdfWarning>,
+) -> Result<CheckedJoint, UrdfError> {
     let element = Element { name: &joint.name, words: format!("joint '{}'", joint.name) };
     let motion = match joint.kind {
         None => Motion::Fixed,
         Some(kind) => Motion::Moving {
             kind,
             axis: element.axis(joint.axis.as_ref())?,
-            limits: element.limits(kind, joint.line, joint.limit.as_ref(), warnings)?,
+            limits: match &joint.limit {
+                None if !moves(&joint.name) => Limits::NONE,
+                limit => element.limits(kind, joint.line, limit.as_ref(), warnings)?,
+            },
             dynamics: element.dynamics(joint.dynamics)?,
             mimic: element.mimic(joint.mimic, warnings)?,
         },
@@ -157,7 +167,7 @@ fn rotational(moments: &[f64; 6]) -> Matrix3<f64> {
 }
 
 fn moment_tolerance(moments: &[f64; 3]) -> f64 {
-    INERTIA_TOLERANCE * moments[2].max(-moments[0])
+    (INERTIA_TOLERANCE * moments[2].max(-moments[0])).max(ROUNDING_KG_M2)
 }
 
 /// Returns the smallest principal moment (kg m²) and the line of an inertia that is not positive semi-definite.

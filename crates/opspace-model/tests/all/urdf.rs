@@ -2,7 +2,7 @@
 #![expect(clippy::expect_used, clippy::unwrap_used, reason = "a test")]
 
 use nalgebra::{Matrix3, Vector3};
-use opspace_model::{Data, JointKind, Model, UrdfError, frame_placement, kinematics};
+use opspace_model::{Data, JointKind, Limits, Model, UrdfError, UrdfOptions, frame_placement, kinematics};
 
 /// A base, an arm with two moving links, and a tool fixed to the second link. Each test changes one piece of this text.
 const ARM: &str = r#"<?xml version="1.0"?>
@@ -505,6 +505,31 @@ fn links_fixed_to_base_have_no_inertia() {
     let model = Model::from_urdf(&arm_and(more)).unwrap().model;
     assert_eq!(model.total_mass(), 3.0);
     assert_eq!(model.frame(model.frame_id("table").unwrap()).body, None);
+}
+
+/// Checks a wheel without limits: the robot is refused, unless the wheel is locked.
+#[test]
+fn locked_joint_needs_no_limits() {
+    let wheel = r#"<link name="wheel"/><joint name="axle" type="revolute"><parent link="base"/><child link="wheel"/></joint>"#;
+    let text = arm_and(wheel);
+    refused(&text, &["joint 'axle'", "no <limit>"]);
+    let joints = opspace_model::urdf_joints(&text).unwrap();
+    assert!(joints.iter().any(|joint| joint.name == "axle" && joint.limits == Limits::NONE));
+    let locked = |name: &str| {
+        Model::from_urdf_locked(&text, UrdfOptions::default(), &[(name.to_owned(), 0.0)])
+            .map(|urdf| urdf.model.n())
+    };
+    assert_eq!(locked("axle").unwrap(), 2);
+    assert!(locked("elbow").unwrap_err().to_string().contains("joint 'axle'"));
+}
+
+/// Checks moments that are zero but for rounding.
+#[test]
+fn rounding_error_is_no_negative_inertia() {
+    let rounded = r#"<inertia ixx="-1e-35" ixy="0" ixz="0" iyy="1e-36" iyz="0" izz="0"/>"#;
+    assert!(Model::from_urdf(&arm_with(LOWER_INERTIA, rounded)).is_ok());
+    let negative = r#"<inertia ixx="-1e-16" ixy="0" ixz="0" iyy="1e-16" iyz="0" izz="0"/>"#;
+    refused(&arm_with(LOWER_INERTIA, negative), &["link 'lower'", "positive semi-definite"]);
 }
 
 /// Compared: models of this crate's reader, and the numbers of urdf-rs, for several robots: joints are matched by name,
