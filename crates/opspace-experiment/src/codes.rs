@@ -89,6 +89,7 @@ codes! {
     StartInObject "start-in-object" Effect::Reported,
     ObjectOutOfReach "object-out-of-reach" Effect::Reported,
     IgnoredCompliance "ignored-compliance" Effect::Reported,
+    DampedCompliance "damped-compliance" Effect::Reported,
     ContactOscillation "contact-oscillation" Effect::Reported,
     ContactImpact "contact-impact" Effect::Reported,
     UnstableAdmittance "unstable-admittance" Effect::Reported,

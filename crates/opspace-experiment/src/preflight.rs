@@ -13,7 +13,7 @@
 //! | `limits` | limits that contradict each other, the start posture or the arm's weight |
 //! | `freedom` | a start at a singularity; degrees of freedom without a task; compliant axes that nothing brings back |
 //! | `servo_gain` | position or velocity loops with a small gain margin |
-//! | `ignored_compliance` | impedances and compliant axes of tasks that inverse kinematics runs |
+//! | `ignored_compliance` | impedances and compliant axes that inverse kinematics ignores, or the default transformer damps |
 //! | `margins` | ranges of true over nominal values in which the arm is stable |
 //! | `refusal` | margins too small for a real robot |
 //! | `impedances` | real part of the impedance of drives with their transformer |

@@ -1,15 +1,17 @@
-//! Impedances and compliant axes of tasks whose controller, inverse kinematics, has neither.
+//! Impedances and compliant axes of tasks whose controller, inverse kinematics, has neither, or whose transformer damps them.
 
 use super::case::PreflightCase;
 use super::diagnostic::Diagnostic;
 use crate::codes::Code;
 use crate::run::compliance::compliance;
-use crate::run::experiment::ControllerKind;
+use crate::run::experiment::{ControllerKind, Experiment};
+use opspace_transformer::{Method, TransformerKind};
 
-/// Reports each task whose compliance the controller ignores, once.
+/// Reports each task whose compliance the controller ignores, or the transformer damps, once.
 pub(crate) fn ignored(case: &PreflightCase<'_>) -> Vec<Diagnostic> {
     let controller = case.experiment.options().controller;
-    if controller == ControllerKind::Osc {
+    let damping = damping(case.experiment);
+    if controller == ControllerKind::Osc && damping.is_none() {
         return Vec::new();
     }
     let mut found: Vec<(&str, Diagnostic)> = Vec::new();
@@ -20,14 +22,34 @@ pub(crate) fn ignored(case: &PreflightCase<'_>) -> Vec<Diagnostic> {
                 continue;
             }
             let Some((what, key)) = compliance(parameters) else { continue };
+            let key = case.key(number, name, &[parameters.kind(), key]);
+            if let Some(reason) = &damping {
+                let message = format!(
+                    "task '{name}': {what} is damped by transformer 'paper', the default because {reason}; the hand yields less \
+                     than that of a torque robot"
+                );
+                let help = "compare with --backend torque; after `opspace identify`, --transformer extrapolation damps less; gears \
+                            that are rigid, or a measured motor current, have other defaults"
+                    .to_owned();
+                found.push((name, Diagnostic::new(Code::DampedCompliance, &key, message, help)));
+                continue;
+            }
             let message = format!(
                 "task '{name}': {what} has no effect with controller '{}', which controls positions: the servos do not yield",
                 controller.name()
             );
             let help = "run it with controller 'osc', the default, for axes that yield".to_owned();
-            let key = case.key(number, name, &[parameters.kind(), key]);
             found.push((name, Diagnostic::new(Code::IgnoredCompliance, &key, message, help)));
         }
     }
     found.into_iter().map(|(_, diagnostic)| diagnostic).collect()
+}
+
+/// Reason for which the transformer is by default one that keeps a part of the servo's damping; `None` if it is not.
+fn damping(experiment: &Experiment) -> Option<String> {
+    let kind = experiment.transformer_kind()?;
+    let is_default =
+        experiment.options().transformer.is_none() && experiment.profile().1.transformer.is_none();
+    let is_paper = kind == TransformerKind { method: Method::Paper, current: false };
+    if is_paper && is_default { experiment.transformer_reason() } else { None }
 }

@@ -10,7 +10,7 @@ use opspace_experiment::{Code, ControllerKind, Diagnostic, Experiment, Files, Ru
 use opspace_log::Recording;
 use opspace_loop::RunOutcome;
 use opspace_model::{Data, frame_placement, kinematics};
-use opspace_transformer::TransformerKind;
+use opspace_transformer::{Method, TransformerKind};
 use std::fs;
 use std::path::{Path, PathBuf};
 use tempfile::TempDir;
@@ -150,6 +150,22 @@ fn compliance_that_inverse_kinematics_ignores_is_found() {
         assert_eq!(of(controller, ("duration_s = 2.0", "duration_s = 2.5")), []);
     }
     assert_eq!(of(ControllerKind::Osc, spring), []);
+}
+
+/// Checks compliant x with the default transformer of an arm with elastic gears and no motor current, and with others.
+#[test]
+fn compliance_that_the_default_transformer_damps_is_found() {
+    let of = |settings: &[&str], transformer: Option<TransformerKind>| {
+        let options = RunOptions { transformer, ..RunOptions::default() };
+        let compliant = ("x = \"motion\"", "x = \"compliant\"");
+        let found = diagnostics(&experiment(HAND, &[compliant], options, settings));
+        found.into_iter().filter(|found| found.code == Code::DampedCompliance).collect::<Vec<_>>()
+    };
+    let unknown = ["robot.interface.gears=\"elastic\"", "robot.interface.measured=[\"position\"]"];
+    let [found] = &of(&unknown, None)[..] else { panic!("one diagnostic") };
+    assert_says(found, "task.hand.cartesian.axes", &["compliance along x is damped", "no", "'paper'"]);
+    assert_eq!(of(&[], None), []);
+    assert_eq!(of(&unknown, Some(TransformerKind { method: Method::Extrapolation, current: false })), []);
 }
 
 /// Checks a motion of the tip of 0.1 m at 5 Hz, which needs 37 Nm of the elbow's 20 Nm, and one at 0.5 Hz, which does not.
