@@ -67,6 +67,7 @@ codes! {
     JointTooFast "joint-too-fast" Effect::Reported,
     AccelerationAboveLimit "acceleration-above-limit" Effect::Reported,
     TorqueAboveLimit "torque-above-limit" Effect::Reported,
+    MovesDuringRamp "moves-during-ramp" Effect::Reported,
     ReferenceTooFast "reference-too-fast" Effect::Reported,
     UnfinishedReference "unfinished-reference" Effect::Reported,
     LateEvent "late-event" Effect::Reported,

@@ -8,6 +8,7 @@
 //! | `goals` | references that are out of reach, or reachable only beyond the joint position limits |
 //! | `speeds` | references faster than the joints or the speed limit of the task |
 //! | `accelerations` | references that need more acceleration or torque of a joint than its limits |
+//! | `ramp` | references that move fast while the torque ramps in |
 //! | `stability` | gains too high for the rate, the delay and the servo |
 //! | `admittance` | force axes of inverse kinematics that oscillate on the objects of the environment |
 //! | `limits` | limits that contradict each other, the start posture or the arm's weight |
@@ -49,6 +50,7 @@ mod motion;
 mod nudge;
 mod objects;
 mod phase_margin;
+mod ramp;
 mod refusal;
 mod servo_gain;
 mod speeds;
@@ -102,6 +104,7 @@ pub fn diagnostics(experiment: &Experiment) -> Vec<Diagnostic> {
         found.extend(speeds::of_joints(&case, &followed));
         if experiment.options().controller == ControllerKind::Osc {
             found.extend(accelerations::of_joints(&case, &followed));
+            found.extend(ramp::of_references(&case, &followed));
         }
         found.extend(limits::on_the_way(&case, &followed));
     }

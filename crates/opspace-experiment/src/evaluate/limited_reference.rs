@@ -25,6 +25,9 @@ pub struct LimitedReference {
     pub speed_limits: Vec<String>,
     /// Joints whose limits of torque or torque rate hold the task back.
     pub torque_limits: Vec<String>,
+    /// Time over which the torque ramps in at the start, s, if the largest error is within it.
+    #[serde(default)]
+    pub torque_ramp_s: Option<f64>,
     /// Direction of the error, if the arm is nearly singular along it: `z`, or `0.71 x - 0.71 rz`.
     pub singular_along: Option<String>,
 }
@@ -54,7 +57,11 @@ impl fmt::Display for LimitedReference {
             errors.join(" and "),
             self.largest_s
         )?;
-        let mut causes = joint_limits(&self.position_limits, &self.speed_limits, &self.torque_limits);
+        let ramp = self
+            .torque_ramp_s
+            .map(|ramp_s| format!("the torque ramps in over the first {ramp_s} s (safety.torque_ramp_s)"));
+        let mut causes: Vec<String> = ramp.into_iter().collect();
+        causes.extend(joint_limits(&self.position_limits, &self.speed_limits, &self.torque_limits));
         causes.extend(self.singular_along.iter().map(|along| out_of_reach(along)));
         write!(f, "{}", causes.join("; "))
     }

@@ -111,6 +111,10 @@ impl<'a> LimitedReferences<'a> {
         let mut all: Vec<LimitedReference> =
             found.filter_map(|(task, found)| found.finish(task, cycles, &names)).collect();
         all.sort_by(|a, b| a.begin_s.total_cmp(&b.begin_s));
+        let ramp_s = self.experiment.robot().file.safety.torque_ramp_s.get();
+        for reference in &mut all {
+            reference.torque_ramp_s = (reference.largest_s < ramp_s).then_some(ramp_s);
+        }
         all
     }
 
