@@ -302,6 +302,9 @@ impl Compared {
 /// Most paths that are drawn for an arm.
 const MOST_PATHS: usize = 20;
 
+/// Fraction of the duration without torque limits that finer parts of the path can gain.
+const FINER_PARTS_GAIN: f64 = 0.05;
+
 /// Largest fraction by which a path may take longer than the old one, slowed down uniformly.
 const LONGER_THAN_UNIFORM: f64 = 0.05;
 
@@ -332,8 +335,9 @@ fn joints_keep_their_torque_limits() {
             assert!(new <= 1.0 && speed <= 1.0, "{text}");
             assert!(new.max(speed) > 0.85, "{text}");
             assert!(new_s <= uniform_s * (1.0 + LONGER_THAN_UNIFORM), "{text}");
+            // Torque bounds divide the path more finely, which gains a little.
             if old > 1.05 {
-                assert!(new_s > old_s, "{text}");
+                assert!(new_s > (1.0 - FINER_PARTS_GAIN) * old_s, "{text}");
             }
         }
     }
