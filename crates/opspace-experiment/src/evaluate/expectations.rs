@@ -6,6 +6,7 @@ use crate::files::robot::RobotDefinition;
 use crate::files::source::FileError;
 use crate::files::suggest::choices;
 use crate::files::task::TaskDefinition;
+use opspace_control::TaskParameters;
 use serde::Serialize;
 use serde_json::Value;
 
@@ -29,6 +30,14 @@ pub(crate) fn check(task: &TaskDefinition, robot: &RobotDefinition) -> Result<()
         let is_joint = robot.model.joints().iter().any(|joint| joint.name == owner);
         let tasks = task.tasks_of_the_run();
         let is_task = tasks.iter().any(|(task, _)| *task == owner);
+        let is_cartesian = |(task, parameters): &(&str, &TaskParameters)| {
+            *task == owner && matches!(parameters, TaskParameters::Cartesian(_))
+        };
+        // Joints and coordinates have elements; the axes of a Cartesian task have no metrics of their own.
+        if !is_joint && tasks.iter().any(is_cartesian) && !of_tasks().iter().any(|key| key == metric) {
+            let help = choices(metric, &of_tasks());
+            return refuse(format!("unknown metric `{metric}` of a Cartesian task"), Some(help));
+        }
         if is_joint && !is_task && !keys(&JointMetrics::default()).iter().any(|key| key == metric) {
             let help = choices(metric, &keys(&JointMetrics::default()));
             return refuse(format!("unknown metric `{metric}` of a joint"), Some(help));
@@ -41,6 +50,13 @@ pub(crate) fn check(task: &TaskDefinition, robot: &RobotDefinition) -> Result<()
         }
     }
     Ok(())
+}
+
+/// Names of the metrics of a task.
+fn of_tasks() -> Vec<String> {
+    let mut names = keys(&TaskMetrics::default());
+    names.retain(|name| name != "kind" && name != "elements");
+    names
 }
 
 /// Names of the fields of a table of metrics.

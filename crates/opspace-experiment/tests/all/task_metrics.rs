@@ -292,6 +292,8 @@ fn unknown_expectations_are_refused() {
     for (text, said) in [
         ("expect={ position_rms = { at_most = 1.0 } }", "position_rms_m"),
         ("expect={ \"hnad.position_rms_m\" = { at_most = 1.0 } }", "did you mean 'hand'"),
+        ("expect={ \"hand.positon_max_m\" = { at_most = 1.0 } }", "did you mean 'position_max_m'"),
+        ("expect={ \"hand.elements\" = { at_most = 1.0 } }", "of a Cartesian task"),
         ("expect={ \"elbow.torque_chatter\" = { at_most = 1.0 } }", "torque_chatter_rms_nm"),
         ("expect={ position_rms_m = {} }", "at_most"),
         ("expect={ position_rms_m = { atmost = 1.0 } }", "at_most"),
