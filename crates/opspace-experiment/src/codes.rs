@@ -19,6 +19,8 @@ pub enum Effect {
     Reported,
     /// A run is refused, unless the code is allowed.
     Refused,
+    /// A run on a real robot is refused, unless the code is allowed; in simulation it is reported.
+    RefusedOnRealRobot,
     /// A run is always refused, for this reason.
     Never(&'static str),
 }
@@ -98,9 +100,9 @@ codes! {
     // Stability.
     GainsTooHigh "gains-too-high" Effect::Reported,
     UnknownGains "unknown-gains" Effect::Reported,
-    SmallGainMargin "small-gain-margin" Effect::Refused,
-    GearOscillation "gear-oscillation" Effect::Refused,
-    FeedForwardImpulse "feed-forward-impulse" Effect::Refused,
+    SmallGainMargin "small-gain-margin" Effect::RefusedOnRealRobot,
+    GearOscillation "gear-oscillation" Effect::RefusedOnRealRobot,
+    FeedForwardImpulse "feed-forward-impulse" Effect::RefusedOnRealRobot,
     ActiveImpedance "active-impedance" Effect::Reported,
     // Couplings.
     NoPassivityControl "no-passivity-control" Effect::Reported,
@@ -181,7 +183,7 @@ impl FromStr for Code {
 pub fn allowed_code(name: &str) -> Result<Code, String> {
     let code: Code = name.parse()?;
     match code.effect() {
-        Effect::Refused => Ok(code),
+        Effect::Refused | Effect::RefusedOnRealRobot => Ok(code),
         Effect::Reported => Err(format!("'{code}' is only reported: it refuses no run")),
         Effect::Never(reason) => Err(format!("'{code}' cannot be allowed: {reason}")),
     }

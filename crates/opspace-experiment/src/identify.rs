@@ -11,7 +11,7 @@ use crate::files::robot::RobotDefinition;
 use crate::files::source::FileError;
 use crate::files::suggest::choices;
 use crate::run::execute::Progress;
-use crate::run::experiment::check_start;
+use crate::run::start_positions::check_start;
 use nalgebra::DMatrix;
 use opspace_backend::{Backend, CommandKind};
 use opspace_identify::response::Point;

@@ -24,6 +24,7 @@ pub mod result_files;
 pub(crate) mod rollout;
 pub mod shard;
 mod start;
+pub(crate) mod start_positions;
 pub mod suite_rows;
 pub mod summary;
 mod transformer;

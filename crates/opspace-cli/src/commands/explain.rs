@@ -14,15 +14,10 @@ pub fn explain(code: Option<Code>) -> Outcome {
 
 fn page(code: Code) -> String {
     let effect = match code.effect() {
-        // A margin is a reason against a real robot alone.
-        Effect::Refused
-            if [Code::SmallGainMargin, Code::GearOscillation, Code::FeedForwardImpulse].contains(&code) =>
-        {
-            format!(
-                "Refuses a run on a real robot, and is reported otherwise; --allow {code} turns the refusal into a warning that \
-                 results carry."
-            )
-        }
+        Effect::RefusedOnRealRobot => format!(
+            "Refuses a run on a real robot, and is reported otherwise; --allow {code} turns the refusal into a warning that results \
+             carry."
+        ),
         Effect::Refused => {
             format!("Refuses a run; --allow {code} turns the refusal into a warning that results carry.")
         }
@@ -50,7 +45,7 @@ fn text(page: &str) -> String {
 fn list() -> String {
     let line = |code: &Code| {
         let effect = match code.effect() {
-            Effect::Refused => "refused, can be allowed",
+            Effect::Refused | Effect::RefusedOnRealRobot => "refused, can be allowed",
             Effect::Never(_) => "refused",
             _ => "reported",
         };

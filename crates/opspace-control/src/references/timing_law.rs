@@ -346,6 +346,11 @@ mod tests {
     use proptest::prelude::*;
     use proptest::test_runner::RngSeed;
 
+    /// Relative rounding errors: of the sum of lengths, of places and limits after the integration, and of jerks.
+    const LENGTH: f64 = 1e-9;
+    const INTEGRATED: f64 = 1e-6;
+    const JERK: f64 = 1e-5;
+
     /// A bound of the robot with coefficients of which some are zero.
     fn bound() -> impl Strategy<Value = AccelerationBound> {
         let coefficient =
@@ -384,11 +389,11 @@ mod tests {
         fn laws_keep_their_bounds(spans in prop::collection::vec(span(3), 8..40), limits in limits()) {
             let law = TimingLaw::new(std::slice::from_ref(&spans), &limits);
             let length: f64 = spans.iter().map(|span| span.length).sum();
-            prop_assert!((law.length - length).abs() < 1e-9 * length);
+            prop_assert!((law.length - length).abs() < LENGTH * length);
             let end = law.pieces.last().expect("a motion").at(law.duration_s);
-            prop_assert!((end[0] - length).abs() < 1e-6 * length && end[1].abs() < 1e-6, "{end:?} of {length}");
-            prop_assert!(law.highest_jerk() <= limits.jerk * (1.0 + 1e-5));
-            let kept = 1.0 + 1e-6;
+            prop_assert!((end[0] - length).abs() < INTEGRATED * length && end[1].abs() < INTEGRATED, "{end:?} of {length}");
+            prop_assert!(law.highest_jerk() <= limits.jerk * (1.0 + JERK));
+            let kept = 1.0 + INTEGRATED;
             for instant in 0..2000 {
                 let [s, v, a] = law.at(law.duration_s() * f64::from(instant) / 2000.0);
                 let mut end = 0.0;

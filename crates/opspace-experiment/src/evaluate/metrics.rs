@@ -9,6 +9,7 @@ mod cycles;
 mod escapes;
 mod estimates;
 mod hand;
+mod hold_counts;
 mod holds;
 mod interruptions;
 mod joints;

@@ -153,7 +153,9 @@ impl FileError {
     #[must_use]
     pub fn refused(mut self, code: Code) -> Self {
         let note = match code.effect() {
-            Effect::Refused => Some(format!("--allow {code} runs it nevertheless; results carry a warning")),
+            Effect::Refused | Effect::RefusedOnRealRobot => {
+                Some(format!("--allow {code} runs it nevertheless; results carry a warning"))
+            }
             Effect::Never(reason) => Some(format!("this cannot be allowed: {reason}")),
             Effect::Reported => None,
         };

@@ -15,6 +15,7 @@ use crate::run::path_bounds::{PASSES, bounds, path_of, time_optimal_paths};
 use crate::run::path_dynamics::JointBounds;
 use crate::run::physics::Physics;
 use crate::run::rollout::{Rollout, RolloutCase};
+use crate::run::start_positions::{IN_DEGREES, are_degrees, check_start, others_outside};
 use opspace_backend::quantity::Positive;
 use opspace_backend::{Capabilities, CommandKind, GravityCompensation, MissedCycle};
 use opspace_control::hierarchy::task_parameters::largest_unused_damping_per_s;
@@ -25,7 +26,7 @@ use opspace_control::{
 use opspace_loop::{
     CollisionDetector, ControlLoop, EstimatedForce, LoopConfig, LoopError, SensorCompensation,
 };
-use opspace_model::{Data, JointKind, Limits, Model, Placement};
+use opspace_model::{Data, Model, Placement};
 use opspace_sim::{
     ArmConfig, Key, PhysicsEngine, PlantError, Scene, SimulatedArm, Simulation, SimulationConfig,
     SimulationError,
@@ -39,10 +40,6 @@ use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-
-/// Largest distance of a start position from 0, rad or m: far beyond it, the dynamics of a joint without position limits
-/// are rounding errors.
-const LARGEST_START: f64 = 1e4;
 
 /// Controller of the robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Deserialize)]
@@ -723,8 +720,9 @@ impl Experiment {
             })?;
             start[joint] = value;
             let Err((message, help)) = check_start(&model.joints()[joint].limits, value) else { continue };
-            let others = self.others_outside(name);
-            let help = if self.are_degrees() { format!("{help}; {IN_DEGREES}") } else { help };
+            let given = &self.task.file.start_rad;
+            let others = others_outside(model, given, name);
+            let help = if are_degrees(model, given) { format!("{help}; {IN_DEGREES}") } else { help };
             return Err(at(format!("{message}{others}"), Some(help)));
         }
         for (joint, &value) in model.joints().iter().zip(&start) {
@@ -739,32 +737,6 @@ impl Experiment {
             }
         }
         Ok(start)
-    }
-
-    /// Names the other joints whose start positions are outside their limits.
-    fn others_outside(&self, first: &str) -> String {
-        let model = &self.robot.model;
-        let is_outside = |(name, value): (&String, &f64)| {
-            let joint = model.joint(name).ok()?;
-            let is_other = name.as_str() != first;
-            (is_other && check_start(&model.joints()[joint].limits, *value).is_err())
-                .then(|| format!("'{name}' at {value}"))
-        };
-        let others: Vec<String> = self.task.file.start_rad.iter().filter_map(is_outside).collect();
-        if others.is_empty() { String::new() } else { format!("; so are {}", others.join(", ")) }
-    }
-
-    /// True if the start positions are outside the limits, but inside if they are degrees, and one is large.
-    fn are_degrees(&self) -> bool {
-        let model = &self.robot.model;
-        let rotates = |joint: &JointKind| matches!(joint, JointKind::Revolute | JointKind::Continuous);
-        let angles = self.task.file.start_rad.iter().filter_map(|(name, &value)| {
-            let joint = &model.joints()[model.joint(name).ok()?];
-            rotates(&joint.kind).then_some((joint, value))
-        });
-        let angles: Vec<_> = angles.collect();
-        angles.iter().any(|(_, value)| value.abs() > LEAST_DEGREES)
-            && angles.iter().all(|(joint, value)| check_start(&joint.limits, value.to_radians()).is_ok())
     }
 
     fn control_error(&self, error: &ControlError) -> FileError {
@@ -848,24 +820,4 @@ fn explained(error: &ControlError) -> (String, Option<String>) {
         other => other.to_string(),
     };
     (message, help)
-}
-
-/// Remedy for angles that are probably degrees.
-const IN_DEGREES: &str = "positions are in rad: if the file means degrees, multiply them by π/180";
-
-/// Size of an angle from which on it is probably one in degrees.
-const LEAST_DEGREES: f64 = 7.0;
-
-/// Checks a start position of a joint, rad or m. The error is a message and a help.
-pub(crate) fn check_start(limits: &Limits, value: f64) -> Result<(), (String, String)> {
-    let (lower, upper) = (limits.lower.max(-LARGEST_START), limits.upper.min(LARGEST_START));
-    if value >= lower && value <= upper {
-        return Ok(());
-    }
-    let message = if value.abs() > LARGEST_START {
-        format!("{value:e} is too far from 0")
-    } else {
-        format!("{value} is outside the joint's limits")
-    };
-    Err((message, format!("give a value from {lower} to {upper}")))
 }

@@ -5,8 +5,8 @@ use opspace_model::Model;
 use std::fmt::Write as _;
 use toml_edit::{Key, Value};
 
-/// Fraction of the friction that is compensated: with 0.8, assumed arms end five times closer to their start than without, and
-/// friction may be a fifth less than stated.
+/// Fraction of the friction that is compensated: with 0.8, an assumed UR5e and Panda end five times closer to their start
+/// than without (other arms less so), and friction may be a fifth less than stated.
 const FRICTION_GAIN: f64 = 0.8;
 
 /// Time after the motion, s.

@@ -259,6 +259,9 @@ mod tests {
         <joint name="end" type="fixed"><parent link="fore"/><child link="tip"/><origin xyz="0 0 1"/></joint>
         <link name="tip"/></robot>"#;
 
+    /// Error of the search, m and rad.
+    const FOUND: f64 = 1e-3;
+
     fn quality(left_m: f64, is_clear: bool, room: f64) -> Quality {
         Quality { left_m, is_clear, room }
     }
@@ -288,12 +291,12 @@ mod tests {
         let shoulder = |elbow: f64| f64::atan2(goal_m[0], goal_m[2] - 0.5) - 0.5 * elbow;
         let first = [shoulder(elbow), elbow];
         let found = posture_at(&model, "tip", goal_m, None, &first, None).expect("a posture");
-        assert!(found.missed[0] < 1e-3, "{found:?}");
+        assert!(found.missed[0] < FOUND, "{found:?}");
         let expected = [shoulder(-elbow), -elbow];
         let ranges = [(-2.98, 2.98), (-2.98, 1.68)];
         assert!(room(&ranges, &expected) > room(&ranges, &first));
         for (found, expected) in found.q.iter().zip(expected) {
-            assert!((found - expected).abs() < 1e-3, "{found} {expected}");
+            assert!((found - expected).abs() < FOUND, "{found} {expected}");
         }
     }
 

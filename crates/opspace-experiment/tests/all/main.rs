@@ -21,6 +21,7 @@ mod metrics;
 mod moment_axes;
 mod overrides;
 mod panicking_task;
+mod path_following;
 mod physics;
 mod random_arms;
 mod random_servos;

@@ -3,12 +3,12 @@
 //! of a pass forward and one backward on a fine grid; the motion on arms whose limits don't bind with that of the path alone.
 #![expect(clippy::unwrap_used, reason = "a test that can't go on has failed")]
 
+use super::path_following::follow;
 use super::random_arms::RandomArm;
 use super::random_servos::{Random, load};
-use nalgebra::{DVector, Matrix3, Matrix3xX, Matrix6xX, Vector3};
-use opspace_control::{CartesianReference, PathPlace, Target, TaskParameters, Trajectory};
+use nalgebra::DVector;
+use opspace_control::{CartesianReference, PathPlace, TaskParameters};
 use opspace_experiment::{Code, Experiment, diagnostics};
-use opspace_model::{Data, frame_jacobian, frame_placement, kinematics};
 use std::fs;
 
 const STEP_S: f64 = 1e-4;
@@ -53,47 +53,20 @@ struct MotionAlongPath {
     duration_s: f64,
 }
 
-/// Follows the reference: q̇ = J⁺ (ẋ + 20 e) + 2 (I − J⁺ J) (q_0 − q).
-fn follow(experiment: &Experiment) -> MotionAlongPath {
-    let model = &experiment.robot().model;
-    let frame = model.frame_id("tip").unwrap();
-    let mut data = Data::new(model);
-    let start = DVector::from_iterator(
-        model.n(),
-        model.joints().iter().map(|joint| experiment.task().file.start_rad[&joint.name]),
-    );
-    let mut q = start.clone();
-    let rest = vec![0.0; model.n()];
-    kinematics(model, &mut data, q.as_slice(), &rest);
-    let home = frame_placement(model, &data, frame);
-    let mut trajectory = Trajectory::new(reference(experiment));
-    trajectory.start(&home, &Target::at_rest(home), &Matrix3::identity());
-    let end = trajectory.at(1e6);
-    let (mut at, mut step) = (Vec::new(), 0);
-    let mut jacobian = Matrix6xX::zeros(model.n());
-    loop {
-        let time_s = STEP_S * f64::from(step);
-        let target = trajectory.at(time_s);
-        if target == end {
-            return MotionAlongPath { at, duration_s: time_s };
-        }
-        kinematics(model, &mut data, q.as_slice(), &rest);
-        frame_jacobian(model, &data, frame, &mut jacobian);
-        let rows: Matrix3xX<f64> = jacobian.fixed_rows::<3>(0).into_owned();
-        let square = &rows * rows.transpose();
-        let inverse = rows.tr_mul(&square.try_inverse().unwrap());
-        let demanded = &inverse * target.velocity.linear;
-        let error: Vector3<f64> =
-            target.placement.translation - frame_placement(model, &data, frame).translation;
-        assert!(error.norm() < 2e-3, "{} m", error.norm());
-        let pull = 2.0 * (&start - &q);
-        let pull = &pull - &inverse * (&rows * &pull);
-        let limit = FRACTION * model.joints()[0].limits.velocity;
-        let Some(PathPlace::Along { s_m, speed_m_per_s, .. }) = trajectory.place_at(time_s) else { panic!() };
-        at.push([s_m, speed_m_per_s, demanded.amax() / limit]);
-        q += STEP_S * (demanded + &inverse * (20.0 * error) + pull);
-        step += 1;
-    }
+/// Largest error of the position that is followed, m.
+const FOLLOWED_M: f64 = 2e-3;
+
+/// Follows the reference.
+fn along(experiment: &Experiment) -> MotionAlongPath {
+    let motion = follow(experiment, reference(experiment), ("tip", 3), STEP_S, f64::INFINITY).unwrap();
+    assert!(motion.farthest_m < FOLLOWED_M, "{} m", motion.farthest_m);
+    let limit = FRACTION * experiment.robot().model.joints()[0].limits.velocity;
+    let place = |(step, dq): (usize, &DVector<f64>)| match motion.trajectory.place_at(STEP_S * step as f64) {
+        Some(PathPlace::Along { s_m, speed_m_per_s, .. }) => [s_m, speed_m_per_s, dq.amax() / limit],
+        other => panic!("{other:?}"),
+    };
+    let at = motion.dq.iter().enumerate().map(place).collect();
+    MotionAlongPath { at, duration_s: motion.duration_s }
 }
 
 fn point(random: &mut Random) -> String {
@@ -115,7 +88,7 @@ fn joints_keep_their_speed_limits() {
             point(&mut random),
         );
         let experiment = experiment(&arm, 1.0, &path);
-        let followed = follow(&experiment);
+        let followed = along(&experiment);
         let highest = followed.at.iter().map(|at| at[2]).fold(0.0, f64::max);
         assert!(highest <= 1.0, "arm {number}: {highest}");
         assert!(highest > 0.9, "arm {number}: {highest}");
@@ -135,7 +108,7 @@ fn lines_take_hardly_more_than_the_least_time() {
             "speed_m_per_s = 2.0\nacceleration_m_per_s2 = 5.0\njerk_m_per_s3 = 2000.0\nsegments = [{{ line = {{ to_m = {} }} }}]",
             point(&mut random)
         );
-        let followed = follow(&experiment(&arm, 1.0, &path));
+        let followed = along(&experiment(&arm, 1.0, &path));
         // Highest speed at each place, from the joint speeds per speed.
         let length_m = followed.at.last().unwrap()[0];
         let count = 4000;

@@ -7,12 +7,13 @@
 #![expect(clippy::expect_used, clippy::unwrap_used, reason = "a test that can't go on has failed")]
 #![expect(clippy::print_stderr, reason = "seeds, durations and errors")]
 
+use super::path_following::{self, JointMotion};
 use super::random_arms::RandomArm;
 use super::random_servos::{Random, load};
-use nalgebra::{DMatrix, DVector, Matrix3, Matrix6xX, Vector3};
+use nalgebra::{DVector, Matrix3, Vector3};
 use opspace_control::{CartesianReference, PathBounds, Target, TaskParameters, Trajectory, orientation};
 use opspace_experiment::{Code, Experiment, Progress, diagnostics};
-use opspace_model::{Data, Model, frame_jacobian, frame_placement, gravity, kinematics, rnea};
+use opspace_model::{Data, Model, frame_placement, gravity, kinematics, rnea};
 use opspace_transformer::FrictionParameters;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -112,64 +113,12 @@ fn bounds(experiment: &Experiment) -> PathBounds {
     }
 }
 
-/// Joint motion along a path, one entry per step.
-struct JointMotion {
-    q: Vec<DVector<f64>>,
-    dq: Vec<DVector<f64>>,
-    duration_s: f64,
-}
-
-/// Error of [`follow`] at which an arm cannot follow a reference: it passes near a singular posture, m.
+/// Error at which an arm cannot follow a reference: it passes near a singular posture, m.
 const LOST_M: f64 = 5e-3;
 
-/// Follows a reference: q̇ = J⁺ (ẋ + 20 e) + 2 (I − J⁺ J) (q_0 − q). `None` if the arm cannot.
+/// Follows a reference. `None` if the arm cannot.
 fn follow(arm: &Arm, experiment: &Experiment, reference: &CartesianReference) -> Option<JointMotion> {
-    let model = &experiment.robot().model;
-    let frame = model.frame_id(arm.frame).unwrap();
-    let mut data = Data::new(model);
-    let start = DVector::from_iterator(
-        model.n(),
-        model.joints().iter().map(|joint| experiment.task().file.start_rad[&joint.name]),
-    );
-    let mut q = start.clone();
-    let rest = vec![0.0; model.n()];
-    kinematics(model, &mut data, q.as_slice(), &rest);
-    let home = frame_placement(model, &data, frame);
-    let mut trajectory = Trajectory::new(reference);
-    trajectory.start(&home, &Target::at_rest(home), &Matrix3::identity());
-    let end = trajectory.at(1e6);
-    let mut followed = JointMotion { q: vec![], dq: vec![], duration_s: 0.0 };
-    let mut jacobian = Matrix6xX::zeros(model.n());
-    for step in 0.. {
-        let time_s = STEP_S * f64::from(step);
-        let target = trajectory.at(time_s);
-        if target == end {
-            followed.duration_s = time_s;
-            break;
-        }
-        kinematics(model, &mut data, q.as_slice(), &rest);
-        frame_jacobian(model, &data, frame, &mut jacobian);
-        let rows: DMatrix<f64> = jacobian.rows(0, arm.rows).into_owned();
-        let square = &rows * rows.transpose();
-        let inverse = rows.transpose() * square.try_inverse().unwrap();
-        let velocity = DVector::from_fn(arm.rows, |i, _| {
-            if i < 3 { target.velocity.linear[i] } else { target.velocity.angular[i - 3] }
-        });
-        let at = frame_placement(model, &data, frame);
-        let away = target.placement.translation - at.translation;
-        let turn = orientation::log(&(target.placement.rotation * at.rotation.transpose()));
-        if away.norm() > LOST_M {
-            return None;
-        }
-        let error = DVector::from_fn(arm.rows, |i, _| if i < 3 { away[i] } else { turn[i - 3] });
-        let demanded = &inverse * velocity;
-        let pull = 2.0 * (&start - &q);
-        let pull = &pull - &inverse * (&rows * &pull);
-        followed.q.push(q.clone());
-        followed.dq.push(demanded.clone());
-        q += STEP_S * (demanded + &inverse * (20.0 * error) + pull);
-    }
-    Some(followed)
+    path_following::follow(experiment, reference, (arm.frame, arm.rows), STEP_S, LOST_M)
 }
 
 /// Torques of the joints at an instant.

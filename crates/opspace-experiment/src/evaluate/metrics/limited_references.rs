@@ -1,5 +1,6 @@
 //! Moving references that limits, or the reach of the arm, keep tasks from, over a whole log.
 
+use super::hold_counts::HoldCounts;
 use super::holds::{HeldState, Hold, RowErrors, norm_in};
 use super::run_log::Run;
 use super::unreached_goals::{errors, joint_errors, task_set_at, task_sets, update_state};
@@ -27,9 +28,6 @@ const MOVING: f64 = 1e-3;
 /// Shortest time that is reported, s, in sum.
 const MIN_DURATION_S: f64 = 0.1;
 
-/// Smallest fraction of this time in which a cause that is reported acts.
-const MIN_SHARE: f64 = 0.2;
-
 /// Moving references that the tasks of a run did not follow, while segments of the log arrive.
 pub(super) struct LimitedReferences<'a> {
     experiment: &'a Experiment,
@@ -51,12 +49,7 @@ pub(super) struct LimitedReferences<'a> {
 #[derive(Default)]
 struct Found {
     reference: LimitedReference,
-    cycles: usize,
-    /// Number of cycles in which each cause acts.
-    position: BTreeMap<usize, usize>,
-    speed: BTreeMap<usize, usize>,
-    torque: BTreeMap<usize, usize>,
-    singular: usize,
+    counts: HoldCounts,
 }
 
 /// Task that does not follow its moving reference in a cycle.
@@ -222,10 +215,9 @@ impl Behind {
 impl Found {
     fn add(&mut self, behind: Behind, since_start_s: f64) {
         let reference = &mut self.reference;
-        if self.cycles == 0 {
+        if self.counts.cycles == 0 {
             reference.begin_s = since_start_s;
         }
-        self.cycles += 1;
         // The larger of the two errors relative to the smallest that counts.
         let size = |position_m: Option<f64>, orientation_rad: Option<f64>| {
             let of = |error: Option<f64>, least: f64| error.map_or(0.0, |error| error / least);
@@ -237,38 +229,22 @@ impl Found {
             (reference.position_m, reference.orientation_rad) = (behind.position_m, behind.orientation_rad);
             reference.largest_s = since_start_s;
         }
-        let counts = [
-            (&mut self.position, &behind.hold.position),
-            (&mut self.speed, &behind.hold.speed),
-            (&mut self.torque, &behind.hold.torque),
-        ];
-        for (counts, joints) in counts {
-            joints.iter().for_each(|joint| *counts.entry(*joint).or_default() += 1);
-        }
-        if let Some(along) = behind.hold.singular_along {
-            self.singular += 1;
-            if grows || reference.singular_along.is_none() {
-                reference.singular_along = Some(along);
-            }
-        }
+        self.counts.add(&behind.hold, grows);
     }
 
     /// Returns the reference, if the task was held back for long enough; `cycles` is the number of all cycles.
     fn finish(self, task: String, cycles: usize, joints: &[&str]) -> Option<LimitedReference> {
-        let is_often = |count: usize| count as f64 >= MIN_SHARE * self.cycles as f64;
-        let names = |counts: &BTreeMap<usize, usize>| -> Vec<String> {
-            let often = counts.iter().filter(|(_, count)| is_often(**count));
-            often.map(|(joint, _)| joints[*joint].to_owned()).collect()
-        };
+        let [position_limits, speed_limits, torque_limits] = self.counts.limits(joints);
+        let held = self.counts.cycles as f64;
         let reference = LimitedReference {
             task,
-            share: self.cycles as f64 / cycles.max(1) as f64,
-            position_limits: names(&self.position),
-            speed_limits: names(&self.speed),
-            torque_limits: names(&self.torque),
-            singular_along: self.reference.singular_along.filter(|_| is_often(self.singular)),
+            share: held / cycles.max(1) as f64,
+            position_limits,
+            speed_limits,
+            torque_limits,
+            singular_along: self.counts.singular_along(),
             ..self.reference
         };
-        (self.cycles as f64 * STEP_S >= MIN_DURATION_S && reference.has_cause()).then_some(reference)
+        (held * STEP_S >= MIN_DURATION_S && reference.has_cause()).then_some(reference)
     }
 }

@@ -1,5 +1,6 @@
 //! Intervals in which tasks rest away from their references, over a whole log.
 
+use super::hold_counts::HoldCounts;
 use super::holds::{Cycle, HeldState, Hold, NO_ERRORS, RowErrors, norm_in};
 use super::run_log::Run;
 use crate::evaluate::unreached::UnreachedGoal;
@@ -25,9 +26,6 @@ const MIN_DURATION_S: f64 = 0.5;
 /// Longest interruption of an interval, s.
 const MAX_GAP_S: f64 = 0.1;
 
-/// Smallest fraction of an interval in which a cause that is reported acts.
-const MIN_SHARE: f64 = 0.2;
-
 /// Goals that the tasks of a run did not reach, while segments of the log arrive.
 pub(super) struct UnreachedGoals<'a> {
     experiment: &'a Experiment,
@@ -48,15 +46,9 @@ pub(super) struct UnreachedGoals<'a> {
 struct Episode {
     begin_s: f64,
     last_s: f64,
-    cycles: usize,
     position_m: Option<f64>,
     orientation_rad: Option<f64>,
-    /// Number of cycles in which each cause acts.
-    position: BTreeMap<usize, usize>,
-    speed: BTreeMap<usize, usize>,
-    torque: BTreeMap<usize, usize>,
-    singular: usize,
-    singular_along: String,
+    counts: HoldCounts,
     overridden_by: BTreeMap<String, usize>,
 }
 
@@ -274,23 +266,9 @@ pub(super) fn joint_errors(run: &Run<'_>, k: usize, task: &dyn JointTask) -> Opt
 impl Episode {
     fn add(&mut self, held: &Held<'_>, time_s: f64, names: &[&str]) {
         self.last_s = time_s;
-        self.cycles += 1;
         let grows = widen(&mut self.position_m, held.position_m)
             | widen(&mut self.orientation_rad, held.orientation_rad);
-        let counts = [
-            (&mut self.position, &held.hold.position),
-            (&mut self.speed, &held.hold.speed),
-            (&mut self.torque, &held.hold.torque),
-        ];
-        for (counts, joints) in counts {
-            joints.iter().for_each(|joint| *counts.entry(*joint).or_default() += 1);
-        }
-        if let Some(along) = &held.hold.singular_along {
-            self.singular += 1;
-            if grows || self.singular == 1 {
-                self.singular_along.clone_from(along);
-            }
-        }
+        self.counts.add(&held.hold, grows);
         for &place in &held.hold.overridden_by {
             *self.overridden_by.entry(names[place].to_owned()).or_default() += 1;
         }
@@ -299,22 +277,18 @@ impl Episode {
     /// Returns the interval, if it is long enough and its cause is known; `lasts` is true if it lasts until the end of the
     /// run.
     fn finish(self, task: String, start_s: f64, lasts: bool, joints: &[&str]) -> Option<UnreachedGoal> {
-        let is_often = |count: usize| count as f64 >= MIN_SHARE * self.cycles as f64;
-        let names = |counts: &BTreeMap<usize, usize>| -> Vec<String> {
-            let often = counts.iter().filter(|(_, count)| is_often(**count));
-            often.map(|(joint, _)| joints[*joint].to_owned()).collect()
-        };
-        let overridden = self.overridden_by.iter().filter(|(_, count)| is_often(**count));
+        let [position_limits, speed_limits, torque_limits] = self.counts.limits(joints);
+        let overridden = self.overridden_by.iter().filter(|(_, count)| self.counts.is_often(**count));
         let goal = UnreachedGoal {
             task,
             begin_s: self.begin_s - start_s,
             end_s: (!lasts).then_some(self.last_s - start_s),
             position_m: self.position_m,
             orientation_rad: self.orientation_rad,
-            position_limits: names(&self.position),
-            speed_limits: names(&self.speed),
-            torque_limits: names(&self.torque),
-            singular_along: (self.singular > 0 && is_often(self.singular)).then_some(self.singular_along),
+            position_limits,
+            speed_limits,
+            torque_limits,
+            singular_along: self.counts.singular_along(),
             overridden_by: overridden.map(|(name, _)| name.clone()).collect(),
         };
         (self.last_s - self.begin_s >= MIN_DURATION_S && goal.has_cause()).then_some(goal)
