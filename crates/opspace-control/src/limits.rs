@@ -6,4 +6,5 @@ pub mod collision_limits;
 pub mod horizon;
 pub mod joint_limits;
 pub(crate) mod limiter;
+pub(crate) mod push;
 pub(crate) mod resistance;

@@ -169,6 +169,9 @@ impl OperationalSpaceController {
         for (i, commanded) in self.commanded.iter_mut().enumerate() {
             *commanded = if self.context.gravity_by_robot { 0.0 } else { data.gravity[i] };
         }
+        if let Some(limiter) = &mut self.limiter {
+            limiter.start();
+        }
     }
 
     /// Returns true if a limit changed the last command.

@@ -12,6 +12,18 @@
 //! decelerates with b, in steps of one horizon, just stops at x (viability; compare Del Prete, *Joint position and
 //! velocity bounds in discrete-time acceleration/torque control of robot arms*, IEEE RA-L 3(1), 2018). Near the limit
 //! it is (x − q − q̇ h)/h: the joint arrives without overshoot. A joint beyond its limit returns at a bounded speed.
+//!
+//! These bounds act as a spring and a damper, which an external force would deflect by d h², where d is the acceleration
+//! that it causes (estimated, see [`push`](super::push)). A joint that is too fast, or would be beyond its limit after the
+//! horizon, counters it, up to the braking acceleration:
+//!
+//! ```text
+//! q̇ + a h ≤ … − w min(d, b) h          w = max(q + q̇ h − x, (q̇ − v) h)/GIVE, from 0 to 1
+//! ```
+//!
+//! A joint at rest then passes its limit by less than GIVE, for any d up to b. Because w vanishes at the limit, a joint that
+//! friction holds there does not creep.
+//!
 //! Torque and torque rate limits bound the commanded torque. If these bounds contradict each other, the torque bounds
 //! take precedence, then the bounds that brake the joint.
 
@@ -22,6 +34,9 @@ use opspace_model::{Data, Model, Postures, update};
 
 /// Time constant of the return of a joint beyond its position limit, s.
 const RETURN_S: f64 = 0.2;
+
+/// Distance beyond its limit at which a joint counters a push completely, rad or m; half of the default margin.
+const GIVE: f64 = 0.005;
 
 /// Number of postures sampled for the acceleration that a torque limit leaves.
 const SAMPLES: usize = 64;
@@ -138,7 +153,7 @@ impl Bounds {
 
     /// Returns true if joint accelerations and commanded torques (n) are within the bounds of a state. This fast test
     /// needs neither the square roots nor the precedence rules for contradicting bounds; `false` means that the bounds
-    /// must be computed.
+    /// must be computed. Pushes need no account: they count only where this test fails.
     pub(crate) fn is_strictly_feasible(
         &self,
         measurement: &Measurement,
@@ -161,7 +176,7 @@ impl Bounds {
             };
             allowed &= stops(l.upper[i] - ahead, speed)
                 & stops(ahead - l.lower[i], -speed)
-                & (speed.abs() <= l.velocity[i])
+                & (speed.abs().max(dq[i].abs()) <= l.velocity[i])
                 & (a.abs() <= l.acceleration[i])
                 & ((tau + added[i]).abs() <= l.torque[i])
                 & ((tau - before[i]).abs() <= l.torque_rate[i] * self.period_s);
@@ -170,13 +185,19 @@ impl Bounds {
     }
 
     /// Computes the bounds for the measured state. `before` are the last commanded torques (n), `added` the torques
-    /// that will be added to the next command (n; Nm or N).
-    pub(crate) fn update(&mut self, measurement: &Measurement, added: &[f64], before: &DVector<f64>) {
+    /// that will be added to the next command (n; Nm or N), `push` accelerations by external forces (n; rad/s² or m/s²).
+    pub(crate) fn update(
+        &mut self,
+        measurement: &Measurement,
+        push: &[f64],
+        added: &[f64],
+        before: &DVector<f64>,
+    ) {
         let (l, horizon_s) = (&self.limits, self.horizon_s());
         let (q, dq) = (&measurement.q, &measurement.dq);
         for i in 0..before.len() {
             let (velocity, braking) = (l.velocity[i], self.braking[i]);
-            let joint = JointState { q: q[i], dq: dq[i], velocity, braking, horizon_s };
+            let joint = JointState { q: q[i], dq: dq[i], push: push[i], velocity, braking, horizon_s };
             let (mut lower, mut upper) = (-joint.mirrored().highest(-l.lower[i]), joint.highest(l.upper[i]));
             // Braking bounds may be stricter than accelerating ones; between two limits that are too close, nothing
             // moves.
@@ -198,12 +219,13 @@ impl Bounds {
     }
 }
 
-/// State, velocity limit and braking acceleration of a joint, and the horizon of its bounds. Also of a pair of objects:
-/// its position is then its distance, with the opposite sign.
+/// State, acceleration by external forces, velocity limit and braking acceleration of a joint, and the horizon of its
+/// bounds. Also of a pair of objects: its position is then its distance, with the opposite sign.
 #[derive(Clone, Copy)]
 pub(crate) struct JointState {
     pub q: f64,
     pub dq: f64,
+    pub push: f64,
     pub velocity: f64,
     pub braking: f64,
     pub horizon_s: f64,
@@ -212,7 +234,7 @@ pub(crate) struct JointState {
 impl JointState {
     /// Returns the state for the opposite direction of the joint.
     fn mirrored(self) -> Self {
-        Self { q: -self.q, dq: -self.dq, ..self }
+        Self { q: -self.q, dq: -self.dq, push: -self.push, ..self }
     }
 
     /// Returns the highest acceleration for which the joint stays below its velocity limit and can stop at the position
@@ -220,6 +242,8 @@ impl JointState {
     pub(crate) fn highest(self, end: f64) -> f64 {
         let h = self.horizon_s;
         let mut allowed = self.velocity;
+        // Distance beyond the limit after the horizon; a speed limit counts as one that moves with it.
+        let mut beyond = (self.dq - self.velocity) * h;
         if end < f64::INFINITY {
             let left = end - self.q;
             let ahead = left - self.dq * h;
@@ -230,8 +254,11 @@ impl JointState {
                 (left.min(0.0) / RETURN_S).max(-self.velocity)
             };
             allowed = allowed.min(to_end);
+            beyond = beyond.max(-ahead);
         }
-        (allowed - self.dq) / h
+        let excess = self.dq - allowed;
+        let counted = (beyond / GIVE).clamp(0.0, 1.0);
+        -excess / h - counted * self.push.max(0.0).min(self.braking)
     }
 }
 
@@ -267,7 +294,7 @@ mod tests {
             let (mut q, mut dq) = (0.0, 0.0);
             let (mut fastest, mut hardest) = (0.0_f64, 0.0_f64);
             for _ in 0..5000 {
-                bounds.update(&at(q, dq), &[0.0], &DVector::zeros(1));
+                bounds.update(&at(q, dq), &[0.0], &[0.0], &DVector::zeros(1));
                 let a = bounds.acceleration.upper[0];
                 hardest = hardest.max(a.abs());
                 q += period * (dq + 0.5 * period * a);
@@ -296,7 +323,7 @@ mod tests {
         let mut bounds = bounds(limits);
         let (mut q, mut dq) = (1.2, 0.5);
         for _ in 0..5000 {
-            bounds.update(&at(q, dq), &[0.0], &DVector::zeros(1));
+            bounds.update(&at(q, dq), &[0.0], &[0.0], &DVector::zeros(1));
             let a = bounds.acceleration.upper[0];
             assert!(a.is_finite() && bounds.acceleration.lower[0] <= a);
             q += 1e-3 * (dq + 0.5e-3 * a);
@@ -327,7 +354,7 @@ mod tests {
             {
                 let before = DVector::from_element(1, 0.0);
                 let plain = bounds.is_strictly_feasible(&measurement, &[0.0], &before, |_| a, |_| torque);
-                bounds.update(&measurement, &[0.0], &before);
+                bounds.update(&measurement, &[0.0], &[0.0], &before);
                 let within = bounds.acceleration.contains(0, a) && bounds.torque.contains(0, torque);
                 assert!(within || !plain, "{q} {dq} {a} {torque}");
                 let viable =
@@ -355,7 +382,7 @@ mod tests {
         for q in [-1.0, -0.01, -0.005, 0.0, 0.01, 0.5] {
             for dq in [-5.0, -0.3, 0.0, 0.2, 5.0] {
                 for before in [-9.0, -5.0, 0.0, 4.99, 7.0] {
-                    bounds.update(&at(q, dq), &[0.0], &DVector::from_element(1, before));
+                    bounds.update(&at(q, dq), &[0.0], &[0.0], &DVector::from_element(1, before));
                     let [a, t] = [&bounds.acceleration, &bounds.torque];
                     assert!(a.lower[0] <= a.upper[0] && a.lower[0].is_finite() && a.upper[0].is_finite());
                     assert!(t.lower[0] <= t.upper[0] && t.upper[0] <= 5.0 && t.lower[0] >= -5.0);

@@ -116,21 +116,28 @@ impl CollisionBounds {
         longest
     }
 
-    /// Computes the bounds of a state, for α: joint accelerations without `bias_acceleration` (n).
-    pub(crate) fn update(&mut self, model: &Model, data: &Data, bias_acceleration: &DVector<f64>) {
+    /// Computes the bounds of a state, for α: joint accelerations without `bias_acceleration` (n). `push` are accelerations
+    /// by external forces (n).
+    pub(crate) fn update(
+        &mut self,
+        model: &Model,
+        data: &Data,
+        bias_acceleration: &DVector<f64>,
+        push: &[f64],
+    ) {
         self.count = 0;
         self.least_m = self.within_m;
         collision_distances(&self.geometry, model, data, self.within_m, &mut self.near);
         for pair in 0..self.near.proximity.len() {
             let Some(closest) = self.near.proximity[pair] else { continue };
             self.least_m = self.least_m.min(closest.distance_m);
-            self.add(model, data, bias_acceleration, pair, &closest);
+            self.add(model, data, bias_acceleration, push, pair, &closest);
             if closest.distance_m < self.margin_m + ENDS_WITHIN_M {
                 let mut ends = [None; 4];
                 let proximities = end_proximities(&self.geometry, &self.near, pair, &closest);
                 ends.iter_mut().zip(proximities).for_each(|(end, proximity)| *end = Some(proximity));
                 for end in ends.iter().flatten() {
-                    self.add(model, data, bias_acceleration, pair, end);
+                    self.add(model, data, bias_acceleration, push, pair, end);
                 }
             }
         }
@@ -142,6 +149,7 @@ impl CollisionBounds {
         model: &Model,
         data: &Data,
         bias_acceleration: &DVector<f64>,
+        push: &[f64],
         pair: usize,
         proximity: &Proximity,
     ) {
@@ -153,8 +161,14 @@ impl CollisionBounds {
         if left > stop_m && -rate <= velocity {
             return;
         }
-        let state =
-            JointState { q: -proximity.distance_m, dq: -rate, velocity, braking, horizon_s: self.horizon_s };
+        let state = JointState {
+            q: -proximity.distance_m,
+            dq: -rate,
+            push: -dot(&self.gradient, push),
+            velocity,
+            braking,
+            horizon_s: self.horizon_s,
+        };
         let bias = distance_bias_acceleration(&self.geometry, data, pair, proximity);
         let bias = bias.max(-braking).min(braking) + dot(&self.gradient, bias_acceleration.as_slice());
         let upper = state.highest(-self.margin_m) + bias;

@@ -7,6 +7,7 @@ use crate::hierarchy::task_parameters::Compensation;
 use crate::limits::bounds::{Bounds, Interval};
 use crate::limits::collision_bounds::CollisionBounds;
 use crate::limits::joint_limits::LimitParameters;
+use crate::limits::push::Push;
 use crate::qp::lexicographic::{HierarchicalQp, Limits, Solver, SpeedBound};
 use crate::qp::quadratic_program::QpError;
 use nalgebra::DVector;
@@ -17,6 +18,7 @@ use opspace_model::{Data, Model};
 /// Computation of commands within the limits.
 pub(crate) struct Limiter {
     bounds: Bounds,
+    push: Push,
     collision: Option<CollisionBounds>,
     /// Torque bounds before the QPs widen any of them.
     torque_bounds: Interval,
@@ -62,6 +64,7 @@ impl Limiter {
         let speeds = 2 * n + collision.as_ref().map_or(0, CollisionBounds::capacity);
         Self {
             collision,
+            push: Push::new(n, context.period_s, bounds.horizon_s()),
             torque_bounds: bounds.torque.clone(),
             bounds,
             cascade: HierarchicalQp::new(n, speeds, parameters.lateral_weight()),
@@ -77,6 +80,11 @@ impl Limiter {
         }
     }
 
+    /// Forgets the motion before a start.
+    pub(crate) fn start(&mut self) {
+        self.push.reset();
+    }
+
     /// Updates all state-dependent quantities except the joint bounds.
     pub(crate) fn update_state(
         &mut self,
@@ -85,6 +93,7 @@ impl Limiter {
         compensation: Compensation,
         hierarchy: &TaskHierarchy,
     ) {
+        self.push.observe(&data.dq);
         if compensation == Compensation::Gravity {
             for (bias_acceleration, (gravity, bias)) in
                 self.bias_acceleration.iter_mut().zip(data.gravity.iter().zip(&data.bias))
@@ -96,7 +105,7 @@ impl Limiter {
         self.resists =
             hierarchy.levels.iter().any(|level| !level.resistance.is_negligible() || level.standstill.acts());
         if let Some(collision) = &mut self.collision {
-            collision.update(model, data, &self.bias_acceleration);
+            collision.update(model, data, &self.bias_acceleration, self.push.acceleration());
         }
         self.speed_count = 0;
         let horizon_s = self.bounds.horizon_s();
@@ -145,7 +154,7 @@ impl Limiter {
 
     /// Computes the joint bounds in this state; `commanded` are the last commanded torques (n).
     pub(crate) fn bound(&mut self, input: &ControlInput<'_>, commanded: &DVector<f64>) {
-        self.bounds.update(input.measurement, input.feedforward_torque, commanded);
+        self.bounds.update(input.measurement, self.push.acceleration(), input.feedforward_torque, commanded);
         self.torque_bounds.lower.copy_from(&self.bounds.torque.lower);
         self.torque_bounds.upper.copy_from(&self.bounds.torque.upper);
         let pairs = self.collision.as_ref().map_or(&[][..], CollisionBounds::rows);
@@ -267,7 +276,7 @@ impl Limiter {
         }
     }
 
-    /// Stores the active bounds of the command.
+    /// Stores the command and its active bounds: `alpha` are the joint accelerations that it causes (n).
     pub(crate) fn record_status(
         &mut self,
         solver: Solver,
@@ -276,6 +285,7 @@ impl Limiter {
         compensation_torque: &DVector<f64>,
     ) {
         self.solver = solver;
+        self.push.expect(alpha, &self.bias_acceleration);
         if solver == Solver::Unlimited {
             self.limited.fill(0.0);
             return;
