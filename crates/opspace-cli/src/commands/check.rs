@@ -255,7 +255,7 @@ fn refuse_options_of_tasks(path: &Path, args: &CheckArgs) -> Result<(), FileErro
     ];
     let Some((option, _, help)) = given.into_iter().find(|(_, is_given, _)| *is_given) else { return Ok(()) };
     let message = format!("has no use for {option}, which is for task files");
-    Err(FileError::of_file(&path.display().to_string(), message, Some(help.to_owned())))
+    Err(FileError::of_file(path.display().to_string(), message, Some(help.to_owned())))
 }
 
 fn check_one(
