@@ -751,6 +751,7 @@ fn run_refuses_real_robot_with_small_margins() {
     assert!(table.contains("error, Nm  of limit\n    shoulder_pitch "), "{table}");
     let is_wide = |line: &&str| line.starts_with("    ") && line.chars().count() > 100;
     assert_eq!(table.lines().find(is_wide), None);
+    assert!(table.contains("\n  no problems found\n"), "{table}");
     assert_eq!(checked.stderr, "");
 }
 
@@ -796,14 +797,72 @@ fn check_takes_settings() {
     let good = check(task, "task.hand.cartesian.gains.frequency_rad_per_s=10").exits(0);
     assert!(good.stdout.contains("\n  no problems found\n"), "{}", good.stdout);
     let stiff = check(task, "task.hand.cartesian.gains.frequency_rad_per_s=2000").exits(0);
-    stiff.says(&["would be unstable", "--set task.hand.cartesian.gains.frequency_rad_per_s=2000"]);
+    stiff.prints(&["would be unstable", "--set task.hand.cartesian.gains.frequency_rad_per_s=2000"]);
     let weak = "robot.joint.shoulder_pitch.torque_limit_nm=0.5";
-    check(task, weak).exits(0).says(&["--set robot.joint.shoulder_pitch.torque_limit_nm=0.5"]);
+    check(task, weak).exits(0).prints(&["--set robot.joint.shoulder_pitch.torque_limit_nm=0.5"]);
     let experiment = "experiments/teleop-free.toml";
     check(experiment, "duration_s=-1.0").exits(2).says(&["duration_s"]);
     for file in [ROOT_ROBOT, "tasks/suites/paper.toml", "robots/asimo-arm/asimo-arm.urdf"] {
         check(file, "seed=1").exits(2).says(&["has no values for --set"]);
     }
+}
+
+/// `--controller` and `--backend` change the robot that is checked, as they do for a run; files that state their own refuse them.
+#[test]
+fn check_takes_controller_and_backend() {
+    let check =
+        |file: &str, options: &[&str]| opspace(Path::new(ROOT), &[&["check", file], options].concat());
+    let task = "tasks/compliant-x.toml";
+    let ignored = "[ignored-compliance]";
+    assert!(!check(task, &[]).exits(0).stdout.contains(ignored));
+    check(task, &["--controller", "ik"]).exits(0).prints(&[ignored]);
+    let margin = |options: &[&str]| {
+        let file = &check(task, &[&["--json", "-"], options].concat()).exits(0).json()["files"][0];
+        file["position_gain_margin"].is_object()
+    };
+    assert!(margin(&[]) && !margin(&["--backend", "torque"]));
+    check(task, &["--controller", "pid"]).exits(2).says(&["ik-lead"]);
+    for file in [ROOT_ROBOT, "tasks/suites/paper.toml", "experiments/teleop-free.toml"] {
+        for options in [["--controller", "ik"], ["--backend", "torque"]] {
+            check(file, &options).exits(2).says(&["has no use for --", "for task files"]);
+        }
+    }
+}
+
+/// With `--strict` the exit code tells whether a problem was found: 1 with one, 0 without, and 2 if a file is invalid.
+#[test]
+fn strict_check_fails_if_it_finds_a_problem() {
+    let check = |files: &[&str]| opspace(Path::new(ROOT), &[&["check", "--strict"], files].concat());
+    let (good, bad) = ("tasks/compliant-x.toml", "tasks/ur5e-out-of-reach.toml");
+    check(&[good]).exits(0);
+    let ran = check(&[bad, good]).exits(1).prints(&["[goal-out-of-reach]"]);
+    assert_eq!(ran.stderr, "");
+    // The problem is below the line of its file, and above that of the next one.
+    let at = |text: &str| ran.stdout.find(text).unwrap();
+    let next = format!("\n{good}: a task");
+    assert!(at(&format!("{bad}: a task")) < at("[goal-out-of-reach]"), "{}", ran.stdout);
+    assert!(at("[goal-out-of-reach]") < at(&next), "{}", ran.stdout);
+    check(&[bad, "tasks/none.toml"]).exits(2);
+    opspace(Path::new(ROOT), &["check", bad]).exits(0);
+}
+
+/// Before a run, its stderr names the problems that `check` finds at the start; not if it is quiet, and not without any.
+#[test]
+fn run_names_problems_before_it() {
+    let folder = scratch();
+    let run = |controller: &str, options: &[&str]| {
+        let task = project("tasks/compliant-x.toml");
+        let run =
+            ["run", &task, "--duration-s", "1.6", "--force", "--out", "out", "--controller", controller];
+        opspace(folder.path(), &[&run, options].concat()).exits(0).stderr
+    };
+    let said = run("ik", &[]);
+    assert!(
+        said.starts_with("note: `opspace check` finds 1 problem at the start: [ignored-compliance]\n"),
+        "{said}"
+    );
+    assert!(!run("osc", &[]).contains("note: "));
+    assert!(!run("ik", &["--quiet"]).contains("note: "));
 }
 
 #[test]

@@ -141,11 +141,11 @@ fn mistakes_in_an_experiment_have_their_line() {
 #[test]
 fn coupling_without_passivity_control_is_told() {
     let off = EXPERIMENT.replace("\"measured-force\" }", "\"measured-force\", passivity = \"off\" }");
-    check(&off).exits(0).says(&["hands.toml:14: ", "passivity control is off", "help: "]);
+    check(&off).exits(0).prints(&["hands.toml:14: ", "passivity control is off", "help: "]);
     let waves = off.replace("\"measured-force\"", "{ waves = { impedance_ns_per_m = 20.0 } }");
     for quiet in [EXPERIMENT, &waves] {
-        let stderr = check(quiet).exits(0).stderr;
-        assert!(!stderr.contains("passivity"), "{stderr}");
+        let stdout = check(quiet).exits(0).stdout;
+        assert!(!stdout.contains("passivity"), "{stdout}");
     }
 }
 

@@ -31,6 +31,30 @@ fn torque_control_and_leading_kinematics_track_to_millimetres() {
     assert!(plain > 5.0 * lead, "without lead the servo lags: {plain} m, with it {lead} m");
 }
 
+/// Goals beyond the reach of two arms: inverse kinematics keeps the joints below the speed at which a run stops, and rests.
+#[test]
+fn inverse_kinematics_rests_at_goals_out_of_reach() {
+    // With more speed, the Panda's second joint turns around faster than its torque limit permits.
+    for (task, fraction) in [
+        ("panda-unreachable", 0.5),
+        ("ur5e-unreachable", 0.9),
+        ("panda-out-of-reach", 0.9),
+        ("ur5e-out-of-reach", 0.9),
+    ] {
+        for controller in [ControllerKind::Ik, ControllerKind::IkLead] {
+            let path =
+                Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../tasks")).join(format!("{task}.toml"));
+            let options = RunOptions { controller, ..RunOptions::default() };
+            let fraction = format!("limits.velocity_fraction={fraction}");
+            let settings = ["duration_s=8.0", "settle_s=7.5", "expect={}", &fraction].map(str::to_owned);
+            let experiment = Experiment::load(Files::Disk, &path, None, options, &settings)
+                .unwrap_or_else(|e| panic!("{e}"));
+            let speed = present(measure(&experiment).speed_max_rad_per_s);
+            assert!(speed < 0.01, "{task}: {speed} rad/s at the end");
+        }
+    }
+}
+
 /// Compared: the true path of the hand, and a polygon with rounded corners that is passed without stops.
 #[test]
 fn hand_follows_path_with_rounded_corners() {

@@ -512,7 +512,11 @@ fn new_robot_keeps_existing_files() {
     let urdf = project("tests/oracles/pinocchio/urdf/ur5.urdf");
     let new = |dir: &str, urdf: &str| opspace(folder.path(), &["new", dir, "--urdf", urdf]);
     new("mine", &urdf).exits(0);
-    new("mine", &urdf).exits(2).says(&["mine/robot.toml: already exists", "another folder"]);
+    new("mine", &urdf).exits(2).says(&[
+        "mine/robot.toml: already exists",
+        "another folder: `opspace new mine-2 --urdf ",
+        "Or delete mine/robot.toml and mine/first-task.toml",
+    ]);
     fs::create_dir(folder.path().join("other")).unwrap();
     fs::write(folder.path().join("other/ur5.urdf"), "<robot/>").unwrap();
     new("other", &urdf).exits(2).says(&["other/ur5.urdf: already exists and differs", "another folder"]);

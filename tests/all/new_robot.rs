@@ -222,7 +222,8 @@ fn robot_with_the_values_of_a_template_runs() {
         "{said}"
     );
     let checked = opspace(folder.path(), &["check", "mine", "mine/first-task.toml"]).exits(0);
-    assert_eq!(checked.stderr, "", "no finding");
+    assert_eq!(checked.stderr, "");
+    assert!(checked.stdout.contains("\n  no problems found\n"), "{}", checked.stdout);
     assert!(checked.stdout.contains("assumed, results rest on them: interface.gears"), "{}", checked.stdout);
     opspace(folder.path(), &["run", "mine/first-task.toml", "--out", "out"]).exits(0);
     let summary = read_json(at("out/summary.json"));

@@ -28,7 +28,7 @@ fn arm_stuck_at_its_singular_start_is_reported() {
         let checked = opspace(folder.path(), &["check", "task.toml"]);
         let predicted =
             ["task 'tip': at the start it cannot be moved along x", "does not leave towards a goal"];
-        assert!(predicted.iter().all(|words| checked.stderr.contains(words) == stuck), "{}", checked.stderr);
+        assert!(predicted.iter().all(|words| checked.stdout.contains(words) == stuck), "{}", checked.stdout);
         for backend in ["torque", "position"] {
             let options =
                 ["run", "task.toml", "--backend", backend, "--json", "-", "--force", "--out", "run"];
@@ -53,15 +53,15 @@ fn arm_leaves_its_singular_start_if_its_file_says_so() {
     fs::write(folder.path().join("task.toml"), &task).unwrap();
     let checked = opspace(folder.path(), &["check", "task.toml"]);
     let remedy = "or set task.tip.cartesian.escape = \"nullspace-step\"";
-    assert!(checked.stderr.contains(remedy), "{}", checked.stderr);
+    assert!(checked.stdout.contains(remedy), "{}", checked.stdout);
     let option = task.replace("frame =", "escape = \"nullspace-step\"\nframe =");
     fs::write(folder.path().join("task.toml"), option).unwrap();
     let checked = opspace(folder.path(), &["check", "task.toml"]);
-    let says = |words: &str| checked.stderr.contains(words);
+    let says = |words: &str| checked.stdout.contains(words);
     assert!(
         says("it leaves towards a goal") && !says("does not leave") && !says(remedy),
         "{}",
-        checked.stderr
+        checked.stdout
     );
     for backend in ["torque", "position"] {
         let options = ["run", "task.toml", "--backend", backend, "--json", "-", "--force", "--out", "run"];

@@ -49,7 +49,7 @@ Terms:
 
 Exit codes:
   0    done
-  1    the run failed: a fault, a divergence, or a difference in a replay
+  1    the run failed: a fault, a divergence, or a difference in a replay; or `check --strict` found a problem
   2    invalid arguments or an invalid file
   3    done, but data was lost or a log is damaged
   130  interrupted, log closed";
@@ -130,10 +130,19 @@ In the folder of an experiment with several robots, makes the page about all of 
     #[command(after_help = "\
 A mistake in a file is an error (exit code 2). Predicted problems of a run are diagnostics, not errors; each has \
 its place, numbers and a remedy: goals out of reach, speeds beyond the joint limits, gains too high for the rate and the \
-servo, contradictory limits, a singular start, degrees of freedom without a task, a run that is too short. --json lists \
-them as `findings`. The code in brackets has a page: `opspace explain CODE`.
+servo, contradictory limits, a singular start, degrees of freedom without a task, a run that is too short. They are printed \
+to standard output below the line of their file; --json lists them as `findings`, and warnings about models as `warnings`. \
+With --strict, any of them gives exit code 1. The code in brackets has a page: `opspace explain CODE`.
 
-The file of an experiment with several robots is checked with all files that it names.")]
+--backend and --controller are those of `opspace run`, for task files. The runs of a suite and the robots of an experiment \
+state their own.
+
+The file of an experiment with several robots is checked with all files that it names.
+
+Examples:
+  opspace check tasks/compliant-x.toml
+  opspace check tasks/compliant-x.toml --controller ik
+  opspace check tasks/*.toml --strict > problems.txt")]
     Check(CheckArgs),
 
     /// Explain a code that `check`, `run` or a warning prints.
@@ -339,6 +348,18 @@ pub struct OutputArgs {
     pub force: bool,
 }
 
+/// Interface and controller of the robot of a task.
+#[derive(Debug, Args)]
+pub struct ControlArgs {
+    /// Robot interface to simulate [default: the one stated in robot.toml].
+    #[arg(long, value_parser = commands())]
+    pub backend: Option<CommandKind>,
+
+    /// Controller of the robot.
+    #[arg(long, value_parser = controllers(), default_value = ControllerKind::Osc.name())]
+    pub controller: ControllerKind,
+}
+
 #[derive(Debug, Args)]
 pub struct RunArgs {
     /// The task file, or the file of an experiment with several robots.
@@ -348,13 +369,8 @@ pub struct RunArgs {
     #[arg(long)]
     pub robot: Option<PathBuf>,
 
-    /// Robot interface to simulate [default: the one stated in robot.toml].
-    #[arg(long, value_parser = commands())]
-    pub backend: Option<CommandKind>,
-
-    /// Controller of the robot.
-    #[arg(long, value_parser = controllers(), default_value = ControllerKind::Osc.name())]
-    pub controller: ControllerKind,
+    #[command(flatten)]
+    pub control: ControlArgs,
 
     /// Transformer, which converts desired torques into setpoints [default: that of the profile, otherwise the best one
     /// for the declared interface].
@@ -404,8 +420,8 @@ pub struct RunArgs {
 impl RunArgs {
     pub fn options(&self, default: CommandKind) -> RunOptions {
         RunOptions {
-            backend: self.backend.unwrap_or(default),
-            controller: self.controller,
+            backend: self.control.backend.unwrap_or(default),
+            controller: self.control.controller,
             transformer: self.transformer,
             profile: self.profile.clone(),
             seed: self.seed,
@@ -520,9 +536,16 @@ pub struct CheckArgs {
     #[arg(required = true)]
     pub files: Vec<PathBuf>,
 
+    #[command(flatten)]
+    pub control: ControlArgs,
+
     /// Override a value of task and experiment files, or, with the prefix `robot.`, of the robot file. Can be repeated.
     #[arg(long, value_name = "KEY=VALUE")]
     pub set: Vec<String>,
+
+    /// End with exit code 1 if a problem is found in a valid file.
+    #[arg(long)]
+    pub strict: bool,
 
     #[command(flatten)]
     pub allow: AllowArgs,

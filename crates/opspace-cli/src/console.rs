@@ -30,7 +30,7 @@ pub enum Failure {
 pub enum Exit {
     /// Success.
     Done,
-    /// The run failed: a fault, divergence or difference.
+    /// The run failed: a fault, divergence or difference; or a strict check found a problem.
     Failed,
     /// Invalid arguments, or an invalid file.
     Bad,

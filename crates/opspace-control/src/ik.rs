@@ -11,6 +11,10 @@
 //!
 //! J⁺ is the dynamically consistent inverse for an identity mass matrix, damped near singularities like that of the
 //! torque controller.
+//!
+//! With a goal out of reach, the error and with it q̇_ref would grow without bound. Therefore a joint approaches an end of its
+//! range at most at 20 1/s times its distance from there, and if a joint would then be faster than its limit, all are slowed down
+//! by one factor, so that q̇_ref keeps its direction. Margins and fractions of the limits are those of [`LimitParameters`].
 
 use crate::context::ControlContext;
 use crate::controller::{ControlInput, Controller, StaleTarget};
@@ -21,6 +25,7 @@ use crate::hierarchy::task_hierarchy::TaskHierarchy;
 use crate::hierarchy::task_parameters::TaskSetParameters;
 use crate::hierarchy::task_schedule::{RecordedSignals, TaskSchedule};
 use crate::hierarchy::task_set::TaskSet;
+use crate::limits::joint_limits::{JointLimits, LimitParameters};
 use crate::targets::Targets;
 use crate::tasks::task::Task;
 use nalgebra::DVector;
@@ -48,6 +53,8 @@ pub struct ServoLead {
 pub struct InverseKinematicsController {
     schedule: TaskSchedule,
     context: ControlContext,
+    /// Limits of position and speed within which q_ref stays.
+    limits: JointLimits,
     lead: Option<ServoLead>,
     /// Kinematics and gravity at q_ref; the factor of M is replaced by the identity.
     data: Data,
@@ -72,10 +79,11 @@ impl InverseKinematicsController {
         context: &ControlContext,
         lead: Option<ServoLead>,
     ) -> Result<Self, ControlError> {
-        Self::from_tasks(model, TaskSet::from_parameters(model, parameters, context)?, context, lead)
+        let tasks = TaskSet::from_parameters(model, parameters, context)?;
+        Self::build(model, tasks, &parameters.limits, context, lead)
     }
 
-    /// Creates a controller for tasks that are built in code.
+    /// Creates a controller for tasks that are built in code, with default [`LimitParameters`].
     ///
     /// # Errors
     /// Tasks without a reference motion; a force axis without an admittance; a lead whose length differs from the number of
@@ -83,6 +91,16 @@ impl InverseKinematicsController {
     pub fn from_tasks(
         model: &Model,
         tasks: TaskSet,
+        context: &ControlContext,
+        lead: Option<ServoLead>,
+    ) -> Result<Self, ControlError> {
+        Self::build(model, tasks, &LimitParameters::default(), context, lead)
+    }
+
+    fn build(
+        model: &Model,
+        tasks: TaskSet,
+        limits: &LimitParameters,
         context: &ControlContext,
         lead: Option<ServoLead>,
     ) -> Result<Self, ControlError> {
@@ -102,6 +120,11 @@ impl InverseKinematicsController {
         Ok(Self {
             schedule: TaskSchedule::new(tasks, RecordedSignals::Motion),
             context: context.clone(),
+            limits: if limits.enforce {
+                context.limits.clone().narrowed(limits)
+            } else {
+                JointLimits::none(n)
+            },
             lead,
             data,
             q: DVector::zeros(n),
@@ -174,6 +197,28 @@ impl InverseKinematicsController {
         {
             hierarchy.nullspace.project_velocity(velocity);
             self.dq += &self.scratch;
+        }
+    }
+
+    /// Keeps q̇_ref within the limits of the joints.
+    fn limit(&mut self) {
+        let limits = &self.limits;
+        let mut slowed = 1.0;
+        for (i, (dq, q)) in self.dq.iter_mut().zip(&self.q).enumerate() {
+            let most = ERROR_GAIN_PER_S * (limits.upper[i] - q).max(0.0);
+            let least = ERROR_GAIN_PER_S * (limits.lower[i] - q).min(0.0);
+            // A velocity that is not a number stays one, so that it stops the run.
+            if *dq > most {
+                *dq = most;
+            } else if *dq < least {
+                *dq = least;
+            }
+            if dq.abs() > limits.velocity[i] {
+                slowed = f64::min(slowed, limits.velocity[i] / dq.abs());
+            }
+        }
+        if slowed < 1.0 {
+            self.dq *= slowed;
         }
     }
 
@@ -257,6 +302,7 @@ impl Controller for InverseKinematicsController {
         kinematics(model, &mut self.data, self.q.as_slice(), self.dq.as_slice());
         if !in_joints {
             self.solve(model);
+            self.limit();
         }
         if self.lead.is_some() {
             gravity(model, &mut self.data);

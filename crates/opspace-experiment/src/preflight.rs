@@ -85,18 +85,7 @@ pub fn diagnostics(experiment: &Experiment) -> Vec<Diagnostic> {
         return Vec::new();
     };
     let followed = Rollout::new(&case.rollout());
-    let mut found = limits::of_start(&case);
-    found.extend(objects::misplaced(&case));
-    found.extend(freedom::singular_start(&case));
-    if experiment.options().controller == ControllerKind::Osc {
-        found.extend(freedom::uncontrolled(&case));
-        found.extend(freedom::drifting(&case));
-        found.extend(stability::stiff_gains(&case));
-        found.extend(contact::contacts(&case));
-    }
-    found.extend(ignored_compliance::ignored(&case));
-    found.extend(admittance::unstable_contacts(&case));
-    found.extend(torque_floor::feed_forward_impulses(experiment));
+    let mut found = of_start(&case);
     found.extend(limits::of_postures(&case, &followed));
     let out_of_reach = goals::out_of_reach(&case, &followed);
     // References that are out of reach would require arbitrary speeds and torques.
@@ -114,6 +103,29 @@ pub fn diagnostics(experiment: &Experiment) -> Vec<Diagnostic> {
     }
     found.extend(speeds::of_tasks(&case, &followed));
     found.extend(times::too_short(&case, &followed));
+    found
+}
+
+/// Computes those of the [`diagnostics`] that do not follow the references: they concern the start posture, gains and
+/// contacts. They take some 20 ms; references out of reach can take five times as long, and long runs more.
+#[must_use]
+pub fn start_diagnostics(experiment: &Experiment) -> Vec<Diagnostic> {
+    PreflightCase::new(experiment).map_or_else(Vec::new, |case| of_start(&case))
+}
+
+fn of_start(case: &PreflightCase<'_>) -> Vec<Diagnostic> {
+    let mut found = limits::of_start(case);
+    found.extend(objects::misplaced(case));
+    found.extend(freedom::singular_start(case));
+    if case.experiment.options().controller == ControllerKind::Osc {
+        found.extend(freedom::uncontrolled(case));
+        found.extend(freedom::drifting(case));
+        found.extend(stability::stiff_gains(case));
+        found.extend(contact::contacts(case));
+    }
+    found.extend(ignored_compliance::ignored(case));
+    found.extend(admittance::unstable_contacts(case));
+    found.extend(torque_floor::feed_forward_impulses(case.experiment));
     found
 }
 

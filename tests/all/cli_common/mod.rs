@@ -37,6 +37,15 @@ impl Ran {
         self
     }
 
+    /// Checks that stdout contains each of the words.
+    #[track_caller]
+    pub fn prints(self, words: &[&str]) -> Self {
+        for word in words {
+            assert!(self.stdout.contains(word), "'{word}' isn't printed:\n{}", self.stdout);
+        }
+        self
+    }
+
     #[track_caller]
     pub fn json(&self) -> Value {
         serde_json::from_str(&self.stdout).unwrap_or_else(|e| panic!("{e}:\n{}", self.stdout))

@@ -1,7 +1,7 @@
 //! `opspace check`: checks files, individually and against each other, without running anything, and reports
 //! predicted problems of a task.
 
-use crate::cli::CheckArgs;
+use crate::cli::{CheckArgs, ControlArgs};
 use crate::commands::margins::Strength;
 use crate::commands::own_backend;
 use crate::console::{Console, Exit, Outcome, report};
@@ -19,53 +19,41 @@ use opspace_experiment::preflight::{
 };
 use opspace_experiment::run::collision::KeptDistances;
 use opspace_experiment::{
-    Code, CoupledExperiment, Diagnostic, Experiment, Extensions, FileError, Files, RobotDefinition,
-    RunOptions, Source, Suite, diagnostics,
+    Code, ControllerKind, CoupledExperiment, Diagnostic, Experiment, Extensions, FileError, Files,
+    RobotDefinition, RunOptions, Source, Suite, diagnostics,
 };
 use opspace_model::collision::DropReason;
 use opspace_model::{Model, UrdfOptions, UrdfWarning, model_warnings};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::collections::HashSet;
+use std::fmt;
 use std::path::Path;
 
 pub fn check(args: &CheckArgs, extensions: &Extensions, console: Console) -> Outcome {
     check_outputs(&args.files, &Vec::from_iter(args.json.path().map(Path::to_owned)))?;
-    let mut exit = Exit::Done;
+    let (mut is_valid, mut has_problems) = (true, false);
     let (mut text, mut files) = (String::new(), Vec::new());
     for path in &args.files {
-        let checked = check_one(path, &args.set, &args.allow.allow, extensions, console);
+        let checked = check_one(path, args, extensions, console);
         files.push(as_json(path, &checked));
         match checked {
             Ok(checked) => {
-                text += &format!("{}: {}\n", path.display(), checked.what);
-                text += &checked.values;
-                checked.margin.iter().for_each(|margin| text += &format!("  {margin}\n"));
-                checked.gears.iter().for_each(|gear| text += &format!("  {gear}\n"));
-                checked.forces.iter().for_each(|force| text += &format!("  {force}\n"));
-                text += &thresholds_text(&checked.thresholds);
-                checked.strength.iter().for_each(|strength| text += &strength.text());
-                checked.singular.iter().for_each(|singular| text += &format!("  {singular}\n"));
-                checked.paths.iter().for_each(|path| text += &format!("  {path}\n"));
-                checked
-                    .distances
-                    .iter()
-                    .for_each(|distances| text += &pairs_text(distances, console.verbose));
-                checked.allowed.iter().for_each(|refusal| text += &format!("  allowed: {refusal}\n"));
-                if checked.is_task && checked.found.is_empty() && checked.allowed.is_empty() {
-                    text += "  no problems found\n";
-                }
-                checked.found.iter().for_each(|found| note(console, found));
-                checked
-                    .skipped
-                    .iter()
-                    .for_each(|skipped| text += &format!("  not checked: {}\n", skipped.place));
+                has_problems |= checked.has_problems();
+                text += &checked.text(path, console);
             }
-            Err(error) => exit = report(&error.into()),
+            Err(error) => {
+                report(&error.into());
+                is_valid = false;
+            }
         }
     }
     args.json.print(|| pretty(&json!({ "schema": "opspace.check/1", "files": files })), || text)?;
-    Ok(exit)
+    Ok(match is_valid {
+        false => Exit::Bad,
+        true if args.strict && has_problems => Exit::Failed,
+        true => Exit::Done,
+    })
 }
 
 /// Valid file with the predicted problems of its task.
@@ -92,6 +80,8 @@ struct Checked {
     paths: Vec<PathDuration>,
     /// Pairs of links and obstacles that the controller keeps apart.
     distances: Option<KeptDistances>,
+    /// Warnings about a URDF, the model built from it, and its capsules.
+    warnings: Vec<Warning>,
     found: Vec<Found>,
     /// Refusals that the user has allowed.
     allowed: Vec<AllowedRefusal>,
@@ -113,10 +103,61 @@ impl Checked {
             singular: Vec::new(),
             paths: Vec::new(),
             distances: None,
+            warnings: Vec::new(),
             found: Vec::new(),
             allowed: Vec::new(),
             skipped: Vec::new(),
         }
+    }
+
+    /// True if a problem was found, or the model has a warning.
+    fn has_problems(&self) -> bool {
+        !self.found.is_empty() || !self.warnings.is_empty()
+    }
+
+    /// Describes the file and its problems.
+    fn text(&self, path: &Path, console: Console) -> String {
+        let mut text = format!("{}: {}\n{}", path.display(), self.what, self.values);
+        text.extend(self.margin.iter().map(line));
+        text.extend(self.gears.iter().map(line));
+        text.extend(self.forces.iter().map(line));
+        text += &thresholds_text(&self.thresholds);
+        text.extend(self.strength.iter().map(Strength::text));
+        text.extend(self.singular.iter().map(line));
+        text.extend(self.paths.iter().map(line));
+        text.extend(self.distances.iter().map(|distances| pairs_text(distances, console.verbose)));
+        text.extend(self.allowed.iter().map(|refusal| line(&format!("allowed: {refusal}"))));
+        if self.is_task && !self.has_problems() && self.allowed.is_empty() {
+            text += &line(&"no problems found");
+        }
+        text.extend(self.warnings.iter().map(line));
+        text.extend(self.found.iter().map(line));
+        text.extend(self.skipped.iter().map(|skipped| line(&format!("not checked: {}", skipped.place))));
+        text
+    }
+}
+
+/// Formats a line about a file.
+fn line(item: &impl fmt::Display) -> String {
+    format!("  {item}\n")
+}
+
+/// Warning about a model, with its file and its code.
+struct Warning {
+    file: String,
+    text: String,
+    code: &'static str,
+}
+
+impl Warning {
+    fn new(file: &str, text: &impl fmt::Display, code: &'static str) -> Self {
+        Self { file: file.to_owned(), text: text.to_string(), code }
+    }
+}
+
+impl fmt::Display for Warning {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}: {} [{}]", self.file, self.text, self.code)
     }
 }
 
@@ -130,6 +171,12 @@ impl Found {
     fn new(finding: Diagnostic, experiment: &Experiment) -> Self {
         let place = finding.placed(experiment);
         Self { finding, place }
+    }
+}
+
+impl fmt::Display for Found {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}\n    help: {}", self.place, self.finding.help)
     }
 }
 
@@ -188,32 +235,38 @@ fn allowed_in<'a>(experiments: impl Iterator<Item = &'a Experiment>) -> Vec<Allo
     all
 }
 
-fn note(console: Console, found: &Found) {
-    console.note(&format!("{}\n  help: {}", found.place, found.finding.help));
+/// Warnings about a URDF and about the model built from it.
+fn model_warnings_of(urdf: &str, warnings: &[UrdfWarning], model: &Model) -> Vec<Warning> {
+    let of_urdf = warnings.iter().map(|w| Warning::new(urdf, w, w.kind().code()));
+    of_urdf.chain(model_warnings(model).iter().map(|w| Warning::new(urdf, w, w.code()))).collect()
 }
 
-/// Prints warnings about a URDF and about the model built from it.
-fn warn(console: Console, urdf: &str, warnings: &[UrdfWarning], model: &Model) {
-    warnings.iter().for_each(|w| console.note(&format!("{urdf}: {w} [{}]", w.kind().code())));
-    model_warnings(model).iter().for_each(|w| console.note(&format!("{urdf}: {w} [{}]", w.code())));
+/// Warnings about the capsules of a robot, for example meshes that were not found.
+fn capsule_warnings_of(robot: &RobotDefinition) -> impl Iterator<Item = Warning> {
+    robot.capsule_warnings().iter().map(|w| Warning::new(robot.urdf.name(), w, w.code()))
 }
 
-/// Prints warnings about the capsules of a robot, for example meshes that were not found.
-fn warn_about_capsules(console: Console, robot: &RobotDefinition) {
-    for warning in robot.capsule_warnings() {
-        console.note(&format!("{}: {warning} [{}]", robot.urdf.name(), warning.code()));
-    }
+/// Refuses options that a file has no values for.
+fn refuse_options_of_tasks(path: &Path, args: &CheckArgs) -> Result<(), FileError> {
+    let ControlArgs { backend, controller } = args.control;
+    let given = [
+        ("--backend", backend.is_some(), "its runs or robots state `backend`"),
+        ("--controller", controller != ControllerKind::Osc, "its runs or robots state `controller`"),
+    ];
+    let Some((option, _, help)) = given.into_iter().find(|(_, is_given, _)| *is_given) else { return Ok(()) };
+    let message = format!("has no use for {option}, which is for task files");
+    Err(FileError::of_file(path.display().to_string(), message, Some(help.to_owned())))
 }
 
 fn check_one(
     path: &Path,
-    settings: &[String],
-    allow: &[Code],
+    args: &CheckArgs,
     extensions: &Extensions,
     console: Console,
 ) -> Result<Checked, FileError> {
+    let (settings, allow) = (args.set.as_slice(), args.allow.allow.as_slice());
     let no_settings = || match settings {
-        [] => Ok(()),
+        [] => refuse_options_of_tasks(path, args),
         _ => {
             let help = "check the tasks of a suite or of a robot one by one".to_owned();
             let name = path.display().to_string();
@@ -228,19 +281,20 @@ fn check_one(
         no_settings()?;
         let source = Source::read(path)?;
         let loaded = load_urdf(&source, UrdfOptions::default())?;
-        warn(console, source.name(), &loaded.warnings, &loaded.model);
-        return Ok(Checked::clean(format!("a URDF of {} moving joints", loaded.model.n())));
+        let warnings = model_warnings_of(source.name(), &loaded.warnings, &loaded.model);
+        let what = format!("a URDF of {} moving joints", loaded.model.n());
+        return Ok(Checked { warnings, ..Checked::clean(what) });
     }
     let file = Files::Disk.robot_file(path);
     let source = Source::read(&file)?;
     let robot = || {
         no_settings()?;
         let robot = RobotDefinition::load(Files::Disk, path, &[])?;
-        warn(console, robot.urdf.name(), &robot.warnings, &robot.model);
-        warn_about_capsules(console, &robot);
+        let mut warnings = model_warnings_of(robot.urdf.name(), &robot.warnings, &robot.model);
+        warnings.extend(capsule_warnings_of(&robot));
         let values = values_text(&robot);
         robot.defaults().iter().for_each(|default| console.detail(&format!("  {default}")));
-        Ok(Checked { values, ..Checked::clean(format!("a robot of {} joints", robot.model.n())) })
+        Ok(Checked { values, warnings, ..Checked::clean(format!("a robot of {} joints", robot.model.n())) })
     };
     match Kind::of(source.text()) {
         Some(Kind::Suite) => {
@@ -254,6 +308,7 @@ fn check_one(
             Ok(Checked { found, skipped, allowed, ..Checked::clean(what) })
         }
         Some(Kind::Experiment) => {
+            refuse_options_of_tasks(path, args)?;
             let coupled = CoupledExperiment::load_allowing(extensions, Files::Disk, path, settings, allow)?;
             let what = format!("an experiment with {} robots", coupled.members.len());
             let members = || coupled.members.iter().map(|member| &member.experiment);
@@ -263,8 +318,9 @@ fn check_one(
             Ok(Checked { found, skipped, allowed, ..Checked::clean(what) })
         }
         Some(Kind::Task) => {
-            let backend = own_backend(path, None, settings, extensions);
-            let options = RunOptions { backend, allow: allow.to_vec(), ..RunOptions::default() };
+            let ControlArgs { backend, controller } = args.control;
+            let backend = backend.unwrap_or_else(|| own_backend(path, None, settings, extensions));
+            let options = RunOptions { backend, controller, allow: allow.to_vec(), ..RunOptions::default() };
             let experiment = Experiment::load_with(extensions, Files::Disk, path, None, options, settings)?;
             let what = format!("a task for the robot '{}'", experiment.robot().name());
             console.detail(&format!("{}: {}", path.display(), experiment.start_text()?));
@@ -277,7 +333,7 @@ fn check_one(
             found.extend(small.into_iter().chain(of_transformer).map(|new| Found::new(new, &experiment)));
             let singular = singular_postures(&experiment);
             let paths = path_durations(&experiment);
-            warn_about_capsules(console, experiment.robot());
+            let warnings = capsule_warnings_of(experiment.robot()).collect();
             let distances = experiment.kept_distances().cloned();
             let gears = gear_resonances(&experiment);
             let forces = detectable_forces(&experiment);
@@ -294,6 +350,7 @@ fn check_one(
                 singular,
                 paths,
                 distances,
+                warnings,
                 found,
                 allowed: experiment.allowed().to_vec(),
                 skipped,
@@ -425,6 +482,7 @@ fn as_json(path: &Path, checked: &Result<Checked, FileError>) -> Value {
                 "singular_postures": checked.singular.iter().map(singular_as_json).collect::<Vec<Value>>(),
                 "paths": checked.paths.iter().map(path_as_json).collect::<Vec<Value>>(),
                 "kept_distances": checked.distances.as_ref().map(pairs_json),
+                "warnings": checked.warnings.iter().map(warning_as_json).collect::<Vec<Value>>(),
                 "findings": findings,
                 "allowed": checked.allowed,
                 "not_checked": not_checked,
@@ -441,6 +499,10 @@ fn as_json(path: &Path, checked: &Result<Checked, FileError>) -> Value {
             "help": error.help(),
         }),
     }
+}
+
+fn warning_as_json(warning: &Warning) -> Value {
+    json!({ "code": warning.code, "at": warning.file, "message": warning.text })
 }
 
 fn gear_as_json(gear: &GearResonance) -> Value {

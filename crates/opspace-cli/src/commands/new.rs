@@ -60,8 +60,7 @@ fn create(
         ));
     }
     if robot.exists() {
-        let text = format!("{}: already exists; choose another folder, or remove this one", robot.display());
-        return Err(Failure::Other(text, Exit::Bad));
+        return Err(Failure::Other(existing_text(dir, file), Exit::Bad));
     }
     fs::create_dir_all(dir).map_err(|e| Failure::io("cannot be created", dir, &e))?;
     let copy = dir.join(&urdf);
@@ -70,7 +69,11 @@ fn create(
         Ok(text) if text == source.text() => {}
         Ok(_) => {
             let text = format!("{}: already exists and differs from {}", copy.display(), source.name());
-            return Err(Failure::Other(text + "; choose another folder", Exit::Bad));
+            let other = free_folder(dir);
+            return Err(Failure::Other(
+                format!("{text}; choose another folder, for example {other}"),
+                Exit::Bad,
+            ));
         }
         Err(_) => write(&copy, source.text())?,
     }
@@ -100,4 +103,28 @@ fn create(
         copy.display(),
     ))?;
     Ok(Exit::Done)
+}
+
+/// Says what to do if a folder already has a robot.toml, for example from an earlier `new` with other options.
+fn existing_text(dir: &Path, urdf: &Path) -> String {
+    let (robot, task) = (dir.join("robot.toml"), dir.join("first-task.toml"));
+    let files = if task.exists() {
+        format!("{} and {}", robot.display(), task.display())
+    } else {
+        robot.display().to_string()
+    };
+    format!(
+        "{}: already exists, and `new` replaces no file; choose another folder: `opspace new {} --urdf {}` with the same \
+         options. Or delete {files}, with all values that you wrote into them, and repeat the command",
+        robot.display(),
+        free_folder(dir),
+        urdf.display()
+    )
+}
+
+/// Name of a folder beside `dir` that does not exist.
+fn free_folder(dir: &Path) -> String {
+    let name = dir.file_name().unwrap_or("robot".as_ref()).to_string_lossy();
+    let mut numbered = (2..).map(|number| dir.with_file_name(format!("{name}-{number}")));
+    numbered.find(|other| !other.exists()).unwrap_or_default().display().to_string()
 }

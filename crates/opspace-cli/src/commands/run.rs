@@ -11,7 +11,7 @@ use crate::plant::PlantChoice;
 use crate::result_folder::{MOVE_TO_START, prepare};
 use opspace_experiment::evaluate::results::MEASURES;
 use opspace_experiment::files::origin::Kind;
-use opspace_experiment::preflight::checked_for_real_robot;
+use opspace_experiment::preflight::{checked_for_real_robot, start_diagnostics};
 use opspace_experiment::run::folder::{LOG, REPORT, SUMMARY};
 use opspace_experiment::{Experiment, Extensions, Files, Summary};
 use std::path::PathBuf;
@@ -46,6 +46,7 @@ pub fn run(args: &RunArgs, extensions: &Extensions, console: Console) -> Outcome
     }
     let experiment = if on_driver { checked_for_real_robot(experiment)? } else { experiment };
     experiment.allowed().iter().for_each(|refusal| console.note(&format!("warning: {refusal}")));
+    note_problems(&experiment, console);
     let files = [LOG, REPORT, SUMMARY].map(str::to_owned);
     let results = prepare(&args.output, &default, &files, &experiment.input_paths(), console)?;
     let folder = results.path();
@@ -83,6 +84,27 @@ pub fn run(args: &RunArgs, extensions: &Extensions, console: Console) -> Outcome
     }
     args.open.show(&folder.join(REPORT), console);
     Ok(exit_code(&summary))
+}
+
+/// Prints the codes of the problems at the start, unless quiet. Problems of the references would take longer to find.
+fn note_problems(experiment: &Experiment, console: Console) {
+    if console.quiet {
+        return;
+    }
+    let mut codes: Vec<String> = Vec::new();
+    let found = start_diagnostics(experiment);
+    for diagnostic in &found {
+        let code = format!("[{}]", diagnostic.code);
+        if !codes.contains(&code) {
+            codes.push(code);
+        }
+    }
+    let problems = match found.len() {
+        0 => return,
+        1 => "1 problem".to_owned(),
+        number => format!("{number} problems"),
+    };
+    console.note(&format!("note: `opspace check` finds {problems} at the start: {}", codes.join(", ")));
 }
 
 /// Prints the reason why a run ended early.

@@ -94,8 +94,8 @@ pub fn coupled_exit_code(summary: &CoupledSummary) -> Exit {
 fn refuse_options_of_one_robot(args: &RunArgs) -> Result<(), Failure> {
     let given = [
         ("--robot", args.robot.is_some(), "robot"),
-        ("--backend", args.backend.is_some(), "backend"),
-        ("--controller", args.controller != ControllerKind::Osc, "controller"),
+        ("--backend", args.control.backend.is_some(), "backend"),
+        ("--controller", args.control.controller != ControllerKind::Osc, "controller"),
         ("--transformer", args.transformer.is_some(), "transformer"),
         ("--profile", args.profile.is_some(), "profile"),
     ];

@@ -1,7 +1,7 @@
 //! The inverse kinematics baseline. Compared: forward kinematics of the streamed joint positions with the reference,
 //! and the servo lead with its formula.
 
-use crate::common::{self, File, Q0, at_state, control_context, four_joints, seven_joints};
+use crate::common::{self, File, Numbers, Q0, at_state, control_context, four_joints, seven_joints};
 use nalgebra::Vector3;
 use opspace_backend::{CommandKind, Observable};
 use opspace_control::{Controller, InverseKinematicsController, ServoLead, orientation};
@@ -118,6 +118,52 @@ fn pose_is_reached() {
     assert!((to.translation - from.translation - Vector3::new(0.05, -0.04, -0.06)).norm() < 1e-6);
     let turn = to.rotation * from.rotation.transpose() * orientation::from_rpy([0.3, 0.2, -0.4]).transpose();
     assert!(orientation::log(&turn).norm() < 1e-6);
+}
+
+/// Random goals, most of them out of reach: no joint exceeds its limits of position and speed on the way, and the arm comes to rest.
+#[test]
+fn arm_comes_to_rest_at_goals_out_of_reach() {
+    let mut numbers = Numbers::new(19);
+    for case in 0..60 {
+        let model = if case % 2 == 0 { seven_joints() } else { four_joints() };
+        let n = model.n();
+        let rotations =
+            if case % 4 == 0 { ", rx = \"motion\", ry = \"motion\", rz = \"motion\"" } else { "" };
+        let offset: Vec<f64> = (0..3).map(|_| numbers.next()).collect();
+        let file = File::read(&format!(
+            r#"
+            priority = ["hand", "rest"]
+            [task.hand.cartesian]
+            frame = "hand"
+            axes = {{ x = "motion", y = "motion", z = "motion"{rotations} }}
+            gains = {{ frequency_rad_per_s = 14.142, damping_ratio = 1.0 }}
+            reference.point-to-point = {{ position = {{ offset_m = {offset:?} }}, duration_s = 1.0 }}
+            [task.rest.joint-posture]
+            frequency_rad_per_s = 6.0
+            damping_ratio = 0.8
+            "#
+        ));
+        let mut robot = control_context(&model, "hand");
+        robot.limits.velocity = vec![2.0; n];
+        robot.limits.lower = vec![-2.5; n];
+        robot.limits.upper = vec![2.5; n];
+        let mut controller =
+            InverseKinematicsController::new(&model, &file.task_set(), &robot, None).expect("a good stack");
+        let q = [0.3, 0.7, -0.4, -1.4, 0.2, 1.1, 0.5];
+        let (data, mut measurement) = at_state(&model, &q[..n], &vec![0.0; n], 0.0);
+        controller.start(&common::input(&model, &data, &measurement));
+        let (mut command, mut before) = (vec![0.0; n], q[..n].to_vec());
+        for tick in 0..20_000 {
+            measurement.time_s = 1e-3 * f64::from(tick);
+            controller.update(&common::input(&model, &data, &measurement), &mut command);
+            let speed = command.iter().zip(&before).map(|(a, b)| 1e3 * (a - b).abs()).fold(0.0, f64::max);
+            // 90 % of the speed limit and 0.01 rad from the ends of the ranges; at the end, rounding.
+            let most = if tick < 19_000 { 1.8 + 1e-9 } else { 1e-6 };
+            assert!(tick == 0 || speed <= most, "case {case}, tick {tick}: {speed} rad/s");
+            assert!(command.iter().all(|q| q.abs() <= 2.49), "case {case}, tick {tick}: {command:?}");
+            before.copy_from_slice(&command);
+        }
+    }
 }
 
 /// While the hand holds its position, the elbow moves until the posture desires no motion in the null space of the

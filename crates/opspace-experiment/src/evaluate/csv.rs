@@ -115,7 +115,12 @@ fn metrics(row: &Value, add: Add<'_>) {
 
 fn tasks(row: &Value, add: Add<'_>) {
     for (task, metrics) in entries(&row["tasks"]) {
-        for (name, value) in entries(metrics).filter(|(name, _)| *name != "elements") {
+        for (name, value) in
+            entries(metrics).filter(|(name, _)| !["elements", "axes"].contains(&name.as_str()))
+        {
+            add(format!("task.{task}.{name}"), cell(value));
+        }
+        for (name, value) in entries(&metrics["axes"]) {
             add(format!("task.{task}.{name}"), cell(value));
         }
         for element in metrics["elements"].as_array().into_iter().flatten() {

@@ -1,17 +1,19 @@
 //! Expectations of a task file: bounds on metrics of its run, so that a program can judge the run by its exit code.
 
-use crate::evaluate::metric_tables::{ElementError, Evaluation, JointMetrics, Metrics, TaskMetrics};
+use crate::evaluate::metric_tables::{
+    ElementError, Evaluation, JointMetrics, Metrics, TaskMetrics, error_names, range_name,
+};
 use crate::evaluate::table::format_number;
 use crate::files::robot::RobotDefinition;
 use crate::files::source::FileError;
 use crate::files::suggest::choices;
 use crate::files::task::TaskDefinition;
-use opspace_control::TaskParameters;
+use opspace_control::{AXIS_NAMES, CartesianReference, TaskParameters};
 use serde::Serialize;
 use serde_json::Value;
 
-/// Checks that each expectation has a bound and names a metric: one of the run, or `TASK.metric`, `TASK.ELEMENT` (its
-/// rms error) or `JOINT.metric`.
+/// Checks that each expectation has a bound and names a metric: one of the run, or `TASK.metric` (of an axis too), `TASK.ELEMENT`
+/// (its rms error) or `JOINT.metric`.
 pub(crate) fn check(task: &TaskDefinition, robot: &RobotDefinition) -> Result<(), FileError> {
     for (name, expectation) in &task.file.expect {
         let refuse = |message: String, help: Option<String>| {
@@ -22,7 +24,11 @@ pub(crate) fn check(task: &TaskDefinition, robot: &RobotDefinition) -> Result<()
         }
         let Some((owner, metric)) = name.split_once('.') else {
             if !keys(&Metrics::default()).contains(name) {
-                let help = choices(name, &keys(&Metrics::default()));
+                let is_of_an_axis = (0..AXIS_NAMES.len()).any(|axis| of_axis(axis).contains(name));
+                let help = match is_of_an_axis {
+                    true => format!("metrics of an axis are those of a task: write \"TASK.{name}\""),
+                    false => choices(name, &keys(&Metrics::default())),
+                };
                 return refuse(format!("unknown metric `{name}`"), Some(help));
             }
             continue;
@@ -30,13 +36,23 @@ pub(crate) fn check(task: &TaskDefinition, robot: &RobotDefinition) -> Result<()
         let is_joint = robot.model.joints().iter().any(|joint| joint.name == owner);
         let tasks = task.tasks_of_the_run();
         let is_task = tasks.iter().any(|(task, _)| *task == owner);
-        let is_cartesian = |(task, parameters): &(&str, &TaskParameters)| {
-            *task == owner && matches!(parameters, TaskParameters::Cartesian(_))
-        };
-        // Joints and coordinates have elements; the axes of a Cartesian task have no metrics of their own.
-        if !is_joint && tasks.iter().any(is_cartesian) && !of_tasks().iter().any(|key| key == metric) {
-            let help = choices(metric, &of_tasks());
-            return refuse(format!("unknown metric `{metric}` of a Cartesian task"), Some(help));
+        // Joints and coordinates have elements, a Cartesian task and a centre of mass have axes.
+        if !is_joint && let Some(controlled) = controlled_axes(task, owner) {
+            let uncontrolled =
+                |axis: &usize| !controlled[*axis] && error_names(*axis).iter().any(|n| n == metric);
+            let all: Vec<String> =
+                of_tasks().into_iter().chain((0..AXIS_NAMES.len()).flat_map(of_axis)).collect();
+            if let Some(axis) = (0..AXIS_NAMES.len()).find(uncontrolled) {
+                let axis = AXIS_NAMES[axis];
+                let message =
+                    format!("`{metric}` does not exist: {axis} is never a motion axis of task '{owner}'");
+                let help = "only motion axes have errors; `x_range_m`, `y_range_m` and `z_range_m` exist for all axes";
+                return refuse(message, Some(help.to_owned()));
+            }
+            if !all.iter().any(|key| key == metric) {
+                let help = choices(metric, &all);
+                return refuse(format!("unknown metric `{metric}` of a Cartesian task"), Some(help));
+            }
         }
         if is_joint && !is_task && !keys(&JointMetrics::default()).iter().any(|key| key == metric) {
             let help = choices(metric, &keys(&JointMetrics::default()));
@@ -50,6 +66,27 @@ pub(crate) fn check(task: &TaskDefinition, robot: &RobotDefinition) -> Result<()
         }
     }
     Ok(())
+}
+
+/// Axes of a Cartesian task or of a centre of mass that are motion axes at some time of the run, and all axes of a task whose
+/// modes a program streams; `None` for other tasks.
+fn controlled_axes(task: &TaskDefinition, name: &str) -> Option<[bool; 6]> {
+    let sets = std::iter::once(&task.file.task).chain(task.events.iter().map(|event| &event.task));
+    let axes = sets.filter_map(|tasks| match tasks.get(name)? {
+        TaskParameters::Cartesian(task) if matches!(task.reference, CartesianReference::Streamed(_)) => {
+            Some([true; 6])
+        }
+        TaskParameters::Cartesian(task) => Some(task.motion_axes()),
+        TaskParameters::CenterOfMass(task) => Some(task.as_cartesian().motion_axes()),
+        _ => None,
+    });
+    axes.reduce(|one, other| std::array::from_fn(|axis| one[axis] || other[axis]))
+}
+
+/// Names of the metrics of an axis.
+fn of_axis(axis: usize) -> Vec<String> {
+    let range = (axis < 3).then(|| range_name(axis));
+    error_names(axis).into_iter().chain(range).collect()
 }
 
 /// Names of the metrics of a task.
@@ -84,7 +121,10 @@ pub(crate) fn missed(task: &TaskDefinition, evaluation: &Evaluation) -> Vec<Stri
 fn value_of(evaluation: &Evaluation, name: &str) -> Option<f64> {
     let Some((owner, metric)) = name.split_once('.') else { return field(&evaluation.metrics, name) };
     if let Some(task) = evaluation.tasks.get(owner) {
-        return field::<TaskMetrics>(task, metric).or_else(|| element(&task.elements, metric));
+        let of_axis = || task.axes.get(metric).copied();
+        return field::<TaskMetrics>(task, metric)
+            .or_else(of_axis)
+            .or_else(|| element(&task.elements, metric));
     }
     field(evaluation.joints.get(owner)?, metric)
 }

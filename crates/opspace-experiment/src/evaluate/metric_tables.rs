@@ -1,5 +1,6 @@
 //! Tables of metrics: of a run, of its tasks and of its joints.
 
+use opspace_control::AXIS_NAMES;
 use serde::{Deserialize, Deserializer, Serialize};
 use std::collections::BTreeMap;
 
@@ -125,6 +126,21 @@ pub struct TaskMetrics {
     /// Acceleration that limits take from the task.
     #[serde(flatten)]
     pub slack: Slack,
+    /// Errors along single motion axes of a Cartesian task or of the centre of mass, and ranges of its motion along x, y and z, each
+    /// by the name of the metric: `x_rms_m`, `rx_max_rad`, `x_range_m`. Those that the task does not have are absent.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub axes: BTreeMap<String, f64>,
+}
+
+/// Names of the errors along an axis: rms and largest.
+pub(crate) fn error_names(axis: usize) -> [String; 2] {
+    let unit = if axis < 3 { "m" } else { "rad" };
+    ["rms", "max"].map(|quantity| format!("{}_{quantity}_{unit}", AXIS_NAMES[axis]))
+}
+
+/// Name of the range of motion along an axis of translation.
+pub(crate) fn range_name(axis: usize) -> String {
+    format!("{}_range_m", AXIS_NAMES[axis])
 }
 
 /// Error of a joint or of an element of a coordinate.

@@ -4,6 +4,7 @@
 //! the robot's clock does not matter. Positions are the true ones if the log contains them (simulation), otherwise
 //! the measured ones.
 
+mod axis_metrics;
 mod chatter;
 mod cycles;
 mod escapes;

@@ -227,6 +227,7 @@ estimator = {{ velocity_filter_hz = 150.0 }}
 [profile.default.servo]
 joint_defaults = {{ cascaded = {{ kp_per_s = {kp:?}, velocity_filter_hz = 600.0 }} }}
 {servos}
+# Choices of opspace, not properties of the arm: torques ramp in, and force sensors are tared, over these times.
 [safety]
 torque_ramp_s = 0.2
 tare_s = 0.2

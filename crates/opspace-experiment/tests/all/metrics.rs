@@ -3,7 +3,7 @@
 
 use nalgebra::Vector3;
 use opspace_backend::{CommandKind, Layout, Signal};
-use opspace_experiment::evaluate::metrics::{metrics, timing};
+use opspace_experiment::evaluate::metrics::{evaluate, metrics, timing};
 use opspace_experiment::{ControllerKind, Experiment, Files, RunOptions};
 use opspace_log::{Channel, Header, Pace, Recording, record};
 use opspace_model::{Data, frame_placement, kinematics};
@@ -104,6 +104,12 @@ fn position_error_counts_motion_axes_after_settling() {
     };
     let truth = |k: usize| [&Q[..], &[3.0, 100.0, if k.is_multiple_of(2) { 0.0 } else { 1.0 }]].concat();
     let recording = log(&experiment, tick, truth, |_| vec![1.0; 8]);
+    // Each motion axis has an error of its own, and each axis a range of motion: the hand is at rest.
+    let axes = evaluate(&experiment, &recording).tasks["hand"].axes.clone();
+    for (name, expected) in [("y_rms_m", 0.003), ("y_max_m", 0.003), ("z_rms_m", 0.004), ("x_range_m", 0.0)] {
+        assert!(near(axes.get(name).copied(), expected), "{name}: {axes:?}");
+    }
+    assert!(axes.keys().all(|name| name != "x_rms_m" && !name.starts_with('r')), "{axes:?}");
     let metrics = metrics(&experiment, &recording);
     assert!(near(metrics.pose.position_rms_m, 0.005), "{metrics:?}");
     assert!(near(metrics.pose.position_max_m, 0.005), "{metrics:?}");
@@ -130,6 +136,35 @@ fn hand_motion_is_displacement_from_start() {
         |_| vec![1.0; 8],
     );
     assert!(near(metrics(&experiment, &recording).hand_motion_rms_m, moved));
+}
+
+/// Compared: ranges of motion, and the differences of two postures by the kinematics, along axes that are turned by a third of a turn
+/// about the diagonal of the world's: they are the world's in another order. The posture before settling counts only without settling.
+#[test]
+fn range_of_motion_is_along_the_axes_of_the_task_after_settling() {
+    let other = [-0.40, -0.35, 0.25, -1.30];
+    for (settle_s, moves) in [("settle_s=0.5", true), ("settle_s=1.5", false)] {
+        let settings = [
+            settle_s,
+            "task.hand.cartesian.axes_frame={ rpy_rad = [1.5707963267948966, 1.5707963267948966, 0.0] }",
+        ]
+        .map(str::to_owned);
+        let path = Path::new("tasks/compliant-x.toml");
+        let experiment =
+            Experiment::load(Files::Embedded, path, None, RunOptions::default(), &settings).unwrap();
+        let moved = hand(&experiment, &other) - hand(&experiment, &Q);
+        let recording = log(
+            &experiment,
+            |_| vec![1.0, 100.0, 0.0, 0.0, 0.0],
+            |k| [&if k < 1000 { Q } else { other }[..], &[0.0; 3]].concat(),
+            |_| vec![1.0; 8],
+        );
+        let axes = evaluate(&experiment, &recording).tasks["hand"].axes.clone();
+        for (name, world) in [("x_range_m", moved.z), ("y_range_m", moved.x), ("z_range_m", moved.y)] {
+            let expected = if moves { world.abs() } else { 0.0 };
+            assert!(near(axes.get(name).copied(), expected), "{name}: {axes:?}, {moved}");
+        }
+    }
 }
 
 /// Compared: displacement and work over two axes, one of which is compliant all the time and the other until 2 s and from

@@ -276,6 +276,9 @@ fn missed_expectations_are_listed() {
         "expect={ position_rms_m = { at_most = 1e-9 }, \"elbow.torque_chatter_rms_nm\" = { at_least = 1e3 } }",
     );
     assert!(found.len() == 2 && found.iter().all(|text| text.contains("expected at")), "{found:?}");
+    let found =
+        missed("expect={ \"hand.x_max_m\" = { at_most = 0.1 }, \"hand.y_range_m\" = { at_least = 1.0 } }");
+    assert!(found.len() == 1 && found[0].starts_with("hand.y_range_m is "), "{found:?}");
     let found = missed("expect={ in_contact_fraction = { at_least = 0.5 } }");
     assert!(found.len() == 1 && found[0].contains("does not exist in this run"), "{found:?}");
 }
@@ -294,6 +297,9 @@ fn unknown_expectations_are_refused() {
         ("expect={ \"hnad.position_rms_m\" = { at_most = 1.0 } }", "did you mean 'hand'"),
         ("expect={ \"hand.positon_max_m\" = { at_most = 1.0 } }", "did you mean 'position_max_m'"),
         ("expect={ \"hand.elements\" = { at_most = 1.0 } }", "of a Cartesian task"),
+        ("expect={ \"hand.y_rms\" = { at_most = 1.0 } }", "did you mean 'y_rms_m'"),
+        ("expect={ \"hand.rx_rms_rad\" = { at_most = 1.0 } }", "rx is never a motion axis of task 'hand'"),
+        ("expect={ y_rms_m = { at_most = 1.0 } }", "write \"TASK.y_rms_m\""),
         ("expect={ \"elbow.torque_chatter\" = { at_most = 1.0 } }", "torque_chatter_rms_nm"),
         ("expect={ position_rms_m = {} }", "at_most"),
         ("expect={ position_rms_m = { atmost = 1.0 } }", "at_most"),

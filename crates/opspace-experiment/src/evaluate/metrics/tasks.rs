@@ -1,5 +1,6 @@
 //! Metrics of single tasks: the error of each task against its own reference, contact, and compliance.
 
+use super::axis_metrics::AxisMetrics;
 use super::run_log::{Mean, RmsMax, Run, masked_norm};
 use super::slack::SlackOfTask;
 use super::task_axes::{AxesOfTask, TaskAxes, TaskRow, orientation};
@@ -176,6 +177,7 @@ struct CartesianErrors {
     axes: AxesOfTask,
     position_m: RmsMax,
     orientation_rad: RmsMax,
+    single_axes: AxisMetrics,
     /// Errors at the last row, m and rad, if the reference rests there.
     last: [Option<f64>; 2],
     /// Orientation of the reference at the row before.
@@ -192,6 +194,7 @@ impl CartesianErrors {
             axes: AxesOfTask::new(experiment, name, controlled),
             position_m: RmsMax::default(),
             orientation_rad: RmsMax::default(),
+            single_axes: AxisMetrics::default(),
             last: [None; 2],
             reference_before: None,
             contact: None,
@@ -219,11 +222,15 @@ impl CartesianErrors {
                 continue;
             };
             let is_settled = settled.contains(&k);
+            if is_settled {
+                self.single_axes.add_position(&row);
+            }
             let tick = if is_settled { run.tick_of(k) } else { None };
             if let Some(reference) = logged_row(reference, tick).filter(|_| axes.motion[..3].contains(&true))
             {
-                let error = pose.translation - Vector3::from_column_slice(reference);
-                let error = masked_norm(&rotation.tr_mul(&error), &axes.motion[..3]);
+                let error = rotation.tr_mul(&(pose.translation - Vector3::from_column_slice(reference)));
+                self.single_axes.add_errors(0, &error, &axes.motion);
+                let error = masked_norm(&error, &axes.motion[..3]);
                 self.position_m.add(error);
                 self.last[0] = Some(error).filter(|_| linear_rests(tick));
             }
@@ -231,8 +238,9 @@ impl CartesianErrors {
                 logged_row(reference_orientation, tick).filter(|_| axes.motion[3..].contains(&true))
             {
                 let reference = orientation(reference);
-                let error = log(&(pose.rotation * reference.transpose()));
-                let error = masked_norm(&rotation.tr_mul(&error), &axes.motion[3..]);
+                let error = rotation.tr_mul(&log(&(pose.rotation * reference.transpose())));
+                self.single_axes.add_errors(3, &error, &axes.motion);
+                let error = masked_norm(&error, &axes.motion[3..]);
                 self.orientation_rad.add(error);
                 let before = self.reference_before.replace(reference);
                 let turn = before.map_or(0.0, |before| log(&(reference * before.transpose())).norm());
@@ -280,6 +288,7 @@ impl CartesianErrors {
         (metrics.pose.orientation_rms_rad, metrics.pose.orientation_max_rad) =
             (orientation.rms(), orientation.max());
         [metrics.pose.position_final_m, metrics.pose.orientation_final_rad] = self.last;
+        metrics.axes = self.single_axes.finish();
         if let Some(contact) = self.contact {
             contact.finish(metrics);
         }
