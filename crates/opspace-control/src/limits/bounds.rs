@@ -14,7 +14,7 @@
 //! it is (x − q − q̇ h)/h: the joint arrives without overshoot. A joint beyond its limit returns at a bounded speed.
 //!
 //! These bounds act as a spring and a damper, which an external force would deflect by d h², where d is the acceleration
-//! that it causes (estimated, see [`push`](super::push)). A joint that is too fast, or would be beyond its limit after the
+//! that it causes (estimated in `push.rs`). A joint that is too fast, or would be beyond its limit after the
 //! horizon, counters it, up to the braking acceleration:
 //!
 //! ```text

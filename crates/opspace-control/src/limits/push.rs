@@ -9,7 +9,7 @@
 //! with the control period T and the horizon h of the limits. A momentum observer of first order (De Luca and Mattone,
 //! *Actuator failure detection and isolation using generalized momenta*, ICRA 2003) with the inverse of the mass matrix.
 //! It contains friction and errors of the model as well, and while torques ramp in, what the ramp withholds. Only
-//! [`bounds`](super::bounds) use it, beyond limits, up to the acceleration with which a joint brakes.
+//! the bounds on joints and pairs use it, beyond limits, up to the acceleration with which a joint or a pair brakes.
 
 use nalgebra::DVector;
 
