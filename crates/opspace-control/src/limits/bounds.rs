@@ -13,15 +13,16 @@
 //! velocity bounds in discrete-time acceleration/torque control of robot arms*, IEEE RA-L 3(1), 2018). Near the limit
 //! it is (x − q − q̇ h)/h: the joint arrives without overshoot. A joint beyond its limit returns at a bounded speed.
 //!
-//! These bounds act as a spring and a damper, which an external force would deflect by d h², where d is the acceleration
-//! that it causes (estimated in `push.rs`). A joint that is too fast, or would be beyond its limit after the
+//! These bounds act as a spring and a damper, which beyond the limit an external force would deflect by d h 0.2 s, where d is
+//! the acceleration that it causes (estimated in `push.rs`). A joint that is too fast, or would be beyond its limit after the
 //! horizon, counters it, up to the braking acceleration:
 //!
 //! ```text
 //! q̇ + a h ≤ … − w min(d, b) h          w = max(q + q̇ h − x, (q̇ − v) h)/GIVE, from 0 to 1
 //! ```
 //!
-//! A joint at rest then passes its limit by less than GIVE, for any d up to b. Because w vanishes at the limit, a joint that
+//! A joint at rest then passes its limit by less than GIVE, for any d up to b; a load that rises within a few control periods
+//! moves it further before the estimate follows. Because w vanishes at the limit, a joint that
 //! friction holds there does not creep.
 //!
 //! Torque and torque rate limits bound the commanded torque. If these bounds contradict each other, the torque bounds

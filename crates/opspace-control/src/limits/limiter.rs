@@ -285,7 +285,7 @@ impl Limiter {
         compensation_torque: &DVector<f64>,
     ) {
         self.solver = solver;
-        self.push.expect(alpha, &self.bias_acceleration);
+        self.push.set_commanded(alpha, &self.bias_acceleration);
         if solver == Solver::Unlimited {
             self.limited.fill(0.0);
             return;

@@ -65,7 +65,7 @@ impl Push {
 
     /// Stores the acceleration that the command of this cycle causes: `alpha` by the tasks, and `bias_acceleration`
     /// (n).
-    pub(crate) fn expect(&mut self, alpha: &DVector<f64>, bias_acceleration: &DVector<f64>) {
+    pub(crate) fn set_commanded(&mut self, alpha: &DVector<f64>, bias_acceleration: &DVector<f64>) {
         self.commanded.copy_from(alpha);
         self.commanded += bias_acceleration;
         self.known = true;
@@ -74,5 +74,27 @@ impl Push {
     /// Acceleration by external forces, rad/s² or m/s² (n).
     pub(crate) fn acceleration(&self) -> &[f64] {
         self.acceleration.as_slice()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A joint at rest is accelerated by 3 rad/s² that nobody commanded. The estimate reaches them, also after a velocity that is
+    /// not a number, and a start forgets them.
+    #[test]
+    fn estimate_follows_uncommanded_acceleration() {
+        let (one, none) = (DVector::from_element(1, 1.0), DVector::zeros(1));
+        let mut push = Push::new(1, 1e-3, 0.02);
+        for cycle in 0..300 {
+            let is_missing = cycle == 100;
+            let dq = if is_missing { f64::NAN } else { 4e-3 * f64::from(cycle) };
+            push.observe(&(&one * dq));
+            push.set_commanded(&one, &none);
+        }
+        assert!((push.acceleration()[0] - 3.0).abs() < 1e-6, "{:?}", push.acceleration());
+        push.reset();
+        assert_eq!(push.acceleration(), [0.0]);
     }
 }

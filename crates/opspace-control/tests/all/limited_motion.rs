@@ -2,9 +2,7 @@
 //! NaN measurements. The motion is computed from the commands by forward dynamics.
 
 use crate::common::stacks::{COMPLIANT, DAMPED, ELBOW, POSE, without_limits};
-use crate::common::{
-    self, File, Link, Numbers, arm, at_state, control_context, jacobian, sampled, seven_joints,
-};
+use crate::common::{self, File, Link, Numbers, arm, at_state, control_context, sampled, seven_joints};
 use nalgebra::{DVector, Vector3};
 use opspace_control::{ControlInput, Controller, JointLimits, Measurement, OperationalSpaceController};
 use opspace_model::{Data, Model, aba, frame_placement, frame_velocity, update};
@@ -29,7 +27,7 @@ impl Run {
     }
 
     /// Creates an arm whose controller has a period and a delay that it knows, s.
-    fn with_period(
+    pub fn with_period(
         [period_s, command_delay_s]: [f64; 2],
         model: Model,
         text: &str,
@@ -55,7 +53,7 @@ impl Run {
     }
 
     /// Computes the torques of a cycle.
-    fn control(&mut self) {
+    pub fn control(&mut self) {
         let seen = &self.measurement;
         assert!(update(&self.model, &mut self.data, seen.q.as_slice(), seen.dq.as_slice()));
         self.controller.update(&common::input(&self.model, &self.data, seen), self.tau.as_mut_slice());
@@ -63,7 +61,7 @@ impl Run {
     }
 
     /// Moves the arm by a millisecond.
-    fn advance(&mut self, tau: &DVector<f64>) {
+    pub fn advance(&mut self, tau: &DVector<f64>) {
         let seen = &mut self.measurement;
         assert!(update(&self.model, &mut self.data, seen.q.as_slice(), seen.dq.as_slice()));
         aba(&self.model, &mut self.data, tau.as_slice());
@@ -250,57 +248,6 @@ fn speed_limits_hold_at_any_period() {
         assert!(known < allowed_known * 2.5, "{period_ms} ms, a period late: {known} rad/s");
         assert!(unknown < allowed * 2.5, "{period_ms} ms, a period late: {unknown} rad/s");
     }
-}
-
-/// Hand that follows every force.
-const COMPLIANT_HAND: &str = r#"
-priority = ["hand", "rest"]
-[task.hand.cartesian]
-frame = "hand"
-axes = { x = "compliant", y = "compliant", z = "compliant" }
-reference = "hold"
-compliant_damping_per_s = 4.0
-[task.rest.joint-damping]
-damping_nms_per_rad = 2.0
-"#;
-
-/// An operator pulls a compliant hand with a constant force until joints are at their limits. No joint passes its limit, for
-/// forces that need at most a third of the torque limits, at control periods of 1 and 2 ms.
-#[test]
-fn pulled_hand_stays_within_position_limits() {
-    let (limits, mut numbers) = (moderate_limits(), Numbers::new(41));
-    let mut held = 0;
-    for case in 0..24 {
-        let period_ms = if case % 3 == 2 { 2 } else { 1 };
-        let q = REACHED.map(|q| q + 0.2 * numbers.next());
-        let periods = [1e-3 * f64::from(period_ms), 0.0];
-        let mut run = Run::with_period(periods, seven_joints(), COMPLIANT_HAND, &limits, &q, &[0.0; 7]);
-        let direction = DVector::from_vec(numbers.vector(3, 1.0)).normalize();
-        let (force_n, rise_s) = (30.0 + 25.0 * numbers.next(), 0.25 + 0.2 * numbers.next());
-        for _ in 0..3000 / period_ms {
-            run.control();
-            let (tau, mut at_limit) = (run.tau.clone(), false);
-            for _ in 0..period_ms {
-                let hand = jacobian(&run.model, &run.data, "hand");
-                let share = (run.measurement.time_s / rise_s).min(1.0);
-                let mut pull = hand.rows(0, 3).tr_mul(&direction) * force_n * share;
-                for (pull, limit) in pull.iter_mut().zip(&limits.torque) {
-                    *pull = pull.clamp(-limit / 3.0, limit / 3.0);
-                }
-                for i in 0..7 {
-                    let q = run.measurement.q[i];
-                    assert!(q.abs() < 1.6, "case {case}, {period_ms} ms: joint {i} at {q} rad");
-                    let outward = pull[i] * q.signum();
-                    if q.abs() > 1.589 && outward > 0.1 * limits.torque[i] {
-                        at_limit = true;
-                    }
-                }
-                run.advance(&(&tau + pull));
-            }
-            held += u32::from(at_limit) * period_ms;
-        }
-    }
-    assert!(held > 1000, "for {held} ms a joint is pulled at its limit");
 }
 
 /// Returns the displacement of the hand for joint displacements `offset` (rad), m.

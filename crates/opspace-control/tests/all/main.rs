@@ -17,6 +17,7 @@ mod limits_allocation;
 mod out_of_reach;
 mod path_reference;
 mod published_goals;
+mod pushed_joints;
 mod qp;
 mod qp_allocation;
 mod reference_allocation;
