@@ -100,6 +100,7 @@ pub use hierarchy::task_set::{TaskSet, TaskSetBuilder};
 pub use ik::{InverseKinematicsController, ServoLead};
 pub use limits::collision_limits::CollisionLimits;
 pub use limits::joint_limits::{JointLimits, LimitParameters};
+pub use limits::viable_speed::ViableSpeeds;
 pub use measurement::Measurement;
 pub use osc::OperationalSpaceController;
 pub use per_joint::PerJoint;

@@ -8,3 +8,4 @@ pub mod joint_limits;
 pub(crate) mod limiter;
 pub(crate) mod push;
 pub(crate) mod resistance;
+pub mod viable_speed;

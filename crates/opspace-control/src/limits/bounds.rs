@@ -115,7 +115,12 @@ impl Bounds {
         Self::with_braking(limits, braking, period_s, horizon_s)
     }
 
-    fn with_braking(limits: JointLimits, mut braking: Vec<f64>, period_s: f64, horizon_s: f64) -> Self {
+    pub(crate) fn with_braking(
+        limits: JointLimits,
+        mut braking: Vec<f64>,
+        period_s: f64,
+        horizon_s: f64,
+    ) -> Self {
         let n = limits.lower.len();
         for (braking, velocity) in braking.iter_mut().zip(&limits.velocity) {
             // Limits the braking acceleration so that a stop from the velocity limit (at most 1e3) takes at least one
@@ -150,6 +155,29 @@ impl Bounds {
     /// Highest speed of each joint, rad/s or m/s (n).
     pub(crate) fn velocity(&self) -> &[f64] {
         &self.limits.velocity
+    }
+
+    /// Returns the highest speed that a joint at the position `q` may keep for now, towards its upper position limit, or
+    /// towards its lower one if `upwards` is false: the v with v = √((b h)² + 2 b (x − q − v h)) − b h, at most the
+    /// velocity limit; 0 beyond the limit.
+    pub(crate) fn viable_speed(&self, joint: usize, q: f64, upwards: bool) -> f64 {
+        let (l, velocity, braking) = (&self.limits, self.limits.velocity[joint], self.braking[joint]);
+        let left = if upwards { l.upper[joint] - q } else { q - l.lower[joint] };
+        if left == f64::INFINITY {
+            return velocity;
+        }
+        let reach = 2.0 * braking * self.horizon_s;
+        ((reach * reach + 2.0 * braking * left.max(0.0)).sqrt() - reach).min(velocity)
+    }
+
+    /// Returns the highest acceleration towards a position limit of a joint that moves there with the speed `dq`.
+    #[cfg(test)]
+    pub(crate) fn highest_acceleration(&self, joint: usize, q: f64, dq: f64, upwards: bool) -> f64 {
+        let sign = if upwards { 1.0 } else { -1.0 };
+        let (velocity, braking, horizon_s) =
+            (self.limits.velocity[joint], self.braking[joint], self.horizon_s);
+        let end = if upwards { self.limits.upper[joint] } else { -self.limits.lower[joint] };
+        JointState { q: sign * q, dq, push: 0.0, velocity, braking, horizon_s }.highest(end)
     }
 
     /// Returns true if joint accelerations and commanded torques (n) are within the bounds of a state. This fast test

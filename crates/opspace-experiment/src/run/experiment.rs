@@ -21,7 +21,7 @@ use opspace_backend::{Capabilities, CommandKind, GravityCompensation, MissedCycl
 use opspace_control::hierarchy::task_parameters::largest_unused_damping_per_s;
 use opspace_control::{
     ControlContext, ControlError, Controller, InverseKinematicsController, LimitParameters,
-    OperationalSpaceController, Reason, ServoLead, TaskParameters, TaskSet, TaskSetParameters,
+    OperationalSpaceController, Reason, ServoLead, TaskParameters, TaskSet, TaskSetParameters, ViableSpeeds,
 };
 use opspace_loop::{
     CollisionDetector, ControlLoop, EstimatedForce, LoopConfig, LoopError, SensorCompensation,
@@ -397,6 +397,8 @@ impl Experiment {
     fn joint_bounds<'a>(&self, model: &'a Model) -> JointBounds<'a> {
         let enforced = self.task.file.limits;
         let mut limits = self.robot.joint_limits();
+        let period_s = self.profile.period_s();
+        let viable = enforced.enforce.then(|| ViableSpeeds::new(model, &limits, &enforced, period_s));
         let velocity_fraction = self.velocity_fraction();
         // Without enforcement, torques are clipped to the whole limit, and accelerations are free.
         let torque_fraction = if enforced.enforce { enforced.torque_fraction.get().min(1.0) } else { 1.0 };
@@ -411,6 +413,7 @@ impl Experiment {
             limits,
             friction: self.robot.joints().into_iter().map(|joint| joint.friction).collect(),
             with_gravity: self.gravity_compensated_by() != GravityCompensation::Robot,
+            viable,
         }
     }
 

@@ -6,7 +6,9 @@
 //! q̇ = q'(s) ṡ          q̈ = q'(s) s̈ + q''(s) ṡ²
 //! ```
 //!
-//! The largest ṡ at s is therefore ṡ / r, where r is the largest ratio of a joint's speed to its limit. The torques are
+//! The largest ṡ at s is therefore ṡ / r, where r is the largest ratio of a joint's speed to its limit v(q): the velocity
+//! limit, or less where the joint must be able to stop before its position limit. The controller keeps this limit with the
+//! horizon h, q̇ + h q̈ ≤ v(q), which bounds s̈ too. The torques are
 //! (Bobrow, Dubowsky and Gibson 1985, equation 10)
 //!
 //! ```text
@@ -107,7 +109,7 @@ pub(crate) fn bounds(path: &TaskPath, rollout: &Rollout, joints: &mut JointBound
         let neighbours = [k.checked_sub(1), Some(k + 1)]
             .map(|k| rollout.instants.get(k?).filter(|instant| counts(instant)))
             .map(|instant| instant.and_then(|instant| MotionInstant::new(instant, task, SLOW * highest)));
-        let ratio = joints.speed_ratio(&instant.dq).max(at.speed_ratio);
+        let ratio = joints.speed_ratio(&instant.q, &instant.dq).max(at.speed_ratio);
         let Some(motion) = MotionInstant::new(instant, task, SLOW * highest) else { continue };
         match at.place {
             PathPlace::Approach => {

@@ -2,7 +2,7 @@
 
 use crate::run::rollout::Instant;
 use nalgebra::DVector;
-use opspace_control::{AccelerationBound, JointLimits, PathPlace};
+use opspace_control::{AccelerationBound, JointLimits, PathPlace, ViableSpeeds};
 use opspace_model::{Data, Model, kinematics, rnea};
 use opspace_transformer::FrictionParameters;
 
@@ -12,6 +12,10 @@ const MARGIN: f64 = 0.05;
 /// Least fraction of a torque limit that counts as available for the motion. Where gravity and friction leave less, the path
 /// is not slowed down any further: the controller then does what it can, and a diagnostic says that the arm is too heavy.
 const LEAST_AVAILABLE: f64 = 0.05;
+
+/// Speed to which a path slows down joints that move towards a position limit near them, or beyond it, rad/s or m/s: it would
+/// never arrive at a limit. The controller then does what it can.
+const SLOWEST: f64 = 0.05;
 
 /// Joint motion at an instant of a rollout.
 pub(crate) struct MotionInstant<'a> {
@@ -88,9 +92,11 @@ pub(crate) struct JointBounds<'a> {
     pub friction: Vec<FrictionParameters>,
     /// False if the robot compensates gravity itself: its torque limits then apply to the rest.
     pub with_gravity: bool,
+    /// Speeds v(q) that the controller enforces, q̇ + h q̈ ≤ v(q), if it does.
+    pub viable: Option<ViableSpeeds>,
 }
 
-/// One direction of a joint's torque or acceleration: `along` s̈ + `squared` ṡ² + `viscous` ṡ ≤ `limit` − `taken`.
+/// One direction of a joint's torque, acceleration or speed: `along` s̈ + `squared` ṡ² + `viscous` ṡ ≤ `limit` − `taken`.
 #[derive(Clone, Copy)]
 struct Direction {
     along: f64,
@@ -144,9 +150,18 @@ impl PlaceLimits {
 }
 
 impl JointBounds<'_> {
-    /// Largest ratio of the speed of a joint to its limit, for the joint velocities `dq` (n).
-    pub(crate) fn speed_ratio(&self, dq: &[f64]) -> f64 {
-        dq.iter().zip(&self.limits.velocity).map(|(dq, limit)| dq.abs() / limit).fold(0.0, f64::max)
+    /// Highest speed of a joint in a direction.
+    fn highest_speed(&self, joint: usize, q: f64, upwards: bool) -> f64 {
+        let limit = self.limits.velocity[joint];
+        let viable = self.viable.as_ref().map_or(limit, |speeds| speeds.highest(joint, q, upwards));
+        viable.max(SLOWEST.min(limit))
+    }
+
+    /// Largest ratio of the speed of a joint to its limit, at joint positions and velocities (n).
+    pub(crate) fn speed_ratio(&self, q: &[f64], dq: &[f64]) -> f64 {
+        let ratio =
+            |(joint, (&q, dq)): (usize, (&f64, &f64))| dq.abs() / self.highest_speed(joint, q, *dq > 0.0);
+        q.iter().zip(dq).enumerate().map(ratio).fold(0.0, f64::max)
     }
 
     /// Torques M q̈ + C q̇ at a state (n).
@@ -181,6 +196,12 @@ impl JointBounds<'_> {
                 let viscous = opposing * friction.viscous_nms_per_rad.get() * dq[joint].abs();
                 add(torque, self.limits.torque[joint], viscous, gravity + coulomb);
                 add(acceleration, self.limits.acceleration[joint], 0.0, 0.0);
+                if let Some(viable) = &self.viable {
+                    // q̈ + q̇/h ≤ v/h.
+                    let speed = opposing * dq[joint].abs() / viable.horizon_s();
+                    let limit = self.highest_speed(joint, instant.q[joint], sign > 0.0) / viable.horizon_s();
+                    add(acceleration, limit, speed, 0.0);
+                }
             }
         }
         directions

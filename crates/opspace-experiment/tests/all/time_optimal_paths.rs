@@ -91,12 +91,15 @@ fn joints_keep_their_speed_limits() {
         let followed = along(&experiment);
         let highest = followed.at.iter().map(|at| at[2]).fold(0.0, f64::max);
         assert!(highest <= 1.0, "arm {number}: {highest}");
-        assert!(highest > 0.9, "arm {number}: {highest}");
+        assert!(highest > 0.85, "arm {number}: {highest}");
         let too_fast: Vec<_> =
             diagnostics(&experiment).into_iter().filter(|found| found.code == Code::JointTooFast).collect();
         assert!(too_fast.is_empty(), "arm {number}: {too_fast:?}");
     }
 }
+
+/// Fraction of a speed limit that a path uses; the rest is left to the feedback.
+const FOR_MOTION: f64 = 0.95;
 
 /// Lines whose jerk is hardly limited.
 #[test]
@@ -116,7 +119,7 @@ fn lines_take_hardly_more_than_the_least_time() {
         let highest = |s_m: f64| {
             let next = followed.at.partition_point(|at| at[0] < s_m).min(followed.at.len() - 2).max(1);
             let [_, speed, ratio] = followed.at[next];
-            (speed / ratio).min(2.0)
+            (FOR_MOTION * speed / ratio).min(2.0)
         };
         let mut x: Vec<f64> = (0..=count).map(|k| highest(step_m * f64::from(k)).powi(2)).collect();
         let last = x.len() - 1;

@@ -11,7 +11,9 @@ use super::path_following::{self, JointMotion};
 use super::random_arms::RandomArm;
 use super::random_servos::{Random, load};
 use nalgebra::{DVector, Matrix3, Vector3};
-use opspace_control::{CartesianReference, PathBounds, Target, TaskParameters, Trajectory, orientation};
+use opspace_control::{
+    CartesianReference, PathBounds, Target, TaskParameters, Trajectory, ViableSpeeds, orientation,
+};
 use opspace_experiment::{Code, Experiment, Progress, diagnostics};
 use opspace_model::{Data, Model, frame_placement, gravity, kinematics, rnea};
 use opspace_transformer::FrictionParameters;
@@ -237,9 +239,23 @@ impl Compared {
         self.new.dq.iter().map(ratio).fold(0.0, f64::max)
     }
 
-    /// Duration of the motion within speed limits alone, slowed down uniformly until it keeps the torque limits, s.
+    /// Largest ratio of a joint's speed in the motion within speed limits alone to the one from which it can stop before its
+    /// position limit.
+    fn stopping_usage(&self) -> f64 {
+        let robot = self.experiment.robot();
+        let parameters = self.experiment.task().file.limits;
+        let speeds = ViableSpeeds::new(&robot.model, &robot.joint_limits(), &parameters, 1e-3);
+        let ratio = |(q, dq): (&DVector<f64>, &DVector<f64>)| {
+            let each = dq.iter().enumerate().map(|(i, dq)| dq.abs() / speeds.highest(i, q[i], *dq > 0.0));
+            each.fold(0.0, f64::max)
+        };
+        self.old.q.iter().zip(&self.old.dq).map(ratio).fold(0.0, f64::max)
+    }
+
+    /// Duration of the motion within speed limits alone, slowed down uniformly until it keeps the torque limits and every joint
+    /// can stop before its position limit, s.
     fn uniformly_slowed_s(&self) -> f64 {
-        let mut longer = 1.0;
+        let mut longer = self.stopping_usage().max(1.0);
         while usage(&self.old_torques, &self.limits, longer) > 1.0 {
             longer *= 1.002;
             assert!(longer < 20.0);
@@ -341,11 +357,15 @@ fn overloaded_arm_has_a_finite_path() {
     assert!(weak_s > strong_s && weak_s < 20.0 * strong_s, "{strong_s} s, {weak_s} s");
 }
 
-/// Compared: the largest error of the flange in a simulation, with the timing for the torque limits that are in force, and with
-/// the timing for an arm without torque limits. The path begins after the torque has ramped in.
+/// Largest error of an arm that keeps its limits, mm.
+const FOLLOWED_MM: f64 = 5.0;
+
+/// Compared: the largest error of the flange in a simulation, with the timing for the limits that are in force, and with
+/// the timing for an arm without torque limits. The path begins after the torque has ramped in. On most paths of the Panda, the
+/// torque leaves little to brake joint2 before its position limit.
 #[test]
 fn hand_stays_on_its_path() {
-    for (arm, seed) in [(Arm::panda(), 2), (Arm::ur5e(), 4)] {
+    for (arm, seed) in [(Arm::panda(), 1), (Arm::panda(), 2), (Arm::panda(), 4), (Arm::ur5e(), 4)] {
         let path = drawn(&mut Random(seed)).replace("= 30.0", "= 10.0").replace("= 2000.0", "= 500.0");
         let compared = Compared::new(&arm, &path, 0.4).unwrap();
         let timings = [("new.csv", &compared.experiment), ("old.csv", &compared.unlimited)];
@@ -361,7 +381,7 @@ fn hand_stays_on_its_path() {
             "{}: largest error {new_mm:.2} mm, without torque limits in the timing {old_mm:.2} mm",
             arm.name
         );
-        assert!(new_mm < 0.3 * old_mm, "{}: {new_mm} and {old_mm} mm", arm.name);
+        assert!(new_mm < FOLLOWED_MM.min(0.3 * old_mm), "{}: {new_mm} and {old_mm} mm", arm.name);
     }
 }
 
