@@ -20,7 +20,7 @@ use std::fmt;
 pub const TOLERANCE: f64 = 0.01;
 
 /// Metrics of which a smaller value is better.
-const SMALLER: [&str; 27] = [
+const SMALLER: [&str; 29] = [
     "position_rms_m",
     "position_max_m",
     "position_final_m",
@@ -35,6 +35,8 @@ const SMALLER: [&str; 27] = [
     "contact_peak_n",
     "contact_losses",
     "late_contact_losses",
+    "sensed_contact_losses",
+    "force_final_n",
     "hand_force_rms_n",
     "estimate_rms_n",
     "torque_error_servo",

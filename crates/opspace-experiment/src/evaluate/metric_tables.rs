@@ -212,6 +212,9 @@ pub struct Contact {
     /// Time from the first contact until the error has been below 1 N for half a second, s.
     #[serde(default)]
     pub force_settle_s: Option<f64>,
+    /// Error of the force in the last half second, if the task controls a force at the end, rms, N.
+    #[serde(default)]
+    pub force_final_n: Option<f64>,
     /// Fraction of the time after settling with contact (more than 0.1 N).
     pub in_contact_fraction: Option<f64>,
     /// Time from the start of control to the first contact, s.
@@ -223,6 +226,9 @@ pub struct Contact {
     /// Number of times that contact was lost later than a second after the first contact.
     #[serde(default)]
     pub late_contact_losses: Option<u64>,
+    /// Number of times that contact was lost according to the sensor of the task.
+    #[serde(default)]
+    pub sensed_contact_losses: Option<u64>,
     /// Time for which the passivity control of the force feedback has reduced its gains, s.
     #[serde(default)]
     pub passivity_active_s: Option<f64>,

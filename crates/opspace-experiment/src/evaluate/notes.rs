@@ -140,8 +140,48 @@ fn judged_task(summary: &Summary) -> Option<String> {
 /// Largest errors at the end of a run of a task that has reached its goal, m and rad.
 const REACHED: [f64; 2] = [5e-3, 20e-3];
 
-/// Notes above the tables of a run: tasks that are away from their references at its end, although these rest there. Those that
-/// [`Summary::unreached_goals`] explains are not listed.
+/// Largest final error of the force of a task that has reached its target, N.
+const FORCE_REACHED_N: f64 = 1.0;
+
+/// Note of a task whose force is away from its target at the end.
+fn force_away(name: &str, task: &TaskMetrics) -> Option<String> {
+    let error_n = task.contact.force_final_n.filter(|error_n| *error_n > FORCE_REACHED_N)?;
+    // Without any contact the run has failed, and says so.
+    (task.contact.in_contact_fraction != Some(0.0)).then(|| {
+        let tared = tared_in_contact(task);
+        format!("task '{name}': the true force is {error_n:.1} N (rms) away from its target in the last half second{tared}")
+    })
+}
+
+/// Time after the start of control in which a contact began that there was before, s.
+const FROM_THE_START_S: f64 = 2e-3;
+
+/// Explanation of a force error by a contact at the start.
+fn tared_in_contact(task: &TaskMetrics) -> &'static str {
+    match task.contact.contact_begin_s {
+        Some(begin_s) if begin_s <= FROM_THE_START_S => {
+            "; the frame touched something already at the start: a sensor that is tared then takes this force as its zero"
+        }
+        _ => "",
+    }
+}
+
+/// Number of times that a sensor may lose contact more often than the frame before a note says so.
+const FALSE_LOSSES: u64 = 3;
+
+/// Note of a task whose sensor lost contact although the frame still touched.
+fn false_losses(name: &str, task: &TaskMetrics) -> Option<String> {
+    let (sensed, lost) = (task.contact.sensed_contact_losses?, task.contact.contact_losses?);
+    (sensed > lost + FALSE_LOSSES).then(|| {
+        format!(
+            "task '{name}': it took its contact as lost {sensed} times, because of the sensed force, and approached anew; the frame \
+             lost contact {lost} times"
+        )
+    })
+}
+
+/// Notes above the tables of a run: tasks that are away from their references at its end, although these rest there, or from
+/// the target of their force, and tasks whose force sensor lost contact that there was. Those that [`Summary::unreached_goals`] explains are not listed.
 #[must_use]
 pub fn final_notes(summary: &Summary) -> Vec<String> {
     if summary.faulted.is_some() || summary.interrupted {
@@ -166,7 +206,9 @@ pub fn final_notes(summary: &Summary) -> Vec<String> {
             format!("task '{name}': goal not reached, {texts} away at the end of the run{moving}")
         })
     };
-    tasks.filter_map(note).collect()
+    let forces =
+        summary.tasks.iter().flat_map(|(name, task)| [force_away(name, task), false_losses(name, task)]);
+    tasks.filter_map(note).chain(forces.flatten()).collect()
 }
 
 /// Notes under [`task_table`]: the tasks that are not in it, each with the reason.
@@ -282,6 +324,29 @@ mod tests {
         );
         run.faulted = Some("a fault".to_owned());
         assert!(final_notes(&run).is_empty());
+    }
+
+    /// Checks forces at 0.9 N and 1.1 N from their targets, a contact from the start, and contacts that only the sensor lost.
+    #[test]
+    fn forces_that_are_missed_at_the_end_are_noted() {
+        let mut run = summary("a", "p", 1, 0.1);
+        let mut noted = |final_n, begin_s, sensed| {
+            let mut task = TaskMetrics { kind: "cartesian".to_owned(), ..TaskMetrics::default() };
+            let contact = &mut task.contact;
+            (contact.force_final_n, contact.contact_begin_s) = (Some(final_n), Some(begin_s));
+            (contact.sensed_contact_losses, contact.contact_losses) = (Some(sensed), Some(1));
+            contact.in_contact_fraction = Some(0.9);
+            run.tasks.insert("press".to_owned(), task);
+            final_notes(&run).join("\n")
+        };
+        assert_eq!(noted(0.9, 0.0, 4), "");
+        let away = "task 'press': the true force is 1.1 N (rms) away from its target in the last half second";
+        assert_eq!(noted(1.1, 0.5, 4), away);
+        assert!(
+            noted(1.1, 0.0, 4)
+                .starts_with(&format!("{away}; the frame touched something already at the start"))
+        );
+        assert!(noted(0.9, 0.0, 5).contains("took its contact as lost 5 times"));
     }
 
     /// Checks that notes explain the columns that are shown, and no others.

@@ -451,7 +451,8 @@ pub fn task_table(summary: &Summary) -> Table {
         row("contact peak (first second of contact)", "N", None, task.contact.contact_peak_n);
         row("compliant motion", "m", task.compliance.compliant_motion_rms_m, None);
         let slack = &task.slack;
-        let taken = |max: Option<f64>| max.filter(|max| *max > 0.0);
+        // Without limits in force it is a rounding error.
+        let taken = |max: Option<f64>| max.filter(|max| *max > 1e-9);
         if let Some(max) = taken(slack.slack_max_m_per_s2) {
             row("slack (taken by limits)", "m/s²", slack.slack_rms_m_per_s2, Some(max));
         }

@@ -4,6 +4,7 @@
 use opspace_backend::{CommandKind, Layout, Signal};
 use opspace_control::{AXIS_NAMES, AxisMode};
 use opspace_experiment::evaluate::metrics::evaluate;
+use opspace_experiment::evaluate::notes::final_notes;
 use opspace_experiment::{Experiment, Files, Progress, RunOptions, Summary};
 use opspace_log::{ChannelData, OutcomeRecord, Recording};
 use opspace_loop::Phase;
@@ -104,8 +105,41 @@ fn force_task_is_judged_by_the_true_contact_force() {
     let peak = peak.map(|(_, force)| force.abs()).fold(0.0, f64::max);
     assert!((metrics.contact.contact_peak_n.unwrap() / peak - 1.0).abs() < ROUNDING, "{peak}: {metrics:?}");
     assert!(metrics.contact.in_contact_fraction.unwrap() > 0.9, "{metrics:?}");
+    let end_s = forces.last().unwrap().0;
+    let last = || forces.iter().filter(|(time_s, _)| *time_s >= end_s - 0.5).map(|(_, force)| force);
+    let final_n = (last().map(|force| (force + 10.0).powi(2)).sum::<f64>() / last().count() as f64).sqrt();
+    assert!(
+        (metrics.contact.force_final_n.unwrap() / final_n - 1.0).abs() < ROUNDING,
+        "{final_n}: {metrics:?}"
+    );
     assert_eq!(summary.tasks["hand"].contact.force_rms_n, metrics.contact.force_rms_n);
     assert!(summary.failures.is_empty(), "{:?}", summary.failures);
+}
+
+/// Compared: losses of contact by the sensor with the `contact` signal of the log, in a run in which a push lifts the hand off.
+#[test]
+fn losses_of_contact_are_those_of_the_sensor_too() {
+    let lift = "environment.lift={ pushes = { frame = \"hand\", push = [\
+                { at_s = 2.0, duration_s = 0.3, force_n = [0.0, 0.0, 40.0] }, { at_s = 3.0, duration_s = 0.3, force_n = [0.0, 0.0, 40.0] }] } }";
+    let (recording, summary) = run(&experiment("cookbook/press", &[lift, "duration_s=4.0", "event=[]"]));
+    let tick = recording.channel("tick").unwrap();
+    let contact = tick.signal("hand.contact").unwrap();
+    let lost = (1..tick.len()).filter(|&k| contact.row(k - 1)[2] == 1.0 && contact.row(k)[2] == 0.0).count();
+    let found = &summary.tasks["hand"].contact;
+    assert_eq!((lost, found.sensed_contact_losses, found.contact_losses), (2, Some(2), Some(2)));
+}
+
+/// A sensor that is tared while the hand touches a wall has this force as its zero: a note says so.
+#[test]
+fn sensor_tared_in_contact_is_noted() {
+    let (_, summary) = run(&experiment(
+        "press-wall",
+        &["environment.board.wall.point_m=[0.36, 0.0, 0.0]", "duration_s=4.0"],
+    ));
+    let note = final_notes(&summary).pop().unwrap();
+    assert!(note.starts_with("task 'hand': the true force is 1") && note.contains("tared"), "{note}");
+    let (_, summary) = run(&experiment("press-wall", &["duration_s=4.0"]));
+    assert!(final_notes(&summary).is_empty());
 }
 
 /// Checks a wall that the robot does not reach, and a force task without any object to touch: no error against a target

@@ -15,7 +15,7 @@ use opspace_control::orientation::log;
 use opspace_control::{AxesFrame, ControlledFrame, TaskParameters};
 use opspace_log::Column;
 use opspace_model::FrameId;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, VecDeque};
 
 /// Smallest true contact force that counts as contact, N.
 const CONTACT_N: f64 = 0.1;
@@ -29,6 +29,9 @@ const RESTING_RAD: f64 = 1e-6;
 /// Largest force error of settled contact, N, and the time for which it must hold, s.
 const SETTLED_N: f64 = 1.0;
 const SETTLED_FOR_S: f64 = 0.5;
+
+/// Time before the end whose force error is the final one, s.
+const FINAL_S: f64 = 0.5;
 
 /// Time after the first contact in which the largest force is the peak at contact, s.
 const PEAK_S: f64 = 1.0;
@@ -256,6 +259,11 @@ impl CartesianErrors {
                         .is_none_or(|v| Vector3::from_column_slice(v).norm() < RESTING_M_PER_S);
                     let contact = self.contact.get_or_insert_default();
                     let target = force_target(&axes, target, made);
+                    if let Some(made) = made {
+                        contact.add_sensed(
+                            axes.force.iter().zip(made).any(|(force, made)| *force && *made == 1.0),
+                        );
+                    }
                     let since_start_s = run.joints.0[k] - run.start_s;
                     let since_s = *contact.controlled_since_s.get_or_insert(since_start_s);
                     let is_settled = is_settled && since_start_s >= since_s + settle_s;
@@ -325,7 +333,12 @@ struct ContactForce {
     losses: u64,
     late_losses: u64,
     touched: bool,
+    /// Number of times that the sensor lost contact, and true while it has contact.
+    sensed_losses: u64,
+    sensed: bool,
     reduced_s: Option<f64>,
+    /// Times (s) and errors (N) of the last [`FINAL_S`].
+    last: VecDeque<(f64, f64)>,
 }
 
 impl ContactForce {
@@ -353,6 +366,10 @@ impl ContactForce {
         self.late_losses += u64::from(is_lost && !is_early);
         self.touched = touches;
         let error_n = target.map(|target| masked_norm(&(force - target), axes));
+        self.last.extend(error_n.map(|error_n| (since_start_s, error_n)));
+        while self.last.front().is_some_and(|(time_s, _)| *time_s < since_start_s - FINAL_S) {
+            self.last.pop_front();
+        }
         if let (Some(error_n), Some(begin_s), None) = (error_n, self.begin_s, self.settled_s) {
             if error_n > SETTLED_N {
                 self.small_since_s = None;
@@ -371,9 +388,17 @@ impl ContactForce {
         }
     }
 
+    /// Adds whether the task has contact according to its sensor.
+    fn add_sensed(&mut self, has_contact: bool) {
+        self.sensed_losses += u64::from(self.sensed && !has_contact);
+        self.sensed = has_contact;
+    }
+
     /// Notes that the task controls no force: contact that ends until it does again is not lost, and the force settles anew.
     fn leave(&mut self) {
         self.touched = false;
+        self.sensed = false;
+        self.last.clear();
         self.controlled_since_s = None;
     }
 
@@ -382,10 +407,14 @@ impl ContactForce {
         (contact.force_rms_n, contact.force_hold_rms_n) = (self.error_n.rms(), self.resting_n.rms());
         contact.force_moving_rms_n = self.moving_n.rms();
         contact.force_settle_s = self.settled_s;
+        let mut last = RmsMax::default();
+        self.last.iter().for_each(|(_, error_n)| last.add(*error_n));
+        contact.force_final_n = last.rms();
         contact.in_contact_fraction = self.touching.get();
         (contact.contact_begin_s, contact.contact_peak_n) = (self.begin_s, self.peak_n);
         contact.contact_losses = Some(self.losses);
         contact.late_contact_losses = Some(self.late_losses);
+        contact.sensed_contact_losses = Some(self.sensed_losses);
         contact.passivity_active_s = self.reduced_s;
     }
 }
