@@ -114,19 +114,6 @@ pub enum Reason {
         /// Number of joints, n.
         joints: usize,
     },
-    /// A rotation axis of a frame that this arm cannot rotate without also translating it.
-    #[error(
-        "task '{name}' controls axis {axis}, but this arm of {joints} joints cannot rotate the frame without \
-         translating it, in any configuration: leave rx, ry and rz free"
-    )]
-    CoupledOrientation {
-        /// The task.
-        name: String,
-        /// The rotation axis.
-        axis: &'static str,
-        /// Number of joints, n.
-        joints: usize,
-    },
     /// Axes that this arm cannot move together with the axes of the tasks above, in any configuration.
     #[error(
         "task '{name}' controls {axes} axes{}, but this arm can move at most {rank} of these {} at once, in any \

@@ -5,7 +5,6 @@ use crate::tasks::controlled_frame::ControlledFrame;
 use crate::tasks::task::Task;
 use nalgebra::{DMatrix, Matrix6xX, SymmetricEigen};
 use opspace_model::{Data, FrameId, Inversion, JointKind, Model, Postures, kinematics, update};
-use std::ops::Range;
 
 /// Singular values below this fraction of the largest one count as zero. The value is far above rounding errors and far
 /// below the singular values of an axis that the arm can move, in its best configuration.
@@ -105,22 +104,6 @@ impl TypicalMobility {
         });
         Self { dynamic, kinematic }
     }
-}
-
-/// Returns true if the arm cannot rotate a frame without also translating it, in any configuration: the rank of
-/// position and orientation together is below the sum of their ranks. This is the case for fewer than six joints,
-/// unless the arm is planar.
-#[must_use]
-pub fn orientation_is_coupled(model: &Model, controlled: ControlledFrame) -> bool {
-    let mut jacobian = Matrix6xX::zeros(model.n());
-    let mut directions = |rows: Range<usize>| {
-        highest_rank(model, rows.len(), |data, stacked| {
-            controlled.jacobian(model, data, &mut jacobian);
-            stacked.copy_from(&jacobian.rows(rows.start, rows.len()));
-        })
-    };
-    let (position, orientation) = (directions(0..3), directions(3..6));
-    directions(0..6) < position + orientation
 }
 
 /// Largest number of iterations of a decomposition: finite matrices of our sizes need some ten per row.

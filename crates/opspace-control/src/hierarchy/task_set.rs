@@ -207,9 +207,6 @@ fn check_rank(model: &Model, hierarchy: &TaskHierarchy) -> Result<(), ControlErr
     if above + axes > joints {
         return Err(ControlError::new(last.rows_key(), Reason::TooManyAxes { name, axes, above, joints }));
     }
-    if let Some(error) = last.infeasibility(model) {
-        return Err(error);
-    }
     let rank = sampled_rank(model, &all);
     if rank < above + axes {
         return Err(ControlError::new(last.rows_key(), Reason::RankDeficient { name, axes, above, rank }));

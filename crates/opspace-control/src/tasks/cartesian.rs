@@ -19,7 +19,7 @@
 use crate::context::ControlContext;
 use crate::controller::ControlInput;
 use crate::error::{ControlError, Reason};
-use crate::hierarchy::rank::{characteristic_length, orientation_is_coupled};
+use crate::hierarchy::rank::characteristic_length;
 use crate::orientation;
 use crate::references::path_bounds::PathPlace;
 use crate::references::reference::{CartesianReference, Trajectory};
@@ -823,17 +823,6 @@ impl Task for CartesianTask {
     fn sampled_jacobian(&self, model: &Model, data: &Data, rows: &mut Matrix6xX<f64>) {
         self.axes.controlled.jacobian(model, data, rows);
         self.axes.with_rotation(self.axes_frame.at_rest()).select_in_place(rows);
-    }
-
-    fn infeasibility(&self, model: &Model) -> Option<ControlError> {
-        let controlled = self.axes.controlled;
-        let &rotation = self.axes.axes().iter().find(|&&axis| axis >= 3)?;
-        if !controlled.turns() || !orientation_is_coupled(model, controlled) {
-            return None;
-        }
-        let (name, axis, joints) = (self.name.clone(), AXIS_NAMES[rotation], model.n());
-        let reason = Reason::CoupledOrientation { name, axis, joints };
-        Some(ControlError::new(format!("{}.{axis}", self.rows_key), reason))
     }
 
     fn rows_key(&self) -> String {

@@ -218,11 +218,6 @@ pub trait Task: Any + Send {
         self.jacobian(model, data, rows);
     }
 
-    /// Returns an error if the task knows a reason why its rows cannot be independent on this robot, in any state.
-    fn infeasibility(&self, _model: &Model) -> Option<ControlError> {
-        None
-    }
-
     /// Key of the rows in a task file, for error messages.
     fn rows_key(&self) -> String {
         format!("task.{}", self.name())
