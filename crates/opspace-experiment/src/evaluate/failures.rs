@@ -3,9 +3,10 @@
 use crate::evaluate::metric_tables::Evaluation;
 use crate::evaluate::unreached::UnreachedGoal;
 use crate::run::experiment::Experiment;
-use opspace_backend::signal_names::{self, REFERENCE, TICK_CHANNEL};
+use opspace_backend::signal_names::{self, PHASE, REFERENCE, TICK_CHANNEL};
 use opspace_control::TaskParameters;
 use opspace_log::Recording;
+use opspace_loop::Phase;
 use std::ops::Range;
 
 /// Largest fraction of missed cycles of a run that is worth its numbers.
@@ -38,7 +39,7 @@ pub(super) fn failures(
     let held = held.names(unreached);
     if !held.is_empty() {
         failures.push(format!(
-            "the reference moves, but {} does not: friction or a brake may hold it",
+            "the reference moves, but not {}: friction or a brake may hold it",
             held.iter().map(|joint| format!("joint '{joint}'")).collect::<Vec<_>>().join(", ")
         ));
     }
@@ -74,7 +75,9 @@ impl HeldJoints {
 
     pub(super) fn add(&mut self, segment: &Recording) {
         let Some(tick) = segment.channel(TICK_CHANNEL) else { return };
-        let Some(q) = tick.signal(signal_names::Q) else { return };
+        let (Some(q), Some(phase)) = (tick.signal(signal_names::Q), tick.signal(PHASE)) else { return };
+        // Before control, references are not set.
+        let controlled = || (0..tick.len()).filter(|&k| phase.row(k)[0] != Phase::Rest.code());
         for (signal, joints) in &self.references {
             let Some(reference) = tick.signal(signal) else { continue };
             for (place, joint) in reference.elements().iter().enumerate() {
@@ -90,8 +93,10 @@ impl HeldJoints {
                     self.joints.len() - 1
                 });
                 let ranges = &mut self.joints[known];
-                reference.rows().for_each(|row| widen(&mut ranges.asked, row[place]));
-                q.rows().for_each(|row| widen(&mut ranges.moved, row[j]));
+                for k in controlled() {
+                    widen(&mut ranges.asked, reference.row(k)[place]);
+                    widen(&mut ranges.moved, q.row(k)[j]);
+                }
             }
         }
     }
