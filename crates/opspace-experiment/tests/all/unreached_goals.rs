@@ -208,6 +208,11 @@ fn limited_moving_reference_has_a_note() {
     let weak = of(1.0, "limits.torque_fraction=0.31");
     let [reference] = &weak.limited_references[..] else { panic!("{:?}", weak.limited_references) };
     assert!(reference.torque_limits.contains(&"joint4".to_owned()), "{reference}");
+    // A motion that is over before the arm has begun.
+    let jump = "task.flange.cartesian.reference={ point-to-point = { position = { offset_m = [0.0, 0.2, 0.0] }, duration_s = 0.05 } }";
+    let (_, jump) = run(&experiment("panda-goals", &["event=[]", "duration_s=3.0", jump]));
+    let [reference] = &jump.limited_references[..] else { panic!("{:?}", jump.limited_references) };
+    assert!(reference.position_m.unwrap() > 0.1 && reference.share < 0.03, "{reference}");
 }
 
 /// Checks a circle that leaves the reach of the arm: no limits, but the direction.

@@ -25,8 +25,11 @@ const MIN_ORIENTATION_RAD: f64 = 20e-3;
 /// Speed above which a reference moves, m/s or rad/s.
 const MOVING: f64 = 1e-3;
 
-/// Shortest time that is reported, s, in sum.
+/// Shortest time that is reported, s, in sum, unless the error is large.
 const MIN_DURATION_S: f64 = 0.1;
+
+/// Error that is reported however short it is, relative to the smallest one that counts.
+const LARGE: f64 = 4.0;
 
 /// Moving references that the tasks of a run did not follow, while segments of the log arrive.
 pub(super) struct LimitedReferences<'a> {
@@ -121,7 +124,7 @@ impl<'a> LimitedReferences<'a> {
             let moves = moves(&mut self.references, run, k, task.name(), step_s);
             let errors = errors(run, k, task);
             let [position_m, orientation_rad] = ["m", "rad"].map(|unit| norm_in(unit, task, &errors));
-            if !moves || !is_large(position_m, orientation_rad) {
+            if !moves || size(position_m, orientation_rad) <= 1.0 {
                 continue;
             }
             if !*is_updated.get_or_insert_with(|| update_state(&mut self.state, run, k)) {
@@ -143,7 +146,7 @@ impl<'a> LimitedReferences<'a> {
                 of_unit.map(|(error, _)| error.abs()).filter(|error| *error > 0.0).reduce(f64::max)
             };
             let (position_m, orientation_rad) = (largest("m"), largest("rad"));
-            if is_large(position_m, orientation_rad) {
+            if size(position_m, orientation_rad) > 1.0 {
                 let wanted = errors.iter().enumerate().map(|(joint, error)| {
                     let gains = task.gains(joint, self.state.inertia(joint));
                     gains.map_or(0.0, |gains| gains.stiffness_per_s2 * error)
@@ -158,10 +161,10 @@ impl<'a> LimitedReferences<'a> {
     }
 }
 
-/// Returns true if an error counts, m and rad.
-fn is_large(position_m: Option<f64>, orientation_rad: Option<f64>) -> bool {
-    position_m.is_some_and(|error| error > MIN_POSITION_M)
-        || orientation_rad.is_some_and(|error| error > MIN_ORIENTATION_RAD)
+/// Returns the larger of two errors (m and rad) relative to the smallest that counts.
+fn size(position_m: Option<f64>, orientation_rad: Option<f64>) -> f64 {
+    let of = |error: Option<f64>, least: f64| error.map_or(0.0, |error| error / least);
+    of(position_m, MIN_POSITION_M).max(of(orientation_rad, MIN_ORIENTATION_RAD))
 }
 
 /// Returns true if the reference of a task moves; `references` has the references at the cycle before.
@@ -218,11 +221,6 @@ impl Found {
         if self.counts.cycles == 0 {
             reference.begin_s = since_start_s;
         }
-        // The larger of the two errors relative to the smallest that counts.
-        let size = |position_m: Option<f64>, orientation_rad: Option<f64>| {
-            let of = |error: Option<f64>, least: f64| error.map_or(0.0, |error| error / least);
-            of(position_m, MIN_POSITION_M).max(of(orientation_rad, MIN_ORIENTATION_RAD))
-        };
         let grows = size(behind.position_m, behind.orientation_rad)
             > size(reference.position_m, reference.orientation_rad);
         if grows {
@@ -232,7 +230,7 @@ impl Found {
         self.counts.add(&behind.hold, grows);
     }
 
-    /// Returns the reference, if the task was held back for long enough; `cycles` is the number of all cycles.
+    /// Returns the reference, if the task was held back for long enough or far enough; `cycles` is the number of all cycles.
     fn finish(self, task: String, cycles: usize, joints: &[&str]) -> Option<LimitedReference> {
         let [position_limits, speed_limits, torque_limits] = self.counts.limits(joints);
         let held = self.counts.cycles as f64;
@@ -245,6 +243,8 @@ impl Found {
             singular_along: self.counts.singular_along(),
             ..self.reference
         };
-        (held * STEP_S >= MIN_DURATION_S && reference.has_cause()).then_some(reference)
+        let counts =
+            held * STEP_S >= MIN_DURATION_S || size(reference.position_m, reference.orientation_rad) >= LARGE;
+        (counts && reference.has_cause()).then_some(reference)
     }
 }
