@@ -23,8 +23,11 @@ pub struct PairSampling {
     pub middle_fraction: f64,
 }
 
-/// Fraction of the postures around the middle in which a pair collides if it is dropped.
+/// Fraction of the postures around the middle in which a pair nearly collides if it is dropped.
 const NEARLY_ALL: f64 = 0.9;
+
+/// Distance up to which it nearly collides, relative to the one up to which it collides.
+const NEARLY_COLLIDING: f64 = 1.25;
 
 impl Default for PairSampling {
     fn default() -> Self {
@@ -46,17 +49,17 @@ pub struct DroppedPair {
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
 pub enum DropReason {
-    /// The objects collide in at least 90 % of the postures around the middle of the joint ranges; with an obstacle, also in
-    /// all postures of the whole ranges.
+    /// The objects are nearer than 1.25 times the distance up to which they collide in at least 90 % of the postures around the
+    /// middle of the joint ranges; with an obstacle, they also collide in all postures of the whole ranges.
     AlwaysColliding,
     /// The objects are farther apart than the margin in all postures.
     NeverNear,
 }
 
 impl CollisionModel {
-    /// Drops the pairs of links that collide in at least 90 % of the postures around the middle of the joint ranges (a limit
-    /// would push the arm into the few other ones), the pairs of a link and an obstacle that do so in all postures within
-    /// the joint limits, and the pairs that come within a margin in no posture within the joint limits. Returns the dropped
+    /// Drops the pairs of links that collide, or nearly, in at least 90 % of the postures around the middle of the joint ranges
+    /// (a limit would push the arm into the few other ones), the pairs of a link and an obstacle that collide in all postures
+    /// within the joint limits, and the pairs that come within a margin in no posture within the joint limits. Returns the dropped
     /// pairs. Allocates: call it once after loading.
     ///
     /// The postures are a deterministic sequence that fills the ranges evenly; joints without limits have ±π rad or ±1
@@ -68,7 +71,8 @@ impl CollisionModel {
         let kept = |i: usize| model.is_floating() && self.objects[self.pairs[i].b].holder == Holder::World;
         let mut colliding = vec![0_usize; count];
         let middle = Postures::new(model, sampling.middle_fraction);
-        self.sample(model, &middle, sampling.middle_postures, sampling.colliding_m, |pair, distance_m| {
+        let near_m = NEARLY_COLLIDING * sampling.colliding_m;
+        self.sample(model, &middle, sampling.middle_postures, near_m, |pair, distance_m| {
             colliding[pair] += usize::from(distance_m.is_some());
         });
         let most = NEARLY_ALL * sampling.middle_postures as f64;
