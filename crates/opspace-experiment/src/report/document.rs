@@ -1,7 +1,7 @@
 //! Reports: pages with a table of runs, charts that compare them, and the figures of each run.
 
 use crate::evaluate::notes::{allowed_notes, assumed_notes, joint_notes, notes, task_notes};
-use crate::evaluate::results::{Measure, group, joint_table, table, task_table};
+use crate::evaluate::results::{Measure, failures, group, joint_table, table, task_table};
 use crate::evaluate::table::Table;
 use crate::report::comparisons::{comparisons, overlays, sweeps};
 pub use crate::report::environment_shapes::{EnvironmentShape, PlacedObject};
@@ -24,7 +24,13 @@ pub fn page(
     {
         all_notes.push(format!("Axes of the operator force and of the hand motion: {}.", run.operator_axes));
     }
-    let head = with_assumed(Page::new(title).lead(lead), summaries);
+    let mut head = with_assumed(Page::new(title).lead(lead), summaries);
+    // The failures of a single run are in its section.
+    if summaries.len() > 1 {
+        head = failures(summaries)
+            .iter()
+            .fold(head, |head, failure| head.warning(&format!("Failed: {failure}.")));
+    }
     let mut page = head.section("Results").table(
         &caption(summaries, shown),
         &table(summaries, measures),

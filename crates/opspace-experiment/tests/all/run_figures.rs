@@ -306,6 +306,15 @@ fn runs_of_one_task_are_drawn_over_each_other() {
     let (_, overlay) = html.split_once("Desired and motor torque: 2 runs").unwrap();
     let (caption, rest) = overlay.split_once("</figcaption>").unwrap();
     assert!(!caption.contains("No limit is near") && rest.contains("No limit is near"), "{caption}");
+    // What failed is at the top, also of a run without a section.
+    let mut failed = summaries.clone();
+    failed[1].missed_expectations.push("position_max_m is 1".to_owned());
+    let head = |summaries: &[Summary]| {
+        let html = page("Title", "Lead.", summaries, MEASURES, &sections[..1]);
+        html.split_once("Results").unwrap().0.to_owned()
+    };
+    assert!(head(&failed).contains("torque robot, osc, seed 1: expectation missed: position_max_m is 1"));
+    assert!(!head(&summaries).contains("Failed"));
     let alone = page("Title", "Lead.", &summaries[..1], MEASURES, &sections[..1]);
     assert!(!alone.contains(": 2 runs") && !alone.contains(": 1 runs"));
 }
