@@ -320,3 +320,74 @@ fn gripper_is_not_the_tip() {
         }
     }
 }
+
+/// A URDF of an arm of two joints with these values of friction.
+fn two_joints(friction: [f64; 2]) -> String {
+    let mut text = "<robot name=\"arm\"><link name=\"base\"/>".to_owned();
+    for (i, (parent, at)) in [("base", 0.1), ("l0", 0.3)].into_iter().enumerate() {
+        let _ = write!(
+            text,
+            "<joint name=\"j{i}\" type=\"revolute\"><parent link=\"{parent}\"/><child link=\"l{i}\"/>\
+             <origin xyz=\"0 0 {at}\"/><axis xyz=\"0 1 0\"/><limit lower=\"-2.5\" upper=\"2.5\" effort=\"80\" velocity=\"2\"/>\
+             <dynamics damping=\"0.0\" friction=\"{}\"/></joint>",
+            friction[i]
+        );
+        link(&mut text, &format!("l{i}"), 0.3, 2.0);
+    }
+    text + "</robot>"
+}
+
+#[test]
+fn zero_friction_of_all_joints_is_a_placeholder() {
+    let folder = scratch();
+    let at = |path: &str| folder.path().join(path);
+    for (name, friction, is_placeholder) in [("zero", [0.0, 0.0], true), ("one", [0.0, 1.5], false)] {
+        let urdf = format!("{name}.urdf");
+        fs::write(at(&urdf), two_joints(friction)).unwrap();
+        let (assumed, plain) = (format!("{name}-assumed"), format!("{name}-plain"));
+        let said = opspace(folder.path(), &["new", &assumed, "--urdf", &urdf, "--assume"]).exits(0).stdout;
+        assert_eq!(said.contains("the URDF states zero friction"), is_placeholder, "{said}");
+        let robot = RobotDefinition::load(Files::Disk, &at(&assumed), &[]).unwrap();
+        let coulomb: Vec<f64> = robot.joints().iter().map(|j| j.friction.coulomb_nm.get()).collect();
+        assert_eq!(coulomb[0] > 0.0, is_placeholder, "{coulomb:?}");
+        assert_eq!(coulomb[1] > 0.0, is_placeholder || friction[1] > 0.0, "{coulomb:?}");
+        assert_eq!(read(at(&format!("{assumed}/robot.toml"))).contains("% of the size"), is_placeholder);
+        let said = opspace(folder.path(), &["new", &plain, "--urdf", &urdf]).exits(0).stdout;
+        assert_eq!(said.contains("the URDF states zero friction"), is_placeholder, "{said}");
+        // The missing values come first.
+        let (_, next) = said.split_once("Next:\n").unwrap();
+        assert!(
+            next.trim_start().starts_with(&format!("opspace check {plain}   # lists the missing values")),
+            "{said}"
+        );
+    }
+}
+
+/// The robot that `identify` writes, of an arm without friction and without motor current, runs the first task.
+#[test]
+fn identified_arm_without_friction_runs() {
+    let folder = scratch();
+    let at = |path: &str| folder.path().join(path);
+    fs::write(at("arm.urdf"), two_joints([0.0, 0.0])).unwrap();
+    opspace(folder.path(), &["new", "mine", "--urdf", "arm.urdf", "--assume"]).exits(0);
+    let without = |name: &str| {
+        format!("robot.joint.{name}.friction={{coulomb_nm=0.0,viscous_nms_per_rad=0.0,presliding_rad=0.001}}")
+    };
+    let (first, second) = (without("j0"), without("j1"));
+    let identify = ["identify", "mine", "--out", "found", "--set", &first, "--set", &second];
+    let said = opspace(folder.path(), &identify).exits(0);
+    let found = RobotDefinition::load(Files::Disk, &at("found"), &[]).unwrap();
+    for joint in found.joints() {
+        assert_eq!(joint.friction.viscous_nms_per_rad.get(), 0.0, "{}", said.stdout);
+    }
+    let results = read_json(at("found/identification.json"));
+    for joint in ["j0", "j1"] {
+        let kp = &results["joints"][joint]["servo"]["intervals"]["kp"];
+        let [lower, upper] = [0, 1].map(|end| kp[end].as_f64().unwrap());
+        assert!((lower..upper).contains(&40.0), "{joint}: {kp}");
+    }
+    opspace(folder.path(), &["run", "mine/first-task.toml", "--robot", "found", "--out", "out"]).exits(0);
+    let summary = read_json(at("out/summary.json"));
+    let error_m = summary["metrics"]["position_rms_m"].as_f64().unwrap();
+    assert!(error_m < 0.01, "{error_m} m");
+}

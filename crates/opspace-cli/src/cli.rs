@@ -574,7 +574,8 @@ pub struct IdentifyArgs {
     #[arg(long)]
     pub profile: Option<String>,
 
-    /// Joint positions during the identification, rad or m [default: the middle of each range].
+    /// Joint positions during the identification, rad or m [default: the start of first-task.toml beside robot.toml, or the middle of
+    /// each range].
     #[arg(long, value_name = "JOINT=VALUE", value_delimiter = ',', value_parser = joint_value)]
     pub start_rad: Vec<(String, f64)>,
 

@@ -125,8 +125,21 @@ impl IdentificationJob {
         let (name, profile) = robot.profile(request.profile.as_deref())?;
         let (profile_name, profile) = (name.to_owned(), profile.clone());
         if robot.file.interface.command != CommandKind::Position {
-            let message = "this robot does not accept joint positions: it has no position servos to identify";
-            return Err(FileError::at_key(&robot.source, "interface.command", message, None));
+            let message = format!(
+                "this robot accepts {}: only the position servos of a robot that accepts joint positions can be identified",
+                match robot.file.interface.command {
+                    CommandKind::Torque => "torques",
+                    _ => "joint velocities",
+                }
+            );
+            let help = "take friction and gains from data sheets and the settings of the drives; if the robot also accepts \
+                        positions, write command = \"position\" and its servos, and identify that robot";
+            return Err(FileError::at_key(
+                &robot.source,
+                "interface.command",
+                message,
+                Some(help.to_owned()),
+            ));
         }
         let joint = |name: &str| {
             robot.model.joint(name).map_err(|unknown| {

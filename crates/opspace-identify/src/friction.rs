@@ -54,16 +54,31 @@ pub struct ConstantVelocityRun {
 /// Fits the curve to runs at different speeds; `None` with fewer than three.
 #[must_use]
 pub fn fit(passes: &[ConstantVelocityRun]) -> Option<Friction> {
+    best_curve(passes, &[true, true, false], &[[true, true, true], [true, false, true]])
+}
+
+/// Fits the curve to runs at different speeds with a given `viscous` friction (Nms/rad, Ns/m): without measured torque, motion
+/// does not distinguish it from the gain kv. `None` with fewer than three runs.
+#[must_use]
+pub fn fit_with_viscous(passes: &[ConstantVelocityRun], viscous: f64) -> Option<Friction> {
+    let others: Vec<ConstantVelocityRun> =
+        (passes.iter()).map(|p| ConstantVelocityRun { torque: p.torque - viscous * p.speed, ..*p }).collect();
+    let found = best_curve(&others, &[true, false, false], &[[true, false, true]])?;
+    Some(Friction { viscous, ..found })
+}
+
+/// Fits curves with these columns [Coulomb, viscous, Stribeck], `plain` without and `peaked` with the Stribeck effect.
+fn best_curve(passes: &[ConstantVelocityRun], plain: &[bool; 3], peaked: &[[bool; 3]]) -> Option<Friction> {
     let highest = passes.iter().map(|p| p.speed).fold(0.0, f64::max);
     if passes.len() < 3 || highest <= 0.0 {
         return None;
     }
-    let mut best = curve(passes, NO_STRIBECK, &[true, true, false])?;
+    let mut best = curve(passes, NO_STRIBECK, plain)?;
     for step in 0..GRID {
         // Grid from a hundredth to a half of the highest speed.
         let stribeck = highest * 0.01 * 50f64.powf(f64::from(step) / f64::from(GRID - 1));
-        for columns in [[true, true, true], [true, false, true]] {
-            if let Some(found) = curve(passes, stribeck, &columns)
+        for columns in peaked {
+            if let Some(found) = curve(passes, stribeck, columns)
                 && found.residual < 0.999 * best.residual
             {
                 best = found;
@@ -216,5 +231,17 @@ mod tests {
         let found = fit(&passes(truth)).expect("eight passes");
         assert!((found.static_friction - 0.4).abs() < TOLERANCE && found.viscous < TOLERANCE, "{found:?}");
         assert_eq!(fit(&[]), None);
+    }
+
+    /// Compares the fit of runs whose torques contain an error proportional to speed, as an error of kv does, with the
+    /// viscous friction that is given.
+    #[test]
+    fn given_viscous_friction_is_kept() {
+        const TOLERANCE: f64 = 0.05;
+        let truth =
+            Friction { coulomb: 1.8, static_friction: 2.34, stribeck: 0.06, viscous: 2.05, residual: 0.0 };
+        let found = fit_with_viscous(&passes(truth), 2.0).expect("eight passes");
+        assert_eq!(found.viscous, 2.0);
+        assert!((found.coulomb / truth.coulomb - 1.0).abs() < TOLERANCE, "{found:?}");
     }
 }

@@ -136,7 +136,7 @@ pub enum IdentificationFailure {
         distortion: f64,
     },
     /// Responses that no gains fit.
-    #[error("no cascaded servo fits its response: the best fit has an error of {:.0} % (allowed: {:.0} %)", 100.0 * error, 100.0 * allowed)]
+    #[error("no cascaded servo fits its response: the best fit has an error of {:.1} % (allowed: {:.1} %)", 100.0 * error, 100.0 * allowed)]
     NotExplained {
         /// Relative rms error of the fit.
         error: f64,

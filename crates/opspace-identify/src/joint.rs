@@ -119,12 +119,19 @@ const BETWEEN: f64 = 0.55;
 /// which the two are separated.
 const SEPARATED: f64 = 0.15;
 
+/// Half-width of friction over the torque limit that is negligible: a joint without friction has no fraction of it.
+const NEGLIGIBLE: f64 = 0.001;
+
 /// Speed that the fastest run exceeds, rad/s (m/s): below it, the Stribeck effect hides viscous friction.
 const ABOVE_STRIBECK: f64 = 0.1;
 
 /// Errors of declared values that intervals without motor current include: of the viscous friction and of the inertia.
 const VISCOUS_WITHIN: f64 = 0.5;
 const INERTIA_WITHIN: f64 = 0.02;
+
+/// Error of kp without motor current that the joints of an arm cause, of which the fit knows nothing: other joints give way, and
+/// inertia and weight change over the motion.
+const ARM_WITHIN: f64 = 0.002;
 
 /// Errors of intervals without motor current that the friction before sliding causes, which is not in the fit: of kv and Coulomb
 /// friction, and of the delay in servo ticks. Over simulated joints with random parameters, such intervals hold the truth in 90 %.
@@ -193,7 +200,7 @@ impl Joint<'_, '_> {
         };
         // The motion is made longer until it separates Coulomb and viscous friction: runs at speeds between the others.
         for round in 1..=self.plan.extra_rounds {
-            if is_separated(&runs(self, &sweeps, &rough)) {
+            if self.is_separated(&runs(self, &sweeps, &rough)) {
                 break;
             }
             let between = BETWEEN.powf(f64::from(round) / f64::from(self.plan.extra_rounds + 1));
@@ -219,11 +226,14 @@ impl Joint<'_, '_> {
             velocity_feed_forward: drive.velocity_feed_forward,
             setpoint_filter: drive.setpoint_filter,
             gear: gains.gear,
-            friction: friction::fit(&passes),
+            friction: match found.scale {
+                TorqueScale::MotorCurrent => friction::fit(&passes),
+                TorqueScale::Urdf | TorqueScale::Unknown => friction::fit_with_viscous(&passes, viscous),
+            },
             intervals: self.intervals(found.scale, &gains, scale, &passes),
             passes,
         });
-        if !is_separated(found.servo.as_ref().map_or(&[][..], |s| &s.passes)) {
+        if !self.is_separated(found.servo.as_ref().map_or(&[][..], |s| &s.passes)) {
             found.doubts.push(
                 "its motion does not separate Coulomb and viscous friction: their speeds are too few or too close".to_owned(),
             );
@@ -246,7 +256,7 @@ impl Joint<'_, '_> {
     ) -> ServoIntervals {
         let [kp, kv, velocity_filter_hz] = gains.intervals;
         let [least, most] = gains.delays.map(f64::from);
-        let friction = friction::intervals(passes).filter(|_| is_separated(passes));
+        let friction = friction::intervals(passes).filter(|_| self.is_separated(passes));
         let inertia = gains.inertia_deviation.map(|d| Interval95::of_logarithm(gains.drive.inertia, d));
         let mut all = ServoIntervals {
             kp: Some(kp),
@@ -272,7 +282,7 @@ impl Joint<'_, '_> {
         let widen = |interval: Option<Interval95>, by: f64| {
             interval.map(|i| Interval95 { lower: i.lower / (1.0 + by), upper: i.upper * (1.0 + by) })
         };
-        all.kp = widen(all.kp, viscous);
+        all.kp = widen(all.kp, viscous + ARM_WITHIN);
         all.kv = widen(all.kv, viscous + inertia + PRESLIDING_WITHIN);
         all.delay = all.delay.map(|delay| Interval95 {
             lower: (delay.lower - PRESLIDING_WITHIN_TICKS).max(0.0),
@@ -557,22 +567,32 @@ impl Joint<'_, '_> {
         Ok(sweeps)
     }
 
-    /// Fits a line of lag over speed to the faster half of the sweeps, where static friction has no effect.
+    /// Fits a line of lag over speed to the faster half of the sweeps, where static friction has no effect. Without
+    /// friction the line passes through the origin: noise would give it a negative lag at rest.
     fn lag(&self, sweeps: &[Sweep]) -> Lag {
         let period_s = self.session.period_s();
         let lags: Vec<(f64, f64)> = (sweeps.iter().take(sweeps.len().div_ceil(2)))
-            .filter_map(|s| Some((s.speed, s.lag(period_s)?)))
+            .filter_map(|s| Some((s.measured_speed(period_s)?, s.lag(period_s)?)))
             .collect();
-        let n = lags.len() as f64;
-        let (sum_v, sum_e) = lags.iter().fold((0.0, 0.0), |(v, e), l| (v + l.0, e + l.1));
-        let (mean_v, mean_e) = (sum_v / n, sum_e / n);
-        let (mut vv, mut ve) = (0.0, 0.0);
-        for (v, e) in &lags {
-            vv += (v - mean_v) * (v - mean_v);
-            ve += (v - mean_v) * (e - mean_e);
+        line_of_lags(&lags)
+    }
+
+    /// True if runs at constant speeds separate Coulomb and viscous friction.
+    fn is_separated(&self, passes: &[ConstantVelocityRun]) -> bool {
+        let Some([coulomb, viscous]) = friction::intervals(passes) else { return false };
+        let (mut fastest, mut largest) = (0.0, 0.0);
+        for pass in passes {
+            fastest = f64::max(fastest, pass.speed);
+            largest = f64::max(largest, pass.torque);
         }
-        let line = Lag { at_rest: mean_e - ve / vv * mean_v, per_speed: ve / vv };
-        if line.at_rest > 0.0 && line.per_speed.is_finite() { line } else { Lag::default() }
+        if fastest < ABOVE_STRIBECK {
+            return false;
+        }
+        // Without a scale of torque, that of the torque limit is another one.
+        let has_scale = self.session.measures_torque() || self.known.inertia.is_some();
+        let negligible = if has_scale { NEGLIGIBLE * self.known.torque_limit } else { 0.0 };
+        let widest = f64::max(coulomb.half_width(), fastest * viscous.half_width());
+        widest < f64::max(SEPARATED * largest, negligible)
     }
 
     /// Moves back and forth twice at a speed, with gentle reversals, and returns to the start.
@@ -635,6 +655,17 @@ impl Joint<'_, '_> {
     }
 }
 
+/// Line through lags (rad, m) over speeds (rad/s, m/s): through the origin if it would have a negative lag at rest.
+fn line_of_lags(lags: &[(f64, f64)]) -> Lag {
+    let n = lags.len() as f64;
+    let sum = |of: fn(&(f64, f64)) -> f64| lags.iter().map(of).sum::<f64>();
+    let (v, e, vv, ve) = (sum(|l| l.0), sum(|l| l.1), sum(|l| l.0 * l.0), sum(|l| l.0 * l.1));
+    let per_speed = (n * ve - v * e) / (n * vv - v * v);
+    let line = Lag { at_rest: (e - per_speed * v) / n, per_speed };
+    let line = if line.at_rest > 0.0 { line } else { Lag { at_rest: 0.0, per_speed: ve / vv } };
+    if line.per_speed.is_finite() && line.per_speed > 0.0 { line } else { Lag::default() }
+}
+
 /// Rms of the measured velocity, rad/s (m/s), limited by the encoder's resolution.
 fn speed(realisations: &[Realisation], period_s: f64) -> f64 {
     let over = ((SPEED_OVER_S / period_s).round() as usize).max(1);
@@ -644,21 +675,6 @@ fn speed(realisations: &[Realisation], period_s: f64) -> f64 {
         count += 1.0;
     }
     f64::sqrt(power / f64::max(count, 1.0)).max(f64::MIN_POSITIVE)
-}
-
-/// True if runs at constant speeds separate Coulomb and viscous friction.
-fn is_separated(passes: &[ConstantVelocityRun]) -> bool {
-    let Some([coulomb, viscous]) = friction::intervals(passes) else { return false };
-    let (mut fastest, mut largest) = (0.0, 0.0);
-    for pass in passes {
-        fastest = f64::max(fastest, pass.speed);
-        largest = f64::max(largest, pass.torque);
-    }
-    if fastest < ABOVE_STRIBECK {
-        return false;
-    }
-    let widest = f64::max(coulomb.half_width(), fastest * viscous.half_width());
-    widest < SEPARATED * largest
 }
 
 /// Adds doubts about the structure of the servo.

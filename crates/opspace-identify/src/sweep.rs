@@ -34,6 +34,13 @@ impl Sweep {
         (m > 0.0 && n > 0.0).then(|| 0.5 * (forth / n - back / m))
     }
 
+    /// Speed of the joint, rad/s (m/s). It is not that of the setpoint where the gravity torque, and with it the lag, changes
+    /// over the motion.
+    pub fn measured_speed(&self, period_s: f64) -> Option<f64> {
+        let velocity = |record: &Record, k: usize| (record.position[k + 1] - record.position[k]) / period_s;
+        self.half_difference(velocity, period_s)
+    }
+
     /// Lag of the joint behind its setpoint, rad (m).
     pub fn lag(&self, period_s: f64) -> Option<f64> {
         self.half_difference(|record, k| record.asked[k] - record.position[k], period_s)
@@ -43,7 +50,9 @@ impl Sweep {
     /// proportional to speed.
     pub fn friction(&self, gains: &Gains, lag: Lag, period_s: f64) -> Option<ConstantVelocityRun> {
         let torque = if self.record.torque.is_empty() {
-            gains.drive.kv * gains.drive.kp * (self.lag(period_s)? - lag.per_speed * self.speed)
+            gains.drive.kv
+                * gains.drive.kp
+                * (self.lag(period_s)? - lag.per_speed * self.measured_speed(period_s)?)
         } else {
             self.half_difference(|record, k| record.torque[k], period_s)?
         };

@@ -9,6 +9,7 @@ use crate::output::pretty;
 use crate::outputs::check_outputs;
 use opspace_experiment::codes::AllowedRefusal;
 use opspace_experiment::evaluate::notes::assumed_text;
+use opspace_experiment::files::collision::capsule_warning_texts;
 use opspace_experiment::files::joint_layers::urdf_values_text;
 use opspace_experiment::files::origin::Kind;
 use opspace_experiment::files::robot::load_urdf;
@@ -243,7 +244,8 @@ fn model_warnings_of(urdf: &str, warnings: &[UrdfWarning], model: &Model) -> Vec
 
 /// Warnings about the capsules of a robot, for example meshes that were not found.
 fn capsule_warnings_of(robot: &RobotDefinition) -> impl Iterator<Item = Warning> {
-    robot.capsule_warnings().iter().map(|w| Warning::new(robot.urdf.name(), w, w.code()))
+    let texts = capsule_warning_texts(robot.capsule_warnings()).into_iter();
+    texts.map(|(text, code)| Warning::new(robot.urdf.name(), &text, code))
 }
 
 /// Refuses options that a file has no values for.

@@ -1,6 +1,7 @@
 //! `opspace identify`: identification of the servos of a robot's joints by moving them.
 
 use crate::cli::IdentifyArgs;
+use crate::commands::posture::first_task;
 use crate::commands::run_progress::style;
 use crate::console::{Console, Exit, Failure, Outcome, render};
 use crate::interrupt;
@@ -22,10 +23,12 @@ pub fn identify(args: &IdentifyArgs, console: Console) -> Outcome {
         console.detail(&format!("{}: {warning}", robot.urdf.name()));
     }
     let robot_paths = (robot.source.name().to_owned(), robot.urdf.name().to_owned());
+    // Positions of the command line replace those of the first task.
+    let first_task = first_task(&robot).and_then(|first| first.start_rad).unwrap_or_default();
     let request = Request {
         profile: args.profile.clone(),
         joint: args.joint.clone(),
-        start_rad: args.start_rad.clone(),
+        start_rad: first_task.into_iter().chain(args.start_rad.clone()).collect(),
         plan: ExcitationPlan { seed: args.seed, ..ExcitationPlan::default() },
     };
     let identifying = IdentificationJob::new(robot, request)?;
@@ -53,6 +56,12 @@ pub fn identify(args: &IdentifyArgs, console: Console) -> Outcome {
         for doubt in &joint.found.doubts {
             console.note(&format!("{}: doubtful: {doubt}", joint.name));
         }
+    }
+    if identified.joints.iter().any(|joint| joint.found.refused.is_some()) {
+        console.note(
+            "a joint that is refused may be identified in another posture: --start-rad JOINT=RAD sets it. Choose one away from \
+             limits, in which the joints are weakly coupled and hold little weight",
+        );
     }
     console.note(&format!(
         "identification took {:.0} s of robot time; wrote {}",

@@ -7,7 +7,7 @@ use crate::console::{Console, Exit, Failure, Outcome, print_exactly, render};
 use crate::output::{Format, pretty, write_named};
 use crate::outputs::check_outputs;
 use opspace_experiment::evaluate::table::{Cell, Table};
-use opspace_experiment::files::collision::{capsules_as_toml, generated_capsules};
+use opspace_experiment::files::collision::{capsule_warning_texts, capsules_as_toml, generated_capsules};
 use opspace_experiment::files::robot::load_urdf;
 use opspace_experiment::{Files, RobotDefinition, Source};
 use opspace_model::samples::{Sample, evaluate};
@@ -49,7 +49,8 @@ fn capsules(args: &ModelArgs, console: Console) -> Outcome {
         }
     };
     print_exactly(&capsules_as_toml(&capsules))?;
-    warnings.iter().for_each(|warning| console.note(&format!("{warning} [{}]", warning.code())));
+    let texts = capsule_warning_texts(&warnings);
+    texts.iter().for_each(|(text, code)| console.note(&format!("{text} [{code}]")));
     Ok(Exit::Done)
 }
 

@@ -86,18 +86,24 @@ fn create(
         write(&task, &task_toml)?;
     }
     let (task, dir) = (task.display(), dir.display());
-    let fill = match command {
-        Some(_) => format!("Values marked [A] in {} are assumed: results rest on them.\n", robot.display()),
-        None => format!(
-            "Write the missing values into {}; `opspace check {dir}` lists them all.\n",
-            robot.display()
+    let (fill, first) = match command {
+        Some(_) => (
+            format!("Values marked [A] in {} are assumed: results rest on them.\n", robot.display()),
+            String::new(),
+        ),
+        None => (
+            String::new(),
+            format!(
+                "  opspace check {dir}   # lists the missing values: write them into {}\n",
+                robot.display()
+            ),
         ),
     };
     let notes: String = notes.iter().map(|note| format!("NOTE {note}\n")).collect();
     let command = command.unwrap_or(CommandKind::Position).name();
     let name = robot.parent().and_then(|dir| dir.file_name()).unwrap_or_default().to_string_lossy();
     print(&format!(
-        "{}\n{}\n{task}\n{motion}\n{notes}{fill}Next:\n  opspace check {task}\n  opspace run {task}\n  \
+        "{}\n{}\n{task}\n{motion}\n{notes}{fill}Next:\n{first}  opspace check {task}\n  opspace run {task}\n  \
          opspace report runs/first-task-{name}-{command}\n  opspace model {dir}\n",
         robot.display(),
         copy.display(),

@@ -14,7 +14,7 @@ use opspace_model::{FrameId, JointKind, Model, neutral};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// File beside robot.toml whose start is the default posture.
 const FIRST_TASK: &str = "first-task.toml";
@@ -342,30 +342,44 @@ fn positions(
 /// Start of the first task, or the middle of each range.
 fn default_positions(model: &Model, robot: Option<&RobotDefinition>) -> (Vec<f64>, String) {
     let mut q = neutral(model);
-    let task = robot.map(|robot| Path::new(robot.source.name()).with_file_name(FIRST_TASK));
-    let task = task.filter(|task| task.is_file());
-    let read = task.as_ref().map(|task| TaskDefinition::load(Files::Disk, task, &[]));
-    if let Some(Ok(definition)) = &read {
-        let known = |name: &String| model.joint(name).is_ok();
-        if definition.file.start_rad.keys().all(known) {
-            for (name, &value) in &definition.file.start_rad {
-                if let Ok(joint) = model.joint(name) {
-                    q[position_index(model, joint)] = value;
-                }
+    let first_task = robot.and_then(first_task);
+    if let Some(FirstTaskStart { task, start_rad: Some(start_rad) }) = &first_task {
+        for (name, &value) in start_rad {
+            if let Ok(joint) = model.joint(name) {
+                q[position_index(model, joint)] = value;
             }
-            return (q, format!("start of {}", definition.source.name()));
         }
+        return (q, format!("start of {}", task.display()));
     }
     for (i, joint) in model.joints().iter().enumerate().filter(|(_, joint)| joint.kind != JointKind::Floating)
     {
         let (lower, upper) = joint.limits.range(joint.kind);
         q[position_index(model, i)] = 0.5 * (lower + upper);
     }
-    let why = match (task, read) {
-        (Some(task), Some(_)) => format!("; {} does not fit", task.display()),
-        _ => String::new(),
-    };
+    let why = first_task.map_or_else(String::new, |first| format!("; {} does not fit", first.task.display()));
     (q, format!("middle of each range{why}"))
+}
+
+/// First task beside a robot's file.
+pub struct FirstTaskStart {
+    /// Path of the task.
+    pub task: PathBuf,
+    /// Its start positions by joint, rad (m); `None` if the task cannot be read, or is for other joints.
+    pub start_rad: Option<BTreeMap<String, f64>>,
+}
+
+/// Returns the first task beside a robot's file, if there is one.
+pub fn first_task(robot: &RobotDefinition) -> Option<FirstTaskStart> {
+    let task = Path::new(robot.source.name()).with_file_name(FIRST_TASK);
+    if !task.is_file() {
+        return None;
+    }
+    let definition = TaskDefinition::load(Files::Disk, &task, &[]).ok();
+    let known = |name: &String| robot.model.joint(name).is_ok();
+    let start_rad = definition
+        .filter(|definition| definition.file.start_rad.keys().all(known))
+        .map(|definition| definition.file.start_rad.clone());
+    Some(FirstTaskStart { task, start_rad })
 }
 
 /// Describes the joints that are outside their position limits.

@@ -14,7 +14,7 @@ use opspace_model::urdf::link_shapes;
 #[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::Deserialize;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 /// Distances that the controller keeps between the links of the robot, and between links and the obstacles of a task.
@@ -207,15 +207,7 @@ pub(crate) fn robot_capsules(
     let is_listed = |link: &str| file.capsule.iter().any(|capsule| capsule.link == link);
     let mut capsules: Vec<LinkCapsule> =
         generated.iter().filter(|capsule| !is_listed(&capsule.link)).cloned().collect();
-    warnings.retain(|warning| {
-        let (CapsuleWarning::NoShape { link }
-        | CapsuleWarning::MeshNotFound { link, .. }
-        | CapsuleWarning::MeshFormat { link, .. }) = warning
-        else {
-            return true;
-        };
-        !is_listed(link)
-    });
+    warnings.retain(|warning| !is_listed(warning.link()));
     let mut counts: BTreeMap<&str, usize> = BTreeMap::new();
     for (number, capsule) in file.capsule.iter().enumerate() {
         if let Err(unknown) = model.frame_id(&capsule.link) {
@@ -275,6 +267,31 @@ pub(crate) fn unknown_name(source: &Source, key: &[&str], error: CollisionError)
         }
         other => FileError::at_key(source, key, other.to_string(), None),
     }
+}
+
+/// Texts of warnings about capsules, each with its code: those of one kind about several links as one.
+#[must_use]
+pub fn capsule_warning_texts(warnings: &[CapsuleWarning]) -> Vec<(String, &'static str)> {
+    let of_code = |code: &str| warnings.iter().filter(|w| w.code() == code).collect::<Vec<_>>();
+    let text = |all: &[&CapsuleWarning]| match all {
+        [one] => one.to_string(),
+        all => {
+            let links: BTreeSet<&str> = all.iter().map(|w| w.link()).collect();
+            let links = links.into_iter().collect::<Vec<_>>().join(", ");
+            let what = match all[0] {
+                CapsuleWarning::MeshFormat { .. } => {
+                    "have meshes that are neither STL nor OBJ, which are not read"
+                }
+                CapsuleWarning::MeshNotFound { .. } => "have meshes that were not found",
+                _ => "have no collision shape",
+            };
+            format!(
+                "links {links} {what}: their capsules are estimated from their inertias, and a link without inertia has none"
+            )
+        }
+    };
+    let of_kinds = CapsuleWarning::CODES.map(|code| (of_code(code), code)).into_iter();
+    of_kinds.filter(|(all, _)| !all.is_empty()).map(|(all, code)| (text(&all), code)).collect()
 }
 
 /// Returns capsules in the form of robot.toml, each with its origin as a comment.

@@ -159,7 +159,8 @@ impl GainMargin {
             ServoLoop::Position => {
                 let kv = experiment.servo_gains().ok()?[robot.model.joint(joint).ok()?].damping;
                 format!(
-                    "increase the damping of joint '{joint}' by {} Nms/rad",
+                    "damp the motion that the task leaves free: raise `compliant_damping_per_s` of its compliant axes (2 if \
+                     absent), or `damping_nms_per_rad` of a joint-damping task at joint '{joint}' by {}",
                     short((LEAST_EXCESS - excess) * kv)
                 )
             }
@@ -182,10 +183,7 @@ impl GainMargin {
                 )
             }
         };
-        let help = format!(
-            "{current}{relief}, or raise the nominal gains of its servo (profile.{profile}.servo): overestimated gains only make the \
-             response slower",
-        );
+        let help = format!("{current}{relief}");
         Some(
             Diagnostic::new(Code::SmallGainMargin, &["profile", profile, "transformer"], message, help)
                 .of_robot(),

@@ -117,6 +117,19 @@ impl ArmTemplate {
         })
     }
 
+    /// Returns the template of the arm that a URDF has, if there is one: first of the same names of joints, or else of the same
+    /// number of joints and distances of axes.
+    ///
+    /// # Errors
+    /// A mistake in a template of this crate.
+    pub fn fitting(urdf: &Source, model: &Model) -> Result<Option<Self>, FileError> {
+        let mut all: Vec<Self> = Self::all()?;
+        all.retain(|template| template.joints_in(urdf, model).is_ok());
+        let is_named = |template: &Self| template.joints.iter().all(|name| model.joint(name).is_ok());
+        let named = all.iter().position(is_named).unwrap_or(0);
+        Ok(all.into_iter().nth(named))
+    }
+
     /// Returns the names of the joints of a robot that are those of the template, in its order: the joints of the same names,
     /// or else those from the base to the tip.
     ///

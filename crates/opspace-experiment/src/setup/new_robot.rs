@@ -1,5 +1,6 @@
 //! Files of a new robot from its URDF.
 
+use crate::files::collision::generated_capsules;
 use crate::files::joint_layers::urdf_values;
 use crate::files::robot::RobotDefinition;
 use crate::files::robot_part::{UsedPart, load_part_of, urdf_error};
@@ -12,7 +13,8 @@ use crate::setup::first_task::first_task_toml;
 use crate::setup::robot_template::{NewRobot, assumed_robot_toml, robot_toml};
 use crate::setup::tip::{arms, joints_beyond};
 use opspace_backend::CommandKind;
-use opspace_model::{Limits, Model, ParsedUrdf, UrdfJoint, UrdfWarning, urdf_joints};
+use opspace_model::collision::CapsuleWarning;
+use opspace_model::{JointDynamics, Limits, Model, ParsedUrdf, UrdfJoint, UrdfWarning, urdf_joints};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Chain of links of a new robot that is used; all of it if both are `None`.
@@ -132,7 +134,17 @@ fn computed(loaded: SelectedPart<'_>, assume: bool) -> Result<NewFiles, FileErro
         }
     }
     let motion = motion_of(&loaded, &limited, &limits)?;
-    let stated = urdf_values(model, dynamics);
+    let mut stated = urdf_values(model, dynamics);
+    let mut notes = notes(&loaded, model, &motion);
+    if has_placeholder_friction(dynamics) {
+        notes.insert(0, note_of_friction(assume));
+        if assume {
+            stated.retain(|value| !value.key.starts_with("friction."));
+        }
+    }
+    if let Some(template) = ArmTemplate::fitting(loaded.urdf, model)? {
+        notes.insert(0, note_of_template(&template));
+    }
     let locked: Vec<(String, f64)> = loaded.locked_joints.clone().into_iter().collect();
     let robot = NewRobot {
         urdf: loaded.urdf_name,
@@ -152,9 +164,39 @@ fn computed(loaded: SelectedPart<'_>, assume: bool) -> Result<NewFiles, FileErro
         motion: description(&motion),
         command: assume.then_some(CommandKind::Position),
         unmatched_joints: Vec::new(),
-        notes: notes(&loaded, model, &motion),
+        notes,
         warnings: loaded.parsed.warnings,
     })
+}
+
+/// True if all values of friction and damping in a URDF are zero, as exporters write them.
+fn has_placeholder_friction(dynamics: &[JointDynamics]) -> bool {
+    let mut stated = dynamics.iter().flat_map(|joint| [joint.friction, joint.damping]).flatten().peekable();
+    stated.peek().is_some() && stated.all(|value| value == 0.0)
+}
+
+/// Says what is made of friction and damping that are zero in the URDF.
+fn note_of_friction(assume: bool) -> String {
+    let zero = "the URDF states zero friction or damping for its joints, and no other value, as exporters do that do not know \
+                them";
+    match assume {
+        true => format!(
+            "{zero}: robot.toml has typical values instead, marked [A]. If the joints have no friction, write 0 there"
+        ),
+        false => format!(
+            "{zero}. They count as the friction of the arm; if it has another, write it under [joint_defaults.friction] in \
+             robot.toml"
+        ),
+    }
+}
+
+/// Names a template that fits the URDF.
+fn note_of_template(template: &ArmTemplate) -> String {
+    let ArmTemplate { name, about, .. } = template;
+    format!(
+        "template '{name}' ({about}) has the joints and the distances of axes of this URDF: if this is that arm, use \
+         `--like {name}`, which fills in its public values"
+    )
 }
 
 /// Files of a robot with the values of a template. Joints that the template does not have are locked.
@@ -232,13 +274,27 @@ fn notes(loaded: &SelectedPart<'_>, model: &Model, motion: &FirstMotion) -> Vec<
     }
     notes.extend(note_of_arms(loaded, model));
     notes.extend(note_of_posture(motion));
-    notes.push(
+    notes.push(format!(
         "collisions are not avoided: robot.toml has no [collision]. See the capsules of the links with `opspace model DIR \
-         --capsules`; to use them, append `[collision]` and `margin_m = 0.02` to robot.toml. They are made from meshes if \
-         these are beside the URDF, otherwise from inertias, and may then be smaller than the links"
-            .to_owned(),
-    );
+         --capsules`; to use them, append `[collision]` and `margin_m = 0.02` to robot.toml. They are made from meshes (STL, \
+         OBJ) if these are beside the URDF, otherwise from inertias, and may then be smaller than the links{}",
+        unread_meshes(loaded.urdf)
+    ));
     notes
+}
+
+/// Names the meshes of a URDF in formats that are not read; empty if there are none.
+fn unread_meshes(urdf: &Source) -> String {
+    let warnings = generated_capsules(urdf).map(|generated| generated.warnings).unwrap_or_default();
+    let is_format = |warning: &&CapsuleWarning| matches!(warning, CapsuleWarning::MeshFormat { .. });
+    let files: BTreeSet<&str> = warnings.iter().filter(is_format).filter_map(|w| w.file()).collect();
+    match files.len() {
+        0 => String::new(),
+        1 => ". Its mesh is in another format: convert it, with its name in the URDF".to_owned(),
+        count => format!(
+            ". {count} of its meshes are in other formats: convert them, with their names in the URDF"
+        ),
+    }
 }
 
 /// Arms of a robot that is taken as a whole, with the options that would take one of them.

@@ -113,6 +113,26 @@ fn motor_current_raises_gain_margin() {
     }
 }
 
+/// Compared: the margin with the remedies that the diagnostic names, and without them.
+#[test]
+fn damping_of_free_motion_raises_gain_margin() {
+    let of = |settings: &[String]| experiment("gravity-compensation", "a-med", EMULATION, settings);
+    let before = of(&["task.rest.joint-damping.damping_nms_per_rad=0.0".to_owned()]);
+    let help = gain_margin(&before).unwrap().finding(&before).unwrap().help;
+    assert!(help.contains("compliant_damping_per_s") && !help.contains("raise the nominal"), "{help}");
+    let (_, more) = help.rsplit_once(" by ").unwrap();
+    let more: f64 = more.trim().parse().unwrap();
+    let after = of(&[format!("task.rest.joint-damping.damping_nms_per_rad={more:?}")]);
+    assert!(excess(&after).unwrap() > 0.049, "{more} Nms/rad: {:?}", excess(&after));
+
+    let compliant = |damping: f64| {
+        let setting = format!("task.hand.cartesian.compliant_damping_per_s={damping:?}");
+        excess(&experiment("compliant-x", "a-med", EMULATION, &[setting]))
+    };
+    let (less, more) = (compliant(2.0).unwrap(), compliant(10.0));
+    assert!(more.is_none_or(|more| more > 1.3 * less), "{less}, {more:?}");
+}
+
 /// Outcome of a run of the simulated robot whose position loop gains are increased by the fraction `excess`, and its
 /// highest speed, rad/s.
 fn run(task: &str, transformer: &str, excess: f64) -> (RunOutcome, Option<f64>) {

@@ -80,3 +80,30 @@ fn feed_forward_and_setpoint_filter_are_told_apart() {
         other => panic!("{other:?}"),
     }
 }
+
+/// Compared, of joints without friction and without motor current: the viscous friction, and that which is declared, which
+/// no motion distinguishes from kv; the error of kp, and the bound of an identification with friction.
+#[test]
+fn joints_without_friction_get_no_viscous_friction() {
+    const KP: f64 = 0.005;
+    let identify = |number: usize, viscous: f64| {
+        let mut case = Case::new(number, SEED, Kind { without_current: true, ..Kind::default() });
+        let truth = &mut case.truth;
+        (truth.coulomb, truth.static_friction, truth.viscous) = (0.0, 0.0, viscous * truth.viscous);
+        let found = case.identify();
+        (case.truth, found)
+    };
+    thread::scope(|scope| {
+        for (number, viscous) in [(0, 0.0), (1, 0.0), (2, 0.0), (4, 1.0)] {
+            scope.spawn(move || {
+                let (truth, found) = identify(number, viscous);
+                assert_eq!(found.refused, None, "{number}");
+                let servo = found.servo.expect("a servo");
+                let friction = servo.friction.expect("runs at several speeds");
+                assert_eq!(friction.viscous, truth.viscous, "{number}: {friction:?}");
+                assert!(friction.coulomb < 0.01 * truth.torque_limit, "{number}: {friction:?}");
+                assert!((servo.kp / truth.kp - 1.0).abs() < KP, "{number}: {} of {}", servo.kp, truth.kp);
+            });
+        }
+    });
+}

@@ -55,6 +55,22 @@ impl CapsuleWarning {
     /// Codes of all kinds.
     pub const CODES: [&'static str; 3] = ["no-shape", "mesh-not-found", "mesh-format"];
 
+    /// Name in the URDF of the mesh of which it warns, if any.
+    #[must_use]
+    pub fn file(&self) -> Option<&str> {
+        match self {
+            Self::NoShape { .. } => None,
+            Self::MeshNotFound { file, .. } | Self::MeshFormat { file, .. } => Some(file),
+        }
+    }
+
+    /// Name of the link of which it warns.
+    #[must_use]
+    pub fn link(&self) -> &str {
+        let (Self::NoShape { link } | Self::MeshNotFound { link, .. } | Self::MeshFormat { link, .. }) = self;
+        link
+    }
+
     /// Returns the code of the kind, which remains the same when its text changes.
     #[must_use]
     pub fn code(&self) -> &'static str {
