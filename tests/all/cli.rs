@@ -428,6 +428,17 @@ fn robot_is_printed_as_table_or_json() {
     let urdf = opspace(folder.path(), &["model", &format!("{ROOT_ROBOT}/asimo-arm.urdf"), "--json", "-"]);
     assert_eq!(urdf.exits(0).json()["joints"][0]["rotor_inertia"], 0.0);
     assert!((json["joints"][0]["rotor_inertia"].as_f64().unwrap() - 120.0 * 120.0 * 1.6e-5).abs() < 1e-12);
+    // The torque limits of robot.toml count, not those of the URDF.
+    let text = std::fs::read_to_string(ROOT_ROBOT.to_owned() + "/robot.toml").unwrap();
+    std::fs::write(
+        folder.path().join("robot.toml"),
+        text.replace("torque_limit_nm = 40.0", "torque_limit_nm = 33.0"),
+    )
+    .unwrap();
+    let urdf_file = "asimo-arm.urdf";
+    std::fs::copy(format!("{ROOT_ROBOT}/{urdf_file}"), folder.path().join(urdf_file)).unwrap();
+    let json = opspace(folder.path(), &["model", "robot.toml", "--json", "-"]).exits(0).json();
+    assert_eq!(json["joints"][0]["effort"], 33.0);
 }
 
 fn numbers(list: &Value) -> Vec<f64> {
@@ -962,4 +973,18 @@ fn start_is_printed_before_a_run() {
     // Three digits are printed.
     assert!(printed.iter().zip(begin).all(|(a, b)| (a - b).abs() < 1e-3), "{printed:?}, {begin:?}");
     opspace(folder.path(), &["check", &task, "-v"]).exits(0).says(&[start]);
+}
+
+/// Checks that `check` takes a transformer, as `run` does, and that files without one refuse it.
+#[test]
+fn check_takes_a_transformer() {
+    let folder = scratch();
+    let task = project("tasks/gravity-compensation.toml");
+    let arguments = ["check", task.as_str(), "--transformer", "extrapolation"];
+    let checked = opspace(folder.path(), &arguments).exits(0);
+    assert!(checked.stdout.contains("with transformer 'extrapolation'"), "{}", checked.stdout);
+    let robot = project("robots/asimo-arm");
+    opspace(folder.path(), &["check", robot.as_str(), "--transformer", "paper"])
+        .exits(2)
+        .says(&["has no use for --transformer"]);
 }

@@ -539,6 +539,10 @@ pub struct CheckArgs {
     #[command(flatten)]
     pub control: ControlArgs,
 
+    /// Transformer, which converts desired torques into setpoints [default: that of `run`].
+    #[arg(long, value_parser = transformers())]
+    pub transformer: Option<TransformerKind>,
+
     /// Override a value of task and experiment files, or, with the prefix `robot.`, of the robot file. Can be repeated.
     #[arg(long, value_name = "KEY=VALUE")]
     pub set: Vec<String>,

@@ -12,6 +12,7 @@
 //! | `stability` | gains too high for the rate, the delay and the servo |
 //! | `admittance` | force axes of inverse kinematics that oscillate on the objects of the environment |
 //! | `limits` | limits that contradict each other, the start posture or the arm's weight |
+//! | `position_limits` | references that the position limits keep the task from, on the way from the start |
 //! | `freedom` | a start at a singularity; degrees of freedom without a task; compliant axes that nothing brings back |
 //! | `servo_gain` | position or velocity loops with a small gain margin |
 //! | `ignored_compliance` | impedances and compliant axes that inverse kinematics ignores, or the default transformer damps |
@@ -50,6 +51,7 @@ mod motion;
 mod nudge;
 mod objects;
 mod phase_margin;
+mod position_limits;
 mod ramp;
 mod refusal;
 mod servo_gain;
@@ -60,6 +62,7 @@ mod times;
 mod torque_floor;
 mod variation;
 
+use crate::codes::Code;
 use crate::run::experiment::{ControllerKind, Experiment};
 use crate::run::rollout::Rollout;
 use case::PreflightCase;
@@ -96,10 +99,14 @@ pub fn diagnostics(experiment: &Experiment) -> Vec<Diagnostic> {
             found.extend(ramp::of_references(&case, &followed));
         }
         found.extend(limits::on_the_way(&case, &followed));
+        // Targets beyond the limits explain themselves.
+        if found.iter().all(|diagnostic| diagnostic.code != Code::TargetBeyondLimits) {
+            found.extend(position_limits::beyond_on_the_way(&case, &followed));
+        }
     }
     found.extend(out_of_reach);
     if experiment.options().controller == ControllerKind::Osc {
-        found.extend(collisions::collisions(&case, &followed));
+        found.extend(collisions::on_the_way(&case, &followed));
     }
     found.extend(speeds::of_tasks(&case, &followed));
     found.extend(times::too_short(&case, &followed));
@@ -118,6 +125,7 @@ fn of_start(case: &PreflightCase<'_>) -> Vec<Diagnostic> {
     found.extend(objects::misplaced(case));
     found.extend(freedom::singular_start(case));
     if case.experiment.options().controller == ControllerKind::Osc {
+        found.extend(collisions::at_start(case));
         found.extend(freedom::uncontrolled(case));
         found.extend(freedom::drifting(case));
         found.extend(stability::stiff_gains(case));

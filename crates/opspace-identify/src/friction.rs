@@ -70,13 +70,15 @@ pub fn fit_with_viscous(passes: &[ConstantVelocityRun], viscous: f64) -> Option<
 /// Fits curves with these columns [Coulomb, viscous, Stribeck], `plain` without and `peaked` with the Stribeck effect.
 fn best_curve(passes: &[ConstantVelocityRun], plain: &[bool; 3], peaked: &[[bool; 3]]) -> Option<Friction> {
     let highest = passes.iter().map(|p| p.speed).fold(0.0, f64::max);
+    let slowest = passes.iter().map(|p| p.speed).fold(f64::INFINITY, f64::min);
     if passes.len() < 3 || highest <= 0.0 {
         return None;
     }
     let mut best = curve(passes, NO_STRIBECK, plain)?;
-    for step in 0..GRID {
-        // Grid from a hundredth to a half of the highest speed.
-        let stribeck = highest * 0.01 * 50f64.powf(f64::from(step) / f64::from(GRID - 1));
+    // Grid from a hundredth to a half of the highest speed. Of a peak below the slowest run, the runs show only the tail: its
+    // height, the static friction, could be anything.
+    let grid = (0..GRID).map(|step| highest * 0.01 * 50f64.powf(f64::from(step) / f64::from(GRID - 1)));
+    for stribeck in grid.filter(|stribeck| *stribeck >= slowest) {
         for columns in peaked {
             if let Some(found) = curve(passes, stribeck, columns)
                 && found.residual < 0.999 * best.residual
@@ -231,6 +233,19 @@ mod tests {
         let found = fit(&passes(truth)).expect("eight passes");
         assert!((found.static_friction - 0.4).abs() < TOLERANCE && found.viscous < TOLERANCE, "{found:?}");
         assert_eq!(fit(&[]), None);
+    }
+
+    /// Static friction is that of some run where the peak is below the speeds of all, however noise changes the slowest one.
+    #[test]
+    fn static_friction_is_not_extrapolated() {
+        let truth =
+            Friction { coulomb: 0.07, static_friction: 0.09, stribeck: 0.004, viscous: 0.6, residual: 0.0 };
+        for error in [-0.01, 0.002, 0.01, 0.02] {
+            let mut runs = passes(truth);
+            runs[7].torque += error;
+            let found = fit_with_viscous(&runs, 0.6).expect("eight passes");
+            assert!(found.static_friction > 0.0 && found.static_friction < 0.2, "{error}: {found:?}");
+        }
     }
 
     /// Compares the fit of runs whose torques contain an error proportional to speed, as an error of kv does, with the

@@ -108,15 +108,15 @@ pub enum TorqueScale {
 #[derive(Clone, Debug, PartialEq, Error)]
 #[non_exhaustive]
 pub enum IdentificationFailure {
-    /// Largest motion within the limits that the encoder cannot resolve.
+    /// Largest motion within the limits that the encoder resolves too coarsely.
     #[error(
-        "within the limits it can be excited by only {reached:.2e} rad (m) rms, below the {least:.2e} rad (m) that its \
-         encoder resolves"
+        "within the limits of its speed, torque and range it can be excited by only {reached:.2e} rad (m) rms; its encoder \
+         needs {least:.2e} rad (m), twenty times its resolution"
     )]
     NoRoom {
         /// Amplitude reached, rms, rad (m).
         reached: f64,
-        /// Smallest amplitude that the encoder resolves, rad (m).
+        /// Smallest amplitude that the encoder resolves finely enough, rad (m).
         least: f64,
     },
     /// Joint that does not follow its setpoints.

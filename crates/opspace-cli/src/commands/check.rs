@@ -254,6 +254,7 @@ fn refuse_options_of_tasks(path: &Path, args: &CheckArgs) -> Result<(), FileErro
     let given = [
         ("--backend", backend.is_some(), "its runs or robots state `backend`"),
         ("--controller", controller != ControllerKind::Osc, "its runs or robots state `controller`"),
+        ("--transformer", args.transformer.is_some(), "its runs or robots state `transformer`"),
     ];
     let Some((option, _, help)) = given.into_iter().find(|(_, is_given, _)| *is_given) else { return Ok(()) };
     let message = format!("has no use for {option}, which is for task files");
@@ -322,7 +323,8 @@ fn check_one(
         Some(Kind::Task) => {
             let ControlArgs { backend, controller } = args.control;
             let backend = backend.unwrap_or_else(|| own_backend(path, None, settings, extensions));
-            let options = RunOptions { backend, controller, allow: allow.to_vec(), ..RunOptions::default() };
+            let (transformer, allow) = (args.transformer, allow.to_vec());
+            let options = RunOptions { backend, controller, transformer, allow, ..RunOptions::default() };
             let experiment = Experiment::load_with(extensions, Files::Disk, path, None, options, settings)?;
             let what = format!("a task for the robot '{}'", experiment.robot().name());
             console.detail(&format!("{}: {}", path.display(), experiment.start_text()?));

@@ -30,7 +30,8 @@ impl Strength {
         let used = self.margins.first().and_then(|margins| margins.gears.as_ref());
         let gears = used.and_then(|gears| gears.finding(experiment));
         let active = JointImpedance::finding(&self.impedances, experiment);
-        gears.into_iter().chain(active).collect()
+        let simulated = self.margins.first().and_then(|margins| margins.finding(experiment));
+        gears.into_iter().chain(active).chain(simulated).collect()
     }
 
     pub fn text(&self) -> String {

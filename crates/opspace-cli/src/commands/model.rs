@@ -112,14 +112,23 @@ fn describe(shown: &ModelView) -> String {
         model.total_mass(),
         model.total_mass() + shown.standing_kg,
         shown.values,
-        render(&joint_table(model)),
+        render(&joint_table(model, &efforts(shown))),
         render(&body_table(model)),
         render(&frame_table(model)),
         shown.posture.as_ref().map_or_else(String::new, |posture| posture.text(model))
     )
 }
 
-fn joint_table(model: &Model) -> Table {
+/// Torque limit of each joint: that of the robot's file, which may be below that of its URDF.
+fn efforts(shown: &ModelView) -> Vec<f64> {
+    let of_robot = shown.robot.as_ref().map(RobotDefinition::torque_limits);
+    let joints = shown.model.joints();
+    of_robot
+        .filter(|limits| limits.len() == joints.len())
+        .unwrap_or_else(|| joints.iter().map(|joint| joint.limits.effort).collect())
+}
+
+fn joint_table(model: &Model, efforts: &[f64]) -> Table {
     let mut columns = vec![
         ("joint", ""),
         ("kind", ""),
@@ -150,7 +159,7 @@ fn joint_table(model: &Model) -> Table {
         let mut row: Vec<Cell> = vec![joint.name.clone().into(), kind.into()];
         row.push(parent_link(model, i).unwrap_or("world").into());
         let limits = joint.limits;
-        let limits = [limits.lower, limits.upper, limits.velocity, limits.effort];
+        let limits = [limits.lower, limits.upper, limits.velocity, efforts[i]];
         row.extend(limits.map(|value| limit(joint.kind, value)));
         row.extend(rotors.then(|| model.rotor_inertia()[i].into()));
         table.push(row);
@@ -271,7 +280,7 @@ fn offset(model: &Model, frame: &Frame) -> [f64; 3] {
 }
 
 fn as_json(shown: &ModelView) -> Value {
-    let model = &shown.model;
+    let (model, efforts) = (&shown.model, efforts(shown));
     // JSON has no infinity: null means no limit.
     let joints: Vec<Value> = (model.joints().iter().enumerate())
         .map(|(i, joint)| {
@@ -287,7 +296,7 @@ fn as_json(shown: &ModelView) -> Value {
                 "lower": joint.limits.lower,
                 "upper": joint.limits.upper,
                 "velocity": joint.limits.velocity,
-                "effort": joint.limits.effort,
+                "effort": efforts[i],
                 "mass_kg": moved.map(|body| body.inertia.mass).sum::<f64>(),
                 "rotor_inertia": model.rotor_inertia()[i],
                 "carried_by": parent_link(model, i),

@@ -79,6 +79,7 @@ pub fn run(args: &RunArgs, extensions: &Extensions, console: Console) -> Outcome
         .json
         .print(|| pretty(&summary), || table(console, std::slice::from_ref(&summary), MEASURES))?;
     say_end(&summary, console);
+    say_expectations(&summary, experiment.task().file.expect.len(), console);
     if summary.not_saved.is_empty() {
         console.note(&format!("wrote {}, {REPORT} and {SUMMARY}", folder.join(LOG).display()));
     }
@@ -105,6 +106,17 @@ fn note_problems(experiment: &Experiment, console: Console) {
         number => format!("{number} problems"),
     };
     console.note(&format!("note: `opspace check` finds {problems} at the start: {}", codes.join(", ")));
+}
+
+/// Says that a complete run met its expectations; those that it missed are in the results.
+fn say_expectations(summary: &Summary, number: usize, console: Console) {
+    let is_complete = summary.faulted.is_none() && !summary.interrupted;
+    if number > 0 && is_complete && summary.missed_expectations.is_empty() {
+        console.note(&match number {
+            1 => "the expectation is met".to_owned(),
+            _ => format!("all {number} expectations are met"),
+        });
+    }
 }
 
 /// Prints the reason why a run ended early.

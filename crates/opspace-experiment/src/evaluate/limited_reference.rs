@@ -25,9 +25,15 @@ pub struct LimitedReference {
     pub speed_limits: Vec<String>,
     /// Joints whose limits of torque or torque rate hold the task back.
     pub torque_limits: Vec<String>,
+    /// Pairs of links or obstacles whose kept distances (`[collision]`) hold the task back.
+    #[serde(default)]
+    pub kept_distances: Vec<[String; 2]>,
     /// Time over which the torque ramps in at the start, s, if the largest error is within it.
     #[serde(default)]
     pub torque_ramp_s: Option<f64>,
+    /// Begin of the statistics, s after the start of control, if the largest error is before it.
+    #[serde(default)]
+    pub settle_s: Option<f64>,
     /// Direction of the error, if the arm is nearly singular along it: `z`, or `0.71 x - 0.71 rz`.
     pub singular_along: Option<String>,
 }
@@ -36,7 +42,9 @@ impl LimitedReference {
     /// Returns true if a cause is known.
     pub(crate) fn has_cause(&self) -> bool {
         let lists = [&self.position_limits, &self.speed_limits, &self.torque_limits];
-        self.singular_along.is_some() || lists.iter().any(|list| !list.is_empty())
+        self.singular_along.is_some()
+            || !self.kept_distances.is_empty()
+            || lists.iter().any(|list| !list.is_empty())
     }
 }
 
@@ -50,18 +58,22 @@ impl fmt::Display for LimitedReference {
         write!(
             f,
             "task '{}': moving reference not followed within limits, from {:.2} s on in {:.0} % of the time, up to {} away (at \
-             {:.2} s): ",
+             {:.2} s{}): ",
             self.task,
             self.begin_s,
             100.0 * self.share,
             errors.join(" and "),
-            self.largest_s
+            self.largest_s,
+            self.settle_s.map_or_else(String::new, |settle_s| {
+                format!(", before the tables below begin: settle_s = {settle_s}")
+            })
         )?;
         let ramp = self
             .torque_ramp_s
             .map(|ramp_s| format!("the torque ramps in over the first {ramp_s} s (safety.torque_ramp_s)"));
         let mut causes: Vec<String> = ramp.into_iter().collect();
         causes.extend(joint_limits(&self.position_limits, &self.speed_limits, &self.torque_limits));
+        causes.extend(distances(&self.kept_distances));
         causes.extend(self.singular_along.iter().map(|along| out_of_reach(along)));
         write!(f, "{}", causes.join("; "))
     }
@@ -70,6 +82,12 @@ impl fmt::Display for LimitedReference {
 /// Names the direction along which an arm is nearly singular as a cause.
 pub(crate) fn out_of_reach(along: &str) -> String {
     format!("out of reach: the arm is nearly singular along {along}")
+}
+
+/// Names the pairs whose kept distances act on a task.
+pub(crate) fn distances(pairs: &[[String; 2]]) -> Option<String> {
+    let names: Vec<String> = pairs.iter().map(|[a, b]| format!("{a} and {b}")).collect();
+    (!names.is_empty()).then(|| format!("distance kept between {} (collision.margin_m)", names.join(", ")))
 }
 
 /// Names the limits of joints that act on a task, one text for each kind.

@@ -15,6 +15,7 @@ mod holds;
 mod interruptions;
 mod joints;
 mod limited_references;
+mod near_pairs;
 mod objects;
 mod ripple;
 pub(crate) mod run_log;

@@ -1,6 +1,6 @@
 //! Goals that a task did not reach, with what kept it from them.
 
-use crate::evaluate::limited_reference::{joint_limits, out_of_reach};
+use crate::evaluate::limited_reference::{distances, joint_limits, out_of_reach};
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
@@ -24,6 +24,9 @@ pub struct UnreachedGoal {
     pub speed_limits: Vec<String>,
     /// Joints whose limits of torque or torque rate hold the task.
     pub torque_limits: Vec<String>,
+    /// Pairs of links or obstacles whose kept distances (`[collision]`) hold the task.
+    #[serde(default)]
+    pub kept_distances: Vec<[String; 2]>,
     /// Direction of the error, if the arm is nearly singular along it: `z`, or `0.71 x - 0.71 rz`.
     pub singular_along: Option<String>,
     /// Tasks of higher priority that hold the task.
@@ -34,7 +37,9 @@ impl UnreachedGoal {
     /// Returns true if the cause is known.
     pub(crate) fn has_cause(&self) -> bool {
         let lists = [&self.position_limits, &self.speed_limits, &self.torque_limits, &self.overridden_by];
-        self.singular_along.is_some() || lists.iter().any(|list| !list.is_empty())
+        self.singular_along.is_some()
+            || !self.kept_distances.is_empty()
+            || lists.iter().any(|list| !list.is_empty())
     }
 
     /// Returns true if the tasks of higher priority are the only cause.
@@ -59,6 +64,7 @@ impl fmt::Display for UnreachedGoal {
             .collect();
         write!(f, ", {} away: ", errors.join(" and "))?;
         let mut causes = joint_limits(&self.position_limits, &self.speed_limits, &self.torque_limits);
+        causes.extend(distances(&self.kept_distances));
         causes.extend(self.singular_along.iter().map(|along| out_of_reach(along)));
         let above: Vec<String> = self.overridden_by.iter().map(|name| format!("task '{name}'")).collect();
         causes.extend((!above.is_empty()).then(|| format!("overridden by {}", above.join(", "))));

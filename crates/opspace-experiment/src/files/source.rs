@@ -450,7 +450,7 @@ pub(crate) fn explain<T: DeserializeOwned>(
         return FileError::at_span(&source.name, &source.text, span, message, help);
     }
     if let Some(setting) = setting_at(source, &path) {
-        return FileError::of_setting(setting, part, message, join(help, made_here(source, setting)));
+        return FileError::of_setting(setting, part, message, join(made_here(source, setting), help));
     }
     // An extra key makes the enclosing table invalid. If the file without settings is valid, a setting in this table
     // is wrong.
@@ -458,7 +458,7 @@ pub(crate) fn explain<T: DeserializeOwned>(
     if let Some(setting) = inside
         && parse::<T>(&Source::new(source.name.clone(), Arc::clone(&source.base))).is_ok()
     {
-        return FileError::of_setting(setting, Part::Key, message, join(help, made_here(source, setting)));
+        return FileError::of_setting(setting, Part::Key, message, join(made_here(source, setting), help));
     }
     FileError::in_base(source, &path, part, message, help)
 }

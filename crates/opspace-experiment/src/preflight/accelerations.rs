@@ -4,7 +4,7 @@
 //! M q̈ + C q̇ + g, without friction.
 
 use super::case::PreflightCase;
-use super::diagnostic::{Diagnostic, short};
+use super::diagnostic::{Diagnostic, at_least, short};
 use super::speeds::key_of_fastest;
 use crate::codes::Code;
 use crate::run::rollout::{Instant, Rollout};
@@ -102,7 +102,7 @@ fn acceleration(case: &PreflightCase<'_>, worst: &Worst<'_>) -> Option<Diagnosti
         short(asked),
         short(limit),
     );
-    let help = format!("make the motion {} times as long, or smaller", short(worst.ratio().sqrt()));
+    let help = format!("make the motion {} times as long, or smaller", at_least(worst.ratio().sqrt()));
     Some(Diagnostic::new(Code::AccelerationAboveLimit, &key, message, help))
 }
 

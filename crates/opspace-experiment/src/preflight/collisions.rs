@@ -11,19 +11,26 @@ use opspace_model::{Data, Model, forward_kinematics};
 /// Rounding error of a distance, m.
 const ROUNDING_M: f64 = 1e-9;
 
-/// Finds a start, and a posture on the references, that is closer to a collision than the margin. The posture is the one
-/// in which the joints follow the references; a redundant arm may have others.
-pub(crate) fn collisions(case: &PreflightCase<'_>, followed: &Rollout) -> Vec<Diagnostic> {
+/// Finds a start that is closer to a collision than the margin.
+pub(crate) fn at_start(case: &PreflightCase<'_>) -> Option<Diagnostic> {
+    let distances =
+        case.experiment.kept_distances().filter(|_| case.experiment.task().file.limits.enforce)?;
+    let found = Closest::new(case, distances).within_margin(&case.start)?;
+    let message = format!("in the start posture, {found}: they move apart as soon as control starts");
+    let help = "choose another start, or correct the capsules (`opspace model ROBOT --capsules`)".to_owned();
+    Some(Diagnostic::new(Code::StartInCollision, &["start_rad"], message, help))
+}
+
+/// Finds a posture on the references that is closer to a collision than the margin, unless the start is. The posture is the
+/// one in which the joints follow the references; a redundant arm may have others.
+pub(crate) fn on_the_way(case: &PreflightCase<'_>, followed: &Rollout) -> Vec<Diagnostic> {
     let limits = &case.experiment.task().file.limits;
     let Some(distances) = case.experiment.kept_distances().filter(|_| limits.enforce) else {
         return Vec::new();
     };
     let mut closest = Closest::new(case, distances);
-    if let Some(found) = closest.within_margin(&case.start) {
-        let message = format!("in the start posture, {found}: they move apart as soon as control starts");
-        let help =
-            "choose another start, or correct the capsules (`opspace model ROBOT --capsules`)".to_owned();
-        return vec![Diagnostic::new(Code::StartInCollision, &["start_rad"], message, help)];
+    if closest.within_margin(&case.start).is_some() {
+        return Vec::new();
     }
     let near = |instant: &Instant, closest: &mut Closest<'_>| closest.within_margin(&instant.q);
     let last = followed.instants.last().filter(|_| followed.to_the_end);

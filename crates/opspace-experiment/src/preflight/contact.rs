@@ -11,7 +11,7 @@
 //! impact with the speed v and the target F is 1.5 F + 0.5 v √(K Λ), a bound of the peaks of simulated impacts.
 
 use super::case::PreflightCase;
-use super::diagnostic::{Diagnostic, short};
+use super::diagnostic::{Diagnostic, at_least, short};
 use super::surfaces::{Surface, surfaces};
 use crate::codes::Code;
 use nalgebra::{DVector, Matrix6xX};
@@ -146,7 +146,7 @@ impl PressingAxis<'_> {
         let help = format!(
             "set `gain` to at most {} or, if the velocity is known well enough, `damping_per_s` to {}",
             short(0.9 * largest),
-            short(needed)
+            at_least(needed)
         );
         Some(Diagnostic::new(Code::ContactOscillation, &self.key("gain"), message, help))
     }

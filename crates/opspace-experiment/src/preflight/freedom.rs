@@ -4,6 +4,7 @@ use super::case::PreflightCase;
 use super::diagnostic::{Diagnostic, short};
 use crate::codes::Code;
 use crate::evaluate::direction::direction;
+use crate::run::experiment::ControllerKind;
 use nalgebra::{DMatrix, Matrix6xX, SymmetricEigen, Vector6};
 use opspace_control::tasks::task::DEFAULT_INVERSION;
 use opspace_control::{AXIS_NAMES, AxisMode, SingularEscape, TaskParameters};
@@ -14,6 +15,8 @@ use std::fmt;
 /// Step (rad or m) and maximum number of steps by which a joint is displaced in the search for a better start.
 const BEND: f64 = 0.05;
 const FARTHEST_BENDS: u32 = 30;
+/// Maximum number of steps for two joints.
+const FARTHEST_BENDS_OF_TWO: u32 = 10;
 
 /// Finds degrees of freedom that no task controls.
 pub(crate) fn uncontrolled(case: &PreflightCase<'_>) -> Option<Diagnostic> {
@@ -147,6 +150,7 @@ pub(super) fn singular_postures_of(case: &PreflightCase<'_>) -> Vec<SingularPost
 /// Finds tasks that can hardly move in a direction at the start, given the tasks of higher priority.
 pub(crate) fn singular_start(case: &PreflightCase<'_>) -> Vec<Diagnostic> {
     let spectra = spectra(case, &case.data);
+    let is_osc = case.experiment.options().controller == ControllerKind::Osc;
     let weak = spectra.iter().enumerate().filter(|(_, spectrum)| spectrum.share < WHOLE);
     weak.map(|(level, spectrum)| {
         let lost = match spectrum.share {
@@ -159,17 +163,19 @@ pub(crate) fn singular_start(case: &PreflightCase<'_>) -> Vec<Diagnostic> {
             spectrum.name,
             spectrum.direction,
             if level > 0 { ", or tasks of higher priority use the required joints" } else { "" },
-            match (spectrum.share < LOST, spectrum.escapes) {
-                (true, false) => "; it does not leave towards a goal along that direction",
-                (true, true) =>
+            match (spectrum.share < LOST, is_osc, spectrum.escapes) {
+                (true, true, false) =>
+                    "; towards a goal along that direction it leaves late, or not at all if the pose is exactly singular",
+                (true, true, true) =>
                     "; it leaves towards a goal along that direction by motion in the null space (`escape`)",
-                (false, _) => "",
+                _ => "",
             },
         );
         let mut help = bend(case, level).unwrap_or_else(|| {
             "start in another posture, free that axis, or control it by a task of higher priority".to_owned()
         });
-        if let Some(key) = spectrum.escape_key.as_ref().filter(|_| spectrum.share < LOST && !spectrum.escapes)
+        let can_escape = is_osc && spectrum.share < LOST && !spectrum.escapes;
+        if let Some(key) = spectrum.escape_key.as_ref().filter(|_| can_escape)
         {
             help += &format!(
                 "; or set {key} = \"nullspace-step\": the arm then leaves by motion in the null space"
@@ -240,8 +246,44 @@ fn spectra(case: &PreflightCase<'_>, data: &Data) -> Vec<Spectrum> {
 /// Largest number of iterations of a decomposition: finite matrices of our sizes need some ten per row.
 const MAX_ITERATIONS: usize = 1000;
 
-/// Smallest displacement of one joint that gives full mobility to the task and to those of higher priority.
+/// Smallest displacement of one joint, or of two, that gives full mobility to the task and to those of higher priority.
 fn bend(case: &PreflightCase<'_>, level: usize) -> Option<String> {
+    bend_of_one(case, level).or_else(|| bend_of_two(case, level))
+}
+
+/// Smallest equal displacement of two joints that gives full mobility.
+fn bend_of_two(case: &PreflightCase<'_>, level: usize) -> Option<String> {
+    let (mut data, rest, n) = (case.data.clone(), vec![0.0; case.model.n()], case.model.n());
+    for bends in 1..=FARTHEST_BENDS_OF_TWO {
+        let by = BEND * f64::from(bends);
+        for (first, second) in (0..n).flat_map(|first| (first + 1..n).map(move |second| (first, second))) {
+            for signs in [[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]] {
+                let mut q = case.start.clone();
+                (q[first], q[second]) = (q[first] + signs[0] * by, q[second] + signs[1] * by);
+                let is_inside = |joint: usize| {
+                    let (lower, upper) = case.range(joint);
+                    q[joint] >= lower && q[joint] <= upper
+                };
+                if !is_inside(first) || !is_inside(second) || !update(case.model, &mut data, &q, &rest) {
+                    continue;
+                }
+                if spectra(case, &data)[..=level].iter().all(|spectrum| spectrum.share >= WHOLE) {
+                    return Some(format!(
+                        "start with joint '{}' at {} and joint '{}' at {}",
+                        case.joint(first),
+                        short(q[first]),
+                        case.joint(second),
+                        short(q[second])
+                    ));
+                }
+            }
+        }
+    }
+    None
+}
+
+/// Smallest displacement of one joint that gives full mobility.
+fn bend_of_one(case: &PreflightCase<'_>, level: usize) -> Option<String> {
     let mut data = case.data.clone();
     let rest = vec![0.0; case.model.n()];
     for bends in 1..=FARTHEST_BENDS {

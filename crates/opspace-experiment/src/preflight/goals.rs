@@ -1,7 +1,7 @@
 //! References that are out of reach of the arm.
 
 use super::case::PreflightCase;
-use super::diagnostic::{Diagnostic, short};
+use super::diagnostic::{Diagnostic, at_least, short};
 use super::motion::Motion;
 use crate::codes::Code;
 use crate::run::rollout::{Instant, Rollout, error};
@@ -108,7 +108,7 @@ fn too_far(case: &PreflightCase<'_>, asked: &[Asked<'_>]) -> Option<Diagnostic> 
     } else {
         ""
     };
-    let help = format!("move it {} m closer, or reduce the motion{in_mm}", short(distance_m - reach_m));
+    let help = format!("move it {} m closer, or reduce the motion{in_mm}", at_least(distance_m - reach_m));
     Some(Diagnostic::new(Code::GoalOutOfReach, &asked.key(case), message, help))
 }
 

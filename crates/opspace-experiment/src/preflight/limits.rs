@@ -1,7 +1,7 @@
 //! Limits that contradict each other, the start posture, or the arm's weight.
 
 use super::case::PreflightCase;
-use super::diagnostic::{Diagnostic, short};
+use super::diagnostic::{Diagnostic, at_least, at_most, distinct, short};
 use crate::codes::Code;
 use crate::run::rollout::Rollout;
 use opspace_backend::GravityCompensation;
@@ -60,15 +60,15 @@ fn start_in_margin(case: &PreflightCase<'_>, joint: usize) -> Option<Diagnostic>
     }
     let (end, inside) =
         if q < lower { (lower - case.margin(), lower) } else { (upper + case.margin(), upper) };
+    let [starts, _, end] = distinct([q, inside, end]);
     let message = format!(
-        "joint '{}' starts at {}, closer to its limit at {} than position_margin_rad = {}: it moves away from there \
-         as soon as control starts",
+        "joint '{}' starts at {starts}, closer to its limit at {end} than position_margin_rad = {}: it moves away from \
+         there as soon as control starts",
         case.joint(joint),
-        short(q),
-        short(end),
         short(case.margin()),
     );
-    let help = format!("start it at {} or further inside, or give a smaller margin", short(inside));
+    let inside = if q < lower { at_least(inside) } else { at_most(inside) };
+    let help = format!("start it at {inside} or further inside, or give a smaller margin");
     Some(Diagnostic::new(Code::StartInMargin, &["start_rad", case.joint(joint)], message, help))
 }
 
@@ -101,7 +101,7 @@ fn weight(case: &PreflightCase<'_>, joint: usize, gravity: f64, time_s: Option<f
     );
     let name = case.joint(joint);
     if gravity.abs() <= limit {
-        let help = format!("set torque_fraction to at least {}", short(gravity.abs() / limit));
+        let help = format!("set torque_fraction to at least {}", at_least(gravity.abs() / limit));
         return Some(Diagnostic::new(Code::WeightAboveLimit, &["limits", "torque_fraction"], message, help));
     }
     let help = "choose a posture with less gravity torque on this joint, or check the limit and the masses"
@@ -130,7 +130,7 @@ fn braking(case: &PreflightCase<'_>, joint: usize) -> Option<Diagnostic> {
         short(width),
         short(acceleration),
     );
-    let least = short(limits.velocity * limits.velocity / (2.0 * width));
+    let least = at_least(limits.velocity * limits.velocity / (2.0 * width));
     let help = format!("give it in rad/s² (m/s²); at least {least} lets the joint reach its velocity limit");
     Some(
         Diagnostic::new(
@@ -207,17 +207,17 @@ fn beyond(
     } else {
         String::new()
     };
+    let [asked_text, _, lower_text, upper_text] =
+        distinct([asked, if asked > upper { upper } else { lower }, lower, upper]);
     let message = format!(
-        "task '{name}': {when}its target for joint '{}' is {}, but the joint is kept between {} and {}{kept}",
+        "task '{name}': {when}its target for joint '{}' is {asked_text}, but the joint is kept between {lower_text} and \
+         {upper_text}{kept}",
         case.joint(joint),
-        short(asked),
-        short(lower),
-        short(upper),
     );
     let help = if asked > upper {
-        format!("give a target of at most {}", short(upper))
+        format!("give a target of at most {}", at_most(upper))
     } else {
-        format!("give a target of at least {}", short(lower))
+        format!("give a target of at least {}", at_least(lower))
     };
     Diagnostic::new(Code::TargetBeyondLimits, &key, message, help)
 }
@@ -265,7 +265,7 @@ fn torque_rate(case: &PreflightCase<'_>, followed: &Rollout, joint: usize) -> Op
     );
     let help = format!(
         "make the motion {} times as long, or check the unit of the limit: {unit}/s",
-        short(change(fastest) / rate)
+        at_least(change(fastest) / rate)
     );
     Some(
         Diagnostic::new(

@@ -3,9 +3,11 @@
 //! All joints are varied together, and one quantity at a time. The [simulation](super::nudge) is that of the gain margin.
 
 use super::boundary::{Boundary, boundary};
+use super::diagnostic::{Diagnostic, at_least, at_most, short};
 use super::gears::{GearMargin, examine};
 use super::nudge::{Nudge, NudgedArm};
 use super::variation::{Variation, delayed};
+use crate::codes::Code;
 use crate::run::experiment::Experiment;
 use opspace_backend::CommandKind;
 use opspace_transformer::TransformerKind;
@@ -73,6 +75,40 @@ pub struct RangeEnd {
     pub joint: Option<String>,
 }
 
+impl Margins {
+    /// Returns a diagnostic if a true value of the simulated robot is outside the range in which the arm is stable.
+    #[must_use]
+    pub fn finding(&self, experiment: &Experiment) -> Option<Diagnostic> {
+        let scale = &experiment.robot().file.simulated.as_ref()?.true_over_nominal;
+        self.ranges.iter().find_map(|range| {
+            let (key, value) = match range.quantity {
+                Quantity::Factor(Variation::PositionGain) => ("kp", scale.kp.get()),
+                Quantity::Factor(Variation::VelocityGain) => ("kv", scale.kv.get()),
+                Quantity::Factor(Variation::Inertia) => ("inertia", scale.inertia.get()),
+                _ => return None,
+            };
+            let [least, most] = &range.ends;
+            let (joint, bound, allowed) = match (&least.joint, &most.joint) {
+                (Some(joint), _) if value < least.value => (joint, least.value, at_least(least.value)),
+                (_, Some(joint)) if value > most.value => (joint, most.value, at_most(most.value)),
+                _ => return None,
+            };
+            let side = if value < bound { "at least" } else { "at most" };
+            let message = format!(
+                "the simulated robot has {} times the nominal {}, with which it is unstable in the start posture: joint \
+                 '{joint}' oscillates first; stable with {side} {allowed}",
+                short(value),
+                range.quantity.name(),
+            );
+            let help = format!(
+                "{key} = {allowed} or nearer to 1, or correct the nominal values to those of the simulated robot"
+            );
+            let key = ["simulated", "true_over_nominal", key];
+            Some(Diagnostic::new(Code::UnstableSimulation, &key, message, help).of_robot())
+        })
+    }
+}
+
 /// Computes the margins of an experiment with its transformer, and also without and with correction by current, if
 /// current is measured. The transformer in use is the first. Empty if commands pass without a transformer.
 #[must_use]
@@ -117,7 +153,7 @@ impl fmt::Display for Margins {
             None => {
                 write!(
                     f,
-                    "true over nominal values with which the arm is stable, with transformer '{name}':"
+                    "true over nominal values, stable at rest at the start, with transformer '{name}':"
                 )?;
             }
         }

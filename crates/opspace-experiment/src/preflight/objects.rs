@@ -1,7 +1,7 @@
 //! Objects of the simulated environment in which the hand starts, or which it cannot reach.
 
 use super::case::PreflightCase;
-use super::diagnostic::{Diagnostic, short};
+use super::diagnostic::{Diagnostic, at_least, short};
 use crate::codes::Code;
 use nalgebra::Vector3;
 use opspace_control::rank::reach;
@@ -35,7 +35,7 @@ fn misplaced_object(
             short(depth_m),
             short(stiffness * depth_m),
         );
-        let help = format!("move '{name}' by {} m or more, or start elsewhere", short(depth_m));
+        let help = format!("move '{name}' by {} m or more, or start elsewhere", at_least(depth_m));
         return Some(Diagnostic::new(Code::StartInObject, &key, message, help));
     }
     let reach_m = reach(case.model, frame);
@@ -47,7 +47,7 @@ fn misplaced_object(
             object.frame(),
             short(reach_m),
         );
-        let help = format!("move '{name}' {} m closer", short(away_m - reach_m));
+        let help = format!("move '{name}' {} m closer", at_least(away_m - reach_m));
         return Some(Diagnostic::new(Code::ObjectOutOfReach, &key, message, help));
     }
     None

@@ -1,7 +1,7 @@
 //! References that are faster than the joints or the speed limit of their task allow.
 
 use super::case::PreflightCase;
-use super::diagnostic::{Diagnostic, short};
+use super::diagnostic::{Diagnostic, at_least, distinct, short};
 use crate::codes::Code;
 use crate::run::rollout::{Instant, Rollout};
 use opspace_control::TaskParameters;
@@ -24,18 +24,18 @@ pub(crate) fn of_joints(case: &PreflightCase<'_>, followed: &Rollout) -> Option<
     let (instant, joint) = worst?;
     let key = key_of_fastest(case, instant)?;
     let limit = case.model.joints()[joint].limits.velocity;
+    let [asked, allowed] = distinct([instant.dq[joint].abs(), share * limit]);
     let allowed = if share < 1.0 {
-        format!("{} rad/s, {} of its limit of {}", short(share * limit), short(share), short(limit))
+        format!("{allowed} rad/s, {} of its limit of {}", short(share), short(limit))
     } else {
-        format!("{} rad/s", short(limit))
+        format!("{allowed} rad/s")
     };
     let message = format!(
-        "at {} s the references move joint '{}' at {} rad/s; allowed: {allowed}",
+        "at {} s the references move joint '{}' at {asked} rad/s; allowed: {allowed}",
         short(instant.time_s),
         case.joint(joint),
-        short(instant.dq[joint].abs()),
     );
-    let help = format!("make the motion {} times as long, or smaller", short(most));
+    let help = format!("make the motion {} times as long, or smaller", at_least(most));
     Some(Diagnostic::new(Code::JointTooFast, &key, message, help))
 }
 
@@ -79,7 +79,7 @@ pub(crate) fn of_tasks(case: &PreflightCase<'_>, followed: &Rollout) -> Vec<Diag
                     short(limit),
                 );
                 let help =
-                    format!("make the motion {} times as long, or raise the limit", short(asked / limit));
+                    format!("make the motion {} times as long, or raise the limit", at_least(asked / limit));
                 let kind = stack.task.get(task.name()).map_or("", TaskParameters::kind);
                 let key = case.key(number, task.name(), &[kind, key]);
                 // An event may leave the task unchanged: it is reported only once.

@@ -1,7 +1,7 @@
 //! Events and references that end after the run, and statistics that begin too early.
 
 use super::case::{ActiveTasks, PreflightCase};
-use super::diagnostic::{Diagnostic, short};
+use super::diagnostic::{Diagnostic, at_least, at_most, distinct, short};
 use crate::codes::Code;
 use crate::run::experiment::Experiment;
 use crate::run::rollout::Rollout;
@@ -32,7 +32,7 @@ fn late_events(case: &PreflightCase<'_>) -> Vec<Diagnostic> {
             short(event.time_s),
             short(duration_s)
         );
-        let help = format!("set its time below {} s, or increase duration_s", short(duration_s));
+        let help = format!("set its time below {} s, or increase duration_s", at_most(duration_s));
         Diagnostic::new(Code::LateEvent, &["event", &number.to_string(), "time_s"], message, help)
     })
     .collect()
@@ -54,7 +54,7 @@ fn settling(case: &PreflightCase<'_>) -> Option<Diagnostic> {
         Code::EarlyStatistics,
         &["settle_s"],
         message,
-        format!("settle_s = {}", short(ramp_s)),
+        format!("settle_s = {}", at_least(ramp_s)),
     ))
 }
 
@@ -70,11 +70,10 @@ fn unfinished(case: &PreflightCase<'_>, followed: &Rollout) -> Vec<Diagnostic> {
         };
         let begin_s = case.begin_s(last, same);
         let message = match length_s(task)? {
-            Length::Known(length_s) if begin_s + length_s > duration_s + ROUNDING_S => format!(
-                "task '{name}': its reference arrives at {} s, but the run ends at {} s",
-                short(begin_s + length_s),
-                short(duration_s)
-            ),
+            Length::Known(length_s) if begin_s + length_s > duration_s + ROUNDING_S => {
+                let [arrives, ends] = distinct([begin_s + length_s, duration_s]);
+                format!("task '{name}': its reference arrives at {arrives} s, but the run ends at {ends} s")
+            }
             Length::Known(_) => return None,
             Length::AsFastAsItCan => {
                 let (speed, unit) = speed_at_end(stack, followed, name)?;
@@ -86,7 +85,9 @@ fn unfinished(case: &PreflightCase<'_>, followed: &Rollout) -> Vec<Diagnostic> {
             }
         };
         let help = match length_s(task)? {
-            Length::Known(length_s) => format!("duration_s = {}, or make the motion faster", short(begin_s + length_s)),
+            Length::Known(length_s) => {
+                format!("duration_s = {}, or make the motion faster", at_least(begin_s + length_s))
+            }
             Length::AsFastAsItCan => "increase duration_s, or the limits of the goal's motion".to_owned(),
         };
         Some(Diagnostic::new(Code::UnfinishedReference, &["duration_s"], message, help))

@@ -383,6 +383,7 @@ impl Experiment {
             duration_s,
             period_s: self.profile.period_s(),
             from_s: std::iter::once(0.0).chain(later).collect(),
+            ranges: None,
             controller: Box::new(|period_s| self.unlimited_controller(period_s)),
         }
     }

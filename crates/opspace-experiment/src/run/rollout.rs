@@ -1,4 +1,5 @@
-//! Kinematic rollout: the references of a task, and joints that follow them without error, limits or forces.
+//! Kinematic rollout: the references of a task, and joints that follow them without error or forces, with or without
+//! position limits.
 //!
 //! The references are those of the controller, including events. The joints follow by damped least squares:
 //!
@@ -6,7 +7,9 @@
 //! q̇ = J⁺ (ẋ_d + 20 (x_d − x)) + (I − J⁺ J) q̇_0        J⁺ = Jᵀ (J Jᵀ + μ² I)⁻¹
 //! ```
 //!
-//! J contains the rows of all tasks that follow a reference, q̇_0 the velocities of the joint task.
+//! J contains the rows of all tasks that follow a reference, q̇_0 the velocities of the joint task. With position limits,
+//! joints that would leave their range are at rest, the others follow as well as they can, and the rows of each task count
+//! ten times as much as those of the next one.
 
 use nalgebra::{DMatrix, DVector, Matrix6xX, Vector6};
 use opspace_control::ik::{ERROR_GAIN_PER_S, POSTURE_GAIN_PER_S};
@@ -31,6 +34,9 @@ const KEPT: usize = 4000;
 /// μ² relative to the trace of J Jᵀ.
 const DAMPING: f64 = 1e-6;
 
+/// Weight of the rows of a task relative to those of the task above, at position limits.
+const LOWER_PRIORITY: f64 = 0.1;
+
 /// Largest motion of a joint in a step, rad or m: a goal out of reach would require more.
 const LARGEST_STEP: f64 = 0.2;
 
@@ -46,6 +52,8 @@ pub(crate) struct RolloutCase<'a> {
     pub period_s: f64,
     /// Times from which the task sets are active, s.
     pub from_s: Vec<f64>,
+    /// Ranges in which the joints are kept, rad or m (n); `None` if they move without position limits.
+    pub ranges: Option<Vec<(f64, f64)>>,
     /// Creates the controller without limits for an update period, s.
     pub controller: Box<dyn Fn(f64) -> Option<OperationalSpaceController> + 'a>,
 }
@@ -228,7 +236,8 @@ impl<'a> RolloutState<'a> {
         let (mut joints, mut paths) = (BTreeMap::new(), BTreeMap::new());
         let tasks = self.controller.tasks();
         let mut instants = Vec::new();
-        for task in tasks.tasks() {
+        for (place, task) in tasks.tasks().enumerate() {
+            let weight = if case.ranges.is_some() { LOWER_PRIORITY.powi(place as i32) } else { 1.0 };
             let (velocity, error) =
                 (task.kinematic_target(model, &self.data, 0.0), error(task, model, &self.data));
             if !(velocity.iter().chain(&error).all(|x| x.is_finite())) {
@@ -237,7 +246,9 @@ impl<'a> RolloutState<'a> {
             task.jacobian(model, &self.data, &mut self.rows);
             let mut own = Vec::new();
             for row in (0..task.rows()).filter(|&row| task.follows_reference(row)) {
-                wanted.push(self.rows.row(row).iter().copied(), velocity[row], error[row]);
+                let entries = self.rows.row(row);
+                let entries = entries.iter().map(|entry| weight * entry);
+                wanted.push(entries, weight * velocity[row], weight * error[row]);
                 if let Some(joint) = single_joint(self.rows.row(row).iter().copied()) {
                     let position = self.measurement.q[joint] + error[row];
                     own.push(JointTarget { joint, position, velocity: velocity[row] });
@@ -271,7 +282,7 @@ impl<'a> RolloutState<'a> {
             }
         }
 
-        let (dq, correction) = wanted.solve();
+        let (dq, correction) = self.within_ranges(&wanted);
         let instant = Instant {
             time_s,
             step,
@@ -286,7 +297,30 @@ impl<'a> RolloutState<'a> {
         let step = (dq + correction) * self.step_s;
         let shorter = (LARGEST_STEP / step.norm()).min(1.0);
         self.measurement.q += step * shorter;
+        for (q, (lower, upper)) in self.measurement.q.iter_mut().zip(case.ranges.iter().flatten()) {
+            *q = q.max(*lower).min(*upper);
+        }
         Some(instant)
+    }
+
+    /// Joint velocities that follow the references, and those that correct the errors, with the joints at rest that would
+    /// leave their ranges.
+    fn within_ranges(&self, wanted: &DemandedMotion) -> (DVector<f64>, DVector<f64>) {
+        let mut at_rest = vec![false; self.measurement.q.len()];
+        loop {
+            let (dq, correction) = wanted.solve(&at_rest);
+            let mut is_within = true;
+            for (joint, (lower, upper)) in self.case.ranges.iter().flatten().enumerate() {
+                let next = self.measurement.q[joint] + (dq[joint] + correction[joint]) * self.step_s;
+                if !at_rest[joint] && (next < *lower || next > *upper) {
+                    at_rest[joint] = true;
+                    is_within = false;
+                }
+            }
+            if is_within {
+                return (dq, correction);
+            }
+        }
     }
 }
 
@@ -323,24 +357,30 @@ impl DemandedMotion {
         self.error.push(error);
     }
 
-    /// Joint velocities demanded by the references, and those that correct the errors.
-    fn solve(self) -> (DVector<f64>, DVector<f64>) {
+    /// Joint velocities demanded by the references, and those that correct the errors; zero for joints `at_rest` (n).
+    fn solve(&self, at_rest: &[bool]) -> (DVector<f64>, DVector<f64>) {
         let (m, n) = (self.velocity.len(), self.rest_velocity.len());
+        let moving = |velocity: &DVector<f64>| {
+            DVector::from_fn(n, |joint, _| if at_rest[joint] { 0.0 } else { velocity[joint] })
+        };
+        let (rest_velocity, rest_correction) = (moving(&self.rest_velocity), moving(&self.rest_correction));
         if m == 0 {
-            return (self.rest_velocity, self.rest_correction);
+            return (rest_velocity, rest_correction);
         }
-        let jacobian = DMatrix::from_row_slice(m, n, &self.rows);
+        let mut jacobian = DMatrix::from_row_slice(m, n, &self.rows);
+        (0..n).filter(|&joint| at_rest[joint]).for_each(|joint| jacobian.column_mut(joint).fill(0.0));
         let mut square = &jacobian * jacobian.transpose();
         let damping = DAMPING * square.trace();
         (0..m).for_each(|i| square[(i, i)] += damping);
         let Some(factor) = square.cholesky() else {
-            return (self.rest_velocity, self.rest_correction);
+            return (rest_velocity, rest_correction);
         };
         let follow = |task: DVector<f64>, rest: DVector<f64>| {
             let left = task - &jacobian * &rest;
             rest + jacobian.tr_mul(&factor.solve(&left))
         };
-        let errors = DVector::from_vec(self.error) * ERROR_GAIN_PER_S;
-        (follow(DVector::from_vec(self.velocity), self.rest_velocity), follow(errors, self.rest_correction))
+        let errors = DVector::from_column_slice(&self.error) * ERROR_GAIN_PER_S;
+        let velocity = DVector::from_column_slice(&self.velocity);
+        (follow(velocity, rest_velocity), follow(errors, rest_correction))
     }
 }

@@ -1,8 +1,9 @@
 //! Capsules and obstacles in files: errors, diagnostics, logs without meshes, and runs.
 
 use opspace_backend::CommandKind;
+use opspace_experiment::preflight::start_diagnostics;
 use opspace_experiment::run::replay::replay;
-use opspace_experiment::{Experiment, FileError, Files, Progress, RunOptions, diagnostics};
+use opspace_experiment::{Code, Experiment, FileError, Files, Progress, RunOptions, diagnostics};
 use opspace_log::Recording;
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
@@ -84,6 +85,35 @@ fn collisions_are_predicted() {
     assert!(goal.len() == 1 && goal[0].contains("at 2 s, "), "{goal:?}");
     assert_eq!(found(&["obstacle.ball.sphere.center_m=[2.0, 0.0, 0.5]"]), Vec::<String>::new());
     assert_eq!(found(&["limits.enforce=false"]), Vec::<String>::new());
+}
+
+/// Checks that the diagnostics before a run, which do not follow the references, contain a start in collision.
+#[test]
+fn start_in_collision_is_found_before_a_run() {
+    let codes = |settings: &[&str]| -> Vec<Code> {
+        let experiment = load("panda-obstacles", settings).unwrap_or_else(|error| panic!("{error}"));
+        start_diagnostics(&experiment).into_iter().map(|found| found.code).collect()
+    };
+    assert_eq!(codes(&["obstacle.ball.sphere.center_m=[0.35, 0.0, 0.55]"]), [Code::StartInCollision]);
+    assert_eq!(codes(&[]), []);
+}
+
+/// Checks that a run whose goal is behind an obstacle names the obstacle as the cause, and not limits of joints.
+#[test]
+fn kept_distances_are_named_as_the_cause() {
+    let experiment = load("panda-obstacles", &["obstacle.ball.sphere.center_m=[0.33, 0.35, 0.5]"])
+        .unwrap_or_else(|error| panic!("{error}"));
+    let result = experiment.run(Cursor::new(Vec::new()), &Progress::default()).expect("a simulation");
+    let log = Recording::from_bytes(result.sink.get_ref()).expect("a log");
+    let summary = experiment.summary(&log, &result.record, None);
+    let of_goals = summary.unreached_goals.iter().map(|goal| (&goal.kept_distances, goal.to_string()));
+    let of_references =
+        summary.limited_references.iter().map(|held| (&held.kept_distances, held.to_string()));
+    let all: Vec<(&Vec<[String; 2]>, String)> = of_goals.chain(of_references).collect();
+    let names_the_ball = |(pairs, text): &(&Vec<[String; 2]>, String)| {
+        pairs.iter().any(|pair| pair[1] == "ball") && text.contains("distance kept between ")
+    };
+    assert!(all.iter().any(names_the_ball), "{all:?}");
 }
 
 /// Compared: the smallest distance of runs with the margin, and of the same runs without limits with zero; and a replay

@@ -56,6 +56,23 @@ fn largest_gain_of_position_loops_matches_formula() {
     assert!(text.lines().all(|line| line.chars().count() <= 98), "{text}");
 }
 
+/// Compared: true gains of the simulated servos inside and outside the range that the margins state, and the diagnostic.
+#[test]
+fn simulated_servos_outside_the_stable_range_are_found() {
+    let found = |kp: &str| {
+        let settings = [format!("robot.simulated.true_over_nominal.kp={kp}")];
+        let experiment = position("paper", &settings);
+        let transformer = TransformerKind::named("paper").unwrap();
+        margins_with(&experiment, transformer).unwrap().finding(&experiment)
+    };
+    assert_eq!(found("1.0"), None);
+    let unstable = found("2.9").unwrap();
+    assert_eq!(unstable.code, opspace_experiment::Code::UnstableSimulation);
+    assert_eq!(unstable.key, "simulated.true_over_nominal.kp");
+    let proposed = unstable.help.split_whitespace().nth(2).unwrap();
+    assert_eq!(found(proposed), None, "{unstable:?}");
+}
+
 /// Compared: the largest kv of a velocity robot through extrapolation, and the formula (1 + ε) γ b < b.
 #[test]
 fn largest_gain_of_velocity_loops_matches_formula() {

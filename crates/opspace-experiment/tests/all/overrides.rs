@@ -226,7 +226,7 @@ fn misspelt_table_is_recognised() {
     let error = refusal(&["task.hnad.gains.damping_ratio=0.7"]);
     assert!(error.to_string().starts_with("--set task.hnad.gains.damping_ratio=0.7: "), "{error}");
     let help = error.help().expect("a help");
-    assert!(help.ends_with("`task` has no `hnad`; it has `hand`, `rest`: did you mean `hand`?"), "{help}");
+    assert!(help.starts_with("`task` has no `hnad`; it has `hand`, `rest`: did you mean `hand`?"), "{help}");
 }
 
 #[test]

@@ -14,6 +14,7 @@ pub(super) struct HoldCounts {
     position: BTreeMap<usize, usize>,
     speed: BTreeMap<usize, usize>,
     torque: BTreeMap<usize, usize>,
+    distances: BTreeMap<usize, usize>,
     singular: usize,
     singular_along: String,
 }
@@ -26,6 +27,7 @@ impl HoldCounts {
             (&mut self.position, &hold.position),
             (&mut self.speed, &hold.speed),
             (&mut self.torque, &hold.torque),
+            (&mut self.distances, &hold.distances),
         ];
         for (counts, joints) in counts {
             joints.iter().for_each(|joint| *counts.entry(*joint).or_default() += 1);
@@ -49,6 +51,12 @@ impl HoldCounts {
             let often = counts.iter().filter(|(_, count)| self.is_often(**count));
             often.map(|(joint, _)| joints[*joint].to_owned()).collect()
         })
+    }
+
+    /// Pairs whose kept distances act.
+    pub(super) fn pairs(&self) -> Vec<usize> {
+        let often = self.distances.iter().filter(|(_, count)| self.is_often(**count));
+        often.map(|(pair, _)| *pair).collect()
     }
 
     /// Direction of the error, if the arm is nearly singular along it.

@@ -4,6 +4,7 @@
 //! reference, although its feedback demands it: k e · (J α + J̇ q̇) is a small part of |k e|². Friction and contact do not
 //! hold a task in this sense: there the command demands the motion, but the robot does not move.
 
+use super::near_pairs::NearPairs;
 use crate::evaluate::direction::direction;
 use crate::run::experiment::Experiment;
 use nalgebra::{DMatrix, DVector, Matrix6xX, Vector6};
@@ -57,6 +58,8 @@ pub(super) struct Hold {
     pub(super) speed: Vec<usize>,
     /// Joints at their limits of torque or torque rate.
     pub(super) torque: Vec<usize>,
+    /// Pairs of links or obstacles whose distance is kept.
+    pub(super) distances: Vec<usize>,
     /// Direction of the error, along which the arm is nearly singular.
     pub(super) singular_along: Option<String>,
     /// Places of the tasks of higher priority.
@@ -70,6 +73,7 @@ impl Hold {
             (&mut self.position, other.position),
             (&mut self.speed, other.speed),
             (&mut self.torque, other.torque),
+            (&mut self.distances, other.distances),
             (&mut self.overridden_by, other.overridden_by),
         ];
         for (list, added) in lists {
@@ -94,6 +98,8 @@ pub(super) struct HeldState<'a> {
     q: DVector<f64>,
     at_acceleration: Vec<bool>,
     at_torque: Vec<bool>,
+    /// Pairs at the distance that the controller keeps; `None` if it keeps none.
+    near: Option<NearPairs<'a>>,
 }
 
 impl<'a> HeldState<'a> {
@@ -108,6 +114,7 @@ impl<'a> HeldState<'a> {
             q: zero,
             at_acceleration: Vec::new(),
             at_torque: Vec::new(),
+            near: NearPairs::new(experiment),
         }
     }
 
@@ -127,6 +134,9 @@ impl<'a> HeldState<'a> {
             self.alpha += &self.data.gravity;
         }
         self.data.mass_matrix_factor.solve(self.alpha.as_mut_slice());
+        if let Some(near) = &mut self.near {
+            near.update(model, &self.data);
+        }
         self.alpha.iter().all(|a| a.is_finite())
     }
 
@@ -205,9 +215,10 @@ impl<'a> HeldState<'a> {
     /// or m/s²).
     pub(super) fn of_moving_joints(&self, wanted: &[f64], taken: &[f64]) -> Hold {
         let mut hold = Hold::default();
+        let push = DVector::from_column_slice(taken);
         for (joint, (wanted, taken)) in wanted.iter().zip(taken).enumerate() {
             if *wanted != 0.0 && taken.abs() > LEAST_TAKEN * wanted.abs() {
-                self.add_limit(joint, taken.signum(), &mut hold);
+                self.add_limit(joint, &push, &mut hold);
             }
         }
         hold
@@ -216,6 +227,7 @@ impl<'a> HeldState<'a> {
     /// Returns the causes for each joint of a task of all joints. `wanted` and `damping` are the spring and damper terms
     /// of its feedback (n; rad/s² or m/s²); `above` is the number of tasks above.
     pub(super) fn of_joints(&self, wanted: &[f64], damping: &[f64], above: usize) -> Vec<Option<Hold>> {
+        let push = DVector::from_column_slice(wanted);
         let hold = |joint: usize| {
             let demand = wanted[joint];
             let is_held = demand != 0.0
@@ -226,8 +238,9 @@ impl<'a> HeldState<'a> {
                 return None;
             }
             let mut hold = Hold::default();
-            self.add_limit(joint, demand.signum(), &mut hold);
-            let is_limited = [&hold.position, &hold.speed, &hold.torque].iter().any(|list| !list.is_empty());
+            self.add_limit(joint, &push, &mut hold);
+            let lists = [&hold.position, &hold.speed, &hold.torque, &hold.distances];
+            let is_limited = lists.iter().any(|list| !list.is_empty());
             if !is_limited {
                 hold.overridden_by = (0..above).collect();
             }
@@ -236,11 +249,18 @@ impl<'a> HeldState<'a> {
         (0..self.q.len()).map(hold).collect()
     }
 
-    /// Adds the limits of a joint that hold a task which demands a motion of the joint in the direction of `sign`.
-    fn add_limit(&self, joint: usize, sign: f64, hold: &mut Hold) {
+    /// Adds the limits of a joint that hold a task which pushes the joints with `push` (n).
+    fn add_limit(&self, joint: usize, push: &DVector<f64>, hold: &mut Hold) {
+        let sign = push[joint].signum();
         if self.at_torque[joint] {
             hold.torque.push(joint);
         } else if self.at_acceleration[joint] {
+            if let Some(pair) = self.near.as_ref().and_then(|near| near.against(joint, push)) {
+                if !hold.distances.contains(&pair) {
+                    hold.distances.push(pair);
+                }
+                return;
+            }
             let limits = &self.experiment.robot().model.joints()[joint].limits;
             let margin = self.experiment.task().file.limits.position_margin_rad.get();
             let end = if sign > 0.0 { limits.upper - margin } else { limits.lower + margin };
@@ -323,13 +343,19 @@ impl Level<'_> {
         let push = projected.tr_mul(&(space.task_inertia * missing));
         let mut accelerated = push.clone();
         self.state.data.mass_matrix_factor.solve(accelerated.as_mut_slice());
+        // A pair can hold a task without a joint at a bound of its own.
+        for pair in self.state.near.iter().flat_map(|near| near.holding(&push)) {
+            if !hold.distances.contains(&pair) {
+                hold.distances.push(pair);
+            }
+        }
         let (largest, fastest) = (push.amax(), accelerated.amax());
         for joint in 0..push.len() {
             let is_pushed = push[joint].abs() > MIN_EFFECT * largest;
             let is_driven = accelerated[joint].abs() > MIN_EFFECT * fastest;
             match (self.state.at_torque[joint], self.state.at_acceleration[joint]) {
                 (true, _) if is_driven => hold.torque.push(joint),
-                (false, true) if is_pushed => self.state.add_limit(joint, push[joint].signum(), hold),
+                (false, true) if is_pushed => self.state.add_limit(joint, &push, hold),
                 _ => {}
             }
         }

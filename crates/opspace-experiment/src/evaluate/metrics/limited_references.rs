@@ -2,6 +2,7 @@
 
 use super::hold_counts::HoldCounts;
 use super::holds::{HeldState, Hold, RowErrors, norm_in};
+use super::near_pairs::pair_names;
 use super::run_log::Run;
 use super::unreached_goals::{errors, joint_errors, task_set_at, task_sets, update_state};
 use crate::evaluate::limited_reference::LimitedReference;
@@ -100,16 +101,16 @@ impl<'a> LimitedReferences<'a> {
 
     /// Returns the references in the order of their times.
     pub(super) fn finish(self) -> Vec<LimitedReference> {
-        let joints = self.experiment.robot().model.joints();
-        let names: Vec<&str> = joints.iter().map(|joint| joint.name.as_str()).collect();
         let cycles = self.cycles;
         let found = self.found.into_iter();
         let mut all: Vec<LimitedReference> =
-            found.filter_map(|(task, found)| found.finish(task, cycles, &names)).collect();
+            found.filter_map(|(task, found)| found.finish(task, cycles, self.experiment)).collect();
         all.sort_by(|a, b| a.begin_s.total_cmp(&b.begin_s));
         let ramp_s = self.experiment.robot().file.safety.torque_ramp_s.get();
+        let settle_s = self.experiment.task().file.settle_s.get();
         for reference in &mut all {
             reference.torque_ramp_s = (reference.largest_s < ramp_s).then_some(ramp_s);
+            reference.settle_s = (reference.largest_s < settle_s).then_some(settle_s);
         }
         all
     }
@@ -210,8 +211,8 @@ fn in_motion(mut errors: RowErrors, task: &dyn Task) -> RowErrors {
 impl Behind {
     /// Returns true if the cause is known.
     fn has_cause(&self) -> bool {
-        let Hold { position, speed, torque, singular_along, .. } = &self.hold;
-        singular_along.is_some() || [position, speed, torque].iter().any(|list| !list.is_empty())
+        let Hold { position, speed, torque, distances, singular_along, .. } = &self.hold;
+        singular_along.is_some() || [position, speed, torque, distances].iter().any(|list| !list.is_empty())
     }
 }
 
@@ -231,8 +232,10 @@ impl Found {
     }
 
     /// Returns the reference, if the task was held back for long enough or far enough; `cycles` is the number of all cycles.
-    fn finish(self, task: String, cycles: usize, joints: &[&str]) -> Option<LimitedReference> {
-        let [position_limits, speed_limits, torque_limits] = self.counts.limits(joints);
+    fn finish(self, task: String, cycles: usize, experiment: &Experiment) -> Option<LimitedReference> {
+        let joints = experiment.robot().model.joints();
+        let names: Vec<&str> = joints.iter().map(|joint| joint.name.as_str()).collect();
+        let [position_limits, speed_limits, torque_limits] = self.counts.limits(&names);
         let held = self.counts.cycles as f64;
         let reference = LimitedReference {
             task,
@@ -240,6 +243,7 @@ impl Found {
             position_limits,
             speed_limits,
             torque_limits,
+            kept_distances: pair_names(experiment, &self.counts.pairs()),
             singular_along: self.counts.singular_along(),
             ..self.reference
         };

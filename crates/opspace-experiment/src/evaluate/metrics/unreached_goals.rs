@@ -2,6 +2,7 @@
 
 use super::hold_counts::HoldCounts;
 use super::holds::{Cycle, HeldState, Hold, NO_ERRORS, RowErrors, norm_in};
+use super::near_pairs::pair_names;
 use super::run_log::Run;
 use crate::evaluate::unreached::UnreachedGoal;
 use crate::run::experiment::{ControllerKind, Experiment};
@@ -96,12 +97,11 @@ impl<'a> UnreachedGoals<'a> {
 
     /// Returns the intervals in order of their begin.
     pub(super) fn finish(mut self) -> Vec<UnreachedGoal> {
-        let (end_s, names) = (self.last_s - MAX_GAP_S, self.experiment.robot().model.joints());
-        let names: Vec<&str> = names.iter().map(|joint| joint.name.as_str()).collect();
+        let end_s = self.last_s - MAX_GAP_S;
         let open = std::mem::take(&mut self.open);
         for (name, episode) in open {
             let lasts = episode.last_s >= end_s;
-            self.found.extend(episode.finish(name, self.start_s, lasts, &names));
+            self.found.extend(episode.finish(name, self.start_s, lasts, self.experiment));
         }
         self.found.sort_by(|a, b| a.begin_s.total_cmp(&b.begin_s));
         self.found
@@ -119,13 +119,11 @@ impl<'a> UnreachedGoals<'a> {
 
     /// Closes the intervals whose last cycle was before `time_s`.
     fn close_before(&mut self, time_s: f64) {
-        let joints = self.experiment.robot().model.joints();
         while let Some(name) =
             self.open.iter().find(|(_, episode)| episode.last_s < time_s).map(|(name, _)| name.clone())
         {
             let Some(episode) = self.open.remove(&name) else { return };
-            let names: Vec<&str> = joints.iter().map(|joint| joint.name.as_str()).collect();
-            self.found.extend(episode.finish(name, self.start_s, false, &names));
+            self.found.extend(episode.finish(name, self.start_s, false, self.experiment));
         }
     }
 
@@ -276,8 +274,16 @@ impl Episode {
 
     /// Returns the interval, if it is long enough and its cause is known; `lasts` is true if it lasts until the end of the
     /// run.
-    fn finish(self, task: String, start_s: f64, lasts: bool, joints: &[&str]) -> Option<UnreachedGoal> {
-        let [position_limits, speed_limits, torque_limits] = self.counts.limits(joints);
+    fn finish(
+        self,
+        task: String,
+        start_s: f64,
+        lasts: bool,
+        experiment: &Experiment,
+    ) -> Option<UnreachedGoal> {
+        let joints = experiment.robot().model.joints();
+        let names: Vec<&str> = joints.iter().map(|joint| joint.name.as_str()).collect();
+        let [position_limits, speed_limits, torque_limits] = self.counts.limits(&names);
         let overridden = self.overridden_by.iter().filter(|(_, count)| self.counts.is_often(**count));
         let goal = UnreachedGoal {
             task,
@@ -288,6 +294,7 @@ impl Episode {
             position_limits,
             speed_limits,
             torque_limits,
+            kept_distances: pair_names(experiment, &self.counts.pairs()),
             singular_along: self.counts.singular_along(),
             overridden_by: overridden.map(|(name, _)| name.clone()).collect(),
         };
