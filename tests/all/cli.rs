@@ -988,3 +988,20 @@ fn check_takes_a_transformer() {
         .exits(2)
         .says(&["has no use for --transformer"]);
 }
+
+/// `check` examines a task with another robot, as `run` runs it.
+#[test]
+fn check_takes_a_robot() {
+    let folder = scratch();
+    let task = project("tasks/gravity-compensation.toml");
+    let panda = project("robots/panda");
+    opspace(folder.path(), &["check", task.as_str(), "--robot", panda.as_str()])
+        .exits(2)
+        .says(&["this robot has no joint"]);
+    let asimo = project("robots/asimo-arm");
+    let checked = opspace(folder.path(), &["check", task.as_str(), "--robot", asimo.as_str()]).exits(0);
+    assert!(checked.stdout.contains("a task for the robot"), "{}", checked.stdout);
+    opspace(folder.path(), &["check", asimo.as_str(), "--robot", panda.as_str()])
+        .exits(2)
+        .says(&["has no use for --robot"]);
+}

@@ -536,6 +536,10 @@ pub struct CheckArgs {
     #[arg(required = true)]
     pub files: Vec<PathBuf>,
 
+    /// Robot to use instead of the task's: its folder or its robot.toml.
+    #[arg(long)]
+    pub robot: Option<PathBuf>,
+
     #[command(flatten)]
     pub control: ControlArgs,
 

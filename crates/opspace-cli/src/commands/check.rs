@@ -252,6 +252,7 @@ fn capsule_warnings_of(robot: &RobotDefinition) -> impl Iterator<Item = Warning>
 fn refuse_options_of_tasks(path: &Path, args: &CheckArgs) -> Result<(), FileError> {
     let ControlArgs { backend, controller } = args.control;
     let given = [
+        ("--robot", args.robot.is_some(), "its runs or robots state `robot`"),
         ("--backend", backend.is_some(), "its runs or robots state `backend`"),
         ("--controller", controller != ControllerKind::Osc, "its runs or robots state `controller`"),
         ("--transformer", args.transformer.is_some(), "its runs or robots state `transformer`"),
@@ -322,10 +323,11 @@ fn check_one(
         }
         Some(Kind::Task) => {
             let ControlArgs { backend, controller } = args.control;
-            let backend = backend.unwrap_or_else(|| own_backend(path, None, settings, extensions));
+            let robot = args.robot.as_deref();
+            let backend = backend.unwrap_or_else(|| own_backend(path, robot, settings, extensions));
             let (transformer, allow) = (args.transformer, allow.to_vec());
             let options = RunOptions { backend, controller, transformer, allow, ..RunOptions::default() };
-            let experiment = Experiment::load_with(extensions, Files::Disk, path, None, options, settings)?;
+            let experiment = Experiment::load_with(extensions, Files::Disk, path, robot, options, settings)?;
             let what = format!("a task for the robot '{}'", experiment.robot().name());
             console.detail(&format!("{}: {}", path.display(), experiment.start_text()?));
             let margin = gain_margin(&experiment);
