@@ -25,8 +25,8 @@ pub(crate) fn ignored(case: &PreflightCase<'_>) -> Vec<Diagnostic> {
             let key = case.key(number, name, &[parameters.kind(), key]);
             if let Some(reason) = &damping {
                 let message = format!(
-                    "task '{name}': {what} is damped by transformer 'paper', the default because {reason}; the hand yields less \
-                     than that of a torque robot"
+                    "task '{name}': {what} is damped by transformer 'paper', the default because {reason}; the hand yields more \
+                     slowly than that of a torque robot"
                 );
                 let help = "compare with --backend torque; after `opspace identify`, --transformer extrapolation damps less; gears \
                             that are rigid, or a measured motor current, have other defaults"
