@@ -17,31 +17,21 @@ const SAMPLES: usize = 64;
 /// Returns the highest rank of the tasks' stacked rows over configurations distributed within the joint limits.
 #[must_use]
 pub fn sampled_rank(model: &Model, tasks: &[&dyn Task]) -> usize {
-    let rows = tasks.iter().map(|task| task.rows()).sum();
-    let mut jacobian = Matrix6xX::zeros(model.n());
-    highest_rank(model, rows, |data, stacked| {
-        let mut first = 0;
-        for task in tasks {
-            task.sampled_jacobian(model, data, &mut jacobian);
-            stacked.rows_mut(first, task.rows()).copy_from(&jacobian.rows(0, task.rows()));
-            first += task.rows();
-        }
-    })
-}
-
-/// Returns the highest rank of a Jacobian with `rows` rows over sampled configurations; `fill` computes it at a state.
-fn highest_rank(model: &Model, rows: usize, mut fill: impl FnMut(&Data, &mut DMatrix<f64>)) -> usize {
-    let n = model.n();
-    let full = rows.min(n);
-    let mut data = Data::new(model);
+    let (n, rows) = (model.n(), tasks.iter().map(|task| task.rows()).sum::<usize>());
+    let (mut data, mut jacobian) = (Data::new(model), Matrix6xX::zeros(n));
     let mut stacked = DMatrix::zeros(rows, n);
     let (postures, rest) = (Postures::new(model, 1.0), vec![0.0; n]);
     let mut best = 0;
     for sample in 0..SAMPLES {
         kinematics(model, &mut data, &postures.posture(sample), &rest);
-        fill(&data, &mut stacked);
+        let mut first = 0;
+        for task in tasks {
+            task.sampled_jacobian(model, &data, &mut jacobian);
+            stacked.rows_mut(first, task.rows()).copy_from(&jacobian.rows(0, task.rows()));
+            first += task.rows();
+        }
         best = best.max(rank(&stacked));
-        if best == full {
+        if best == rows.min(n) {
             break;
         }
     }

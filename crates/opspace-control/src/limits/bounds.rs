@@ -115,12 +115,7 @@ impl Bounds {
         Self::with_braking(limits, braking, period_s, horizon_s)
     }
 
-    pub(crate) fn with_braking(
-        limits: JointLimits,
-        mut braking: Vec<f64>,
-        period_s: f64,
-        horizon_s: f64,
-    ) -> Self {
+    fn with_braking(limits: JointLimits, mut braking: Vec<f64>, period_s: f64, horizon_s: f64) -> Self {
         let n = limits.lower.len();
         for (braking, velocity) in braking.iter_mut().zip(&limits.velocity) {
             // Limits the braking acceleration so that a stop from the velocity limit (at most 1e3) takes at least one
@@ -168,16 +163,6 @@ impl Bounds {
         }
         let reach = 2.0 * braking * self.horizon_s;
         ((reach * reach + 2.0 * braking * left.max(0.0)).sqrt() - reach).min(velocity)
-    }
-
-    /// Returns the highest acceleration towards a position limit of a joint that moves there with the speed `dq`.
-    #[cfg(test)]
-    pub(crate) fn highest_acceleration(&self, joint: usize, q: f64, dq: f64, upwards: bool) -> f64 {
-        let sign = if upwards { 1.0 } else { -1.0 };
-        let (velocity, braking, horizon_s) =
-            (self.limits.velocity[joint], self.braking[joint], self.horizon_s);
-        let end = if upwards { self.limits.upper[joint] } else { -self.limits.lower[joint] };
-        JointState { q: sign * q, dq, push: 0.0, velocity, braking, horizon_s }.highest(end)
     }
 
     /// Returns true if joint accelerations and commanded torques (n) are within the bounds of a state. This fast test
@@ -337,6 +322,41 @@ mod tests {
             );
             assert!(hardest <= acceleration * 1.02, "{velocity}: {hardest} of {acceleration}");
             assert!(end - q < 1e-3 && dq.abs() < 1e-3, "arrived: {q} {dq}");
+        }
+    }
+
+    /// Compared: the acceleration bound of a joint at its highest viable speed with zero, and those at 1 % less and more.
+    #[test]
+    fn joint_need_not_brake_at_its_viable_speed() {
+        const ROUNDING: f64 = 1e-9;
+        let (end, velocity) = (1.0, 3.0);
+        let limits = JointLimits {
+            lower: vec![-end],
+            upper: vec![end],
+            velocity: vec![velocity],
+            ..JointLimits::none(1)
+        };
+        for braking in [0.1, 1.0, 10.0, 100.0] {
+            let mut bounds = Bounds::with_braking(limits.clone(), vec![braking], 1e-3, HORIZON_S);
+            for sign in [1.0, -1.0] {
+                let viable =
+                    |bounds: &Bounds, left: f64| bounds.viable_speed(0, sign * (end - left), sign > 0.0);
+                assert_eq!(viable(&bounds, -0.1), 0.0);
+                for left in [1e-3, 1e-2, 0.1, 0.5, 1.5] {
+                    let v = viable(&bounds, left);
+                    let mut most = |v: f64| {
+                        bounds.update(&at(sign * (end - left), sign * v), &[0.0], &[0.0], &DVector::zeros(1));
+                        let a = &bounds.acceleration;
+                        if sign > 0.0 { a.upper[0] } else { -a.lower[0] }
+                    };
+                    let place = format!("{braking} rad/s^2, {left} rad before the limit");
+                    assert!(
+                        v > 0.0 && v <= velocity && (v == velocity || most(v).abs() < ROUNDING),
+                        "{place}"
+                    );
+                    assert!(most(0.99 * v) > 0.0 && most(1.01 * v) < 0.0, "{place}");
+                }
+            }
         }
     }
 

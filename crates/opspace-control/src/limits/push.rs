@@ -85,6 +85,7 @@ mod tests {
     /// not a number, and a start forgets them.
     #[test]
     fn estimate_follows_uncommanded_acceleration() {
+        const ROUNDING: f64 = 1e-6;
         let (one, none) = (DVector::from_element(1, 1.0), DVector::zeros(1));
         let mut push = Push::new(1, 1e-3, 0.02);
         for cycle in 0..300 {
@@ -93,7 +94,7 @@ mod tests {
             push.observe(&(&one * dq));
             push.set_commanded(&one, &none);
         }
-        assert!((push.acceleration()[0] - 3.0).abs() < 1e-6, "{:?}", push.acceleration());
+        assert!((push.acceleration()[0] - 3.0).abs() < ROUNDING, "{:?}", push.acceleration());
         push.reset();
         assert_eq!(push.acceleration(), [0.0]);
     }

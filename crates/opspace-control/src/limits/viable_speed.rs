@@ -37,39 +37,3 @@ impl ViableSpeeds {
         self.bounds.viable_speed(joint, q, upwards)
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// Compared: the highest acceleration that the bounds of a control cycle allow with zero, at the highest speed and beside
-    /// it.
-    #[test]
-    fn joint_need_not_brake_at_its_highest_speed() {
-        let (h, end, velocity) = (0.02, 1.0, 3.0);
-        let limits = JointLimits {
-            lower: vec![-end],
-            upper: vec![end],
-            velocity: vec![velocity],
-            ..JointLimits::none(1)
-        };
-        for braking in [0.1, 1.0, 10.0, 100.0] {
-            let bounds = Bounds::with_braking(limits.clone(), vec![braking], 1e-3, h);
-            let speeds = ViableSpeeds { bounds };
-            for upwards in [true, false] {
-                let place = |left: f64| if upwards { end - left } else { left - end };
-                assert_eq!(speeds.highest(0, place(-0.1), upwards), 0.0);
-                for left in [1e-3, 1e-2, 0.1, 0.5, 1.5] {
-                    let v = speeds.highest(0, place(left), upwards);
-                    let most = |v: f64| speeds.bounds.highest_acceleration(0, place(left), v, upwards);
-                    assert!(v > 0.0 && v <= velocity);
-                    assert!(
-                        v == velocity || most(v).abs() < 1e-9,
-                        "{braking} rad/s^2, {left} rad before the limit"
-                    );
-                    assert!(most(0.99 * v) > 0.0 && most(1.01 * v) < 0.0, "{braking} rad/s^2, {left} rad");
-                }
-            }
-        }
-    }
-}

@@ -23,12 +23,6 @@ pub struct PairSampling {
     pub middle_fraction: f64,
 }
 
-/// Fraction of the postures around the middle in which a pair nearly collides if it is dropped.
-const NEARLY_ALL: f64 = 0.9;
-
-/// Distance up to which it nearly collides, relative to the one up to which it collides.
-const NEARLY_COLLIDING: f64 = 1.25;
-
 impl Default for PairSampling {
     fn default() -> Self {
         Self { postures: 5000, margin_m: 0.05, colliding_m: 0.0, middle_postures: 200, middle_fraction: 0.2 }
@@ -49,18 +43,18 @@ pub struct DroppedPair {
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
 pub enum DropReason {
-    /// The objects are nearer than 1.25 times the distance up to which they collide in at least 90 % of the postures around the
-    /// middle of the joint ranges; with an obstacle, they also collide in all postures of the whole ranges.
+    /// The objects penetrate each other in all postures around the middle of the joint ranges; with an obstacle, in all
+    /// postures of the whole ranges.
     AlwaysColliding,
     /// The objects are farther apart than the margin in all postures.
     NeverNear,
 }
 
 impl CollisionModel {
-    /// Drops the pairs of links that collide, or nearly, in at least 90 % of the postures around the middle of the joint ranges
-    /// (a limit would push the arm into the few other ones), the pairs of a link and an obstacle that collide in all postures
-    /// within the joint limits, and the pairs that come within a margin in no posture within the joint limits. Returns the dropped
-    /// pairs. Allocates: call it once after loading.
+    /// Drops the pairs of links that penetrate each other in all postures around the middle of the joint ranges, the
+    /// pairs of a link and an obstacle that do so in all postures within the joint limits, and the pairs that come
+    /// within a margin in no posture within the joint limits. Returns the dropped pairs. Allocates: call it once after
+    /// loading.
     ///
     /// The postures are a deterministic sequence that fills the ranges evenly; joints without limits have ±π rad or ±1
     /// m. A narrow part of the ranges in which a pair comes near may be missed. A limit keeps no pair apart that is
@@ -69,15 +63,11 @@ impl CollisionModel {
     pub fn drop_unneeded_pairs(&mut self, model: &Model, sampling: &PairSampling) -> Vec<DroppedPair> {
         let count = self.pairs.len();
         let kept = |i: usize| model.is_floating() && self.objects[self.pairs[i].b].holder == Holder::World;
-        let mut colliding = vec![0_usize; count];
+        let mut always = vec![sampling.middle_postures > 0; count];
         let middle = Postures::new(model, sampling.middle_fraction);
-        let near_m = NEARLY_COLLIDING * sampling.colliding_m;
-        self.sample(model, &middle, sampling.middle_postures, near_m, |pair, distance_m| {
-            colliding[pair] += usize::from(distance_m.is_some());
+        self.sample(model, &middle, sampling.middle_postures, sampling.colliding_m, |pair, distance_m| {
+            always[pair] &= distance_m.is_some();
         });
-        let most = NEARLY_ALL * sampling.middle_postures as f64;
-        let mut always: Vec<bool> =
-            colliding.iter().map(|&times| times > 0 && times as f64 >= most).collect();
         let mut never = vec![sampling.postures > 0; count];
         let whole = Postures::new(model, 1.0);
         // An obstacle may be where the arm is in the middle of its ranges.

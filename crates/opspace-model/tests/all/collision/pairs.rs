@@ -7,7 +7,7 @@ use opspace_model::collision::{
     Capsule, CapsuleSource, CollisionData, CollisionError, CollisionModel, CollisionShape, DropReason,
     HalfSpace, Holder, LinkCapsule, PairSampling, collision_distances,
 };
-use opspace_model::{Data, Model, Placement, Postures, forward_kinematics, frame_placement};
+use opspace_model::{Data, Model, Placement, forward_kinematics, frame_placement};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::f64::consts::PI;
@@ -91,35 +91,6 @@ fn reasons_of_dropped_pairs() {
     assert_eq!(reasons("far"), vec![DropReason::NeverNear; moving]);
     assert_eq!(reasons("around"), vec![DropReason::AlwaysColliding; moving]);
     assert!(reasons("floor").len() < moving);
-}
-
-/// Compared: the pairs that are dropped as always colliding, for the distance that a pair has in 95 % of the postures around the
-/// middle and for the one that it has in 80 %. A limit would push the arm out of nearly all of its postures.
-#[test]
-fn pair_that_nearly_always_collides_is_dropped() {
-    let (model, collision) = robot("ur5e");
-    let sampling = PairSampling::default();
-    let (mut data, mut near) = (Data::new(&model), CollisionData::new(&collision));
-    let postures = Postures::new(&model, sampling.middle_fraction);
-    let mut distances = vec![Vec::new(); collision.pairs().len()];
-    for number in 0..sampling.middle_postures {
-        forward_kinematics(&model, &mut data, &postures.posture(number));
-        collision_distances(&collision, &model, &data, f64::INFINITY, &mut near);
-        near.near().for_each(|(pair, proximity)| distances[pair].push(proximity.distance_m));
-    }
-    for (pair, mut all) in distances.into_iter().enumerate() {
-        all.sort_by(f64::total_cmp);
-        let is_dropped = |fraction: f64| {
-            let mut collision = collision.clone();
-            // Those that nearly collide count.
-            let colliding_m = all[(fraction * all.len() as f64) as usize] / 1.25;
-            let names = collision.pair_names(pair).map(str::to_owned);
-            let sampling = PairSampling { colliding_m, margin_m: f64::INFINITY, ..sampling };
-            let dropped = collision.drop_unneeded_pairs(&model, &sampling);
-            dropped.iter().any(|dropped| dropped.names == names)
-        };
-        assert!(is_dropped(0.95) && !is_dropped(0.8), "{:?}", collision.pair_names(pair));
-    }
 }
 
 /// Compared: the distances of all pairs, and those of capsules that are placed by the poses of their links; for a robot
