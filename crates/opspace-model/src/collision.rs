@@ -47,9 +47,10 @@ mod model;
 mod pairs;
 mod proximity;
 mod segment;
+mod travel;
 
 pub use capsule::{Capsule, CapsuleSource, CollisionShape, HalfSpace, LinkCapsule};
-pub use distances::{CollisionData, collision_distances};
+pub use distances::{CollisionData, collision_distances, pair_proximity, place_capsules};
 pub use enclose::enclosing_capsule;
 pub use ends::end_proximities;
 pub use generate::{CapsuleWarning, GeneratedCapsules, generate_capsules};

@@ -83,6 +83,9 @@ impl Limiter {
     /// Forgets the motion before a start.
     pub(crate) fn start(&mut self) {
         self.push.reset();
+        if let Some(collision) = &mut self.collision {
+            collision.start();
+        }
     }
 
     /// Updates all state-dependent quantities except the joint bounds.

@@ -67,7 +67,7 @@ const ORTHOGONAL: f64 = 1e-10;
 const SLACK: f64 = 1e-9;
 
 /// Bound on the speed of a task, or on the speed at which two objects approach each other: `row` (n) · α ≤ `upper`.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub(crate) struct SpeedBound {
     pub row: DVector<f64>,
     pub upper: f64,

@@ -66,7 +66,7 @@ pub fn collision_distances(
     out: &mut CollisionData,
 ) {
     assert_eq!(out.proximity.len(), collision.pairs.len(), "one row for each pair");
-    place(collision, model, data, out);
+    place_capsules(collision, model, data, out);
     let placed = &out.placed[..collision.objects.len()];
     for (row, pair) in out.proximity.iter_mut().zip(&collision.pairs) {
         let a = &placed[pair.a];
@@ -79,13 +79,34 @@ pub fn collision_distances(
     }
 }
 
-/// Computes the capsules in world axes.
-fn place(collision: &CollisionModel, model: &Model, data: &Data, out: &mut CollisionData) {
+/// Places all capsules in world axes, for distances of single pairs. [`collision_distances`] does the same. Needs
+/// [`forward_kinematics`](crate::forward_kinematics). Does not allocate.
+pub fn place_capsules(collision: &CollisionModel, model: &Model, data: &Data, out: &mut CollisionData) {
     for (placed, object) in out.placed.iter_mut().zip(&collision.objects) {
         let CollisionShape::Capsule(capsule) = &object.shape else { continue };
         let axis = capsule.placed(&object.holder.placement(model, data)).axis();
         *placed =
             Placed { axis, middle: axis.point(0.5), radius_m: capsule.radius_m, reach_m: object.reach_m };
+    }
+}
+
+/// Returns the proximity of one pair in the state for which [`place_capsules`] or [`collision_distances`] placed the
+/// capsules in `placed`, however far apart its objects are. Does not allocate.
+///
+/// # Panics
+/// If there is no such pair.
+#[inline]
+#[must_use]
+pub fn pair_proximity(collision: &CollisionModel, placed: &CollisionData, pair: usize) -> Proximity {
+    let pair = collision.pairs[pair];
+    let a = placed.placed(pair.a);
+    match &collision.objects[pair.b].shape {
+        CollisionShape::Capsule(_) => {
+            let b = placed.placed(pair.b);
+            let fractions = closest_fractions(&a.axis, &b.axis);
+            between_capsules((&a.axis, a.radius_m), (&b.axis, b.radius_m), fractions)
+        }
+        CollisionShape::HalfSpace(half_space) => from_half_space((&a.axis, a.radius_m), half_space),
     }
 }
 

@@ -6,7 +6,7 @@ use nalgebra::{DMatrix, Matrix3xX, Matrix6xX, Vector3};
 use opspace_model::batch::{self, Lanes};
 use opspace_model::collision::{
     Capsule, CollisionData, CollisionShape, HalfSpace, collision_distances, distance_bias_acceleration,
-    distance_gradient,
+    distance_gradient, pair_proximity, place_capsules,
 };
 use opspace_model::{
     Data, Force, FrameId, Inertia, Limits, Model, OperationalSpace, Placement, Real, UrdfOptions, aba,
@@ -225,6 +225,11 @@ fn no_distance_allocates() {
                 black_box(distance_bias_acceleration(&collision, &data, pair, proximity));
                 rows += 1;
             }
+        }
+        place_capsules(&collision, &model, &data, &mut near);
+        for pair in 0..collision.pairs().len() {
+            black_box(pair_proximity(&collision, &near, pair));
+            collision.distance_change_bound(&model, pair, &mut gradient);
         }
     });
     assert_eq!(count, 0);

@@ -5,7 +5,7 @@ use super::{oracle, robot};
 use nalgebra::Vector3;
 use opspace_model::collision::{
     Capsule, CapsuleSource, CollisionData, CollisionError, CollisionModel, CollisionShape, DropReason,
-    HalfSpace, Holder, LinkCapsule, PairSampling, collision_distances,
+    HalfSpace, Holder, LinkCapsule, PairSampling, collision_distances, distance_gradient,
 };
 use opspace_model::{Data, Model, Placement, forward_kinematics, frame_placement};
 use rand::{RngExt, SeedableRng};
@@ -142,6 +142,58 @@ fn only_pairs_beyond_the_limit_are_skipped() {
         }
     }
     assert!(counts.iter().all(|&count| count > 1000), "{counts:?}");
+}
+
+/// Compared: changes of distances between random postures, and their bounds by the motion of the joints; and derivatives,
+/// with the bounds. The bounds are not far above what the robots do.
+#[test]
+fn distances_change_at_most_by_their_bounds() {
+    let ours = ["panda", "ur5e", "asimo-arm"].map(|name| (name, robot(name)));
+    let theirs = ["kinova_j2s6s200", "g1_29dof", "pr2"].map(|name| (name, oracle(name)));
+    for (name, (model, mut collision)) in ours.into_iter().chain(theirs) {
+        let floor = HalfSpace { normal: Vector3::z(), offset_m: -0.2 };
+        collision.add_obstacle("floor", CollisionShape::HalfSpace(floor)).unwrap();
+        let bounds: Vec<Vec<f64>> = (0..collision.pairs().len())
+            .map(|pair| {
+                let mut bound = vec![0.0; model.n()];
+                collision.distance_change_bound(&model, pair, &mut bound);
+                bound
+            })
+            .collect();
+        let (mut data, mut first) = (Data::new(&model), CollisionData::new(&collision));
+        let (mut second, mut gradient) = (first.clone(), vec![0.0; model.n()]);
+        let mut rng = ChaCha8Rng::seed_from_u64(8);
+        // Largest fraction of its bound by which a joint changes a distance.
+        let mut largest = 0.0_f64;
+        for _ in 0..300 {
+            let from = random_posture(&model, &mut rng);
+            let step = 10.0_f64.powf(rng.random_range(-4.0..0.5));
+            let to: Vec<f64> = (from.iter().zip(random_posture(&model, &mut rng)))
+                .map(|(from, to)| from + step.min(1.0) * (to - from))
+                .collect();
+            forward_kinematics(&model, &mut data, &from);
+            collision_distances(&collision, &model, &data, f64::INFINITY, &mut first);
+            forward_kinematics(&model, &mut data, &to);
+            collision_distances(&collision, &model, &data, f64::INFINITY, &mut second);
+            for (pair, bound) in bounds.iter().enumerate() {
+                let [a, b] = [&first, &second].map(|near| near.proximity[pair].unwrap());
+                let moved: f64 =
+                    bound.iter().zip(from.iter().zip(&to)).map(|(bound, (a, b))| bound * (a - b).abs()).sum();
+                let change = (a.distance_m - b.distance_m).abs();
+                assert!(
+                    change <= moved + 1e-12,
+                    "{name}, {:?}: {change} {moved}",
+                    collision.pair_names(pair)
+                );
+                distance_gradient(&collision, &model, &data, pair, &b, &mut gradient);
+                for (gradient, bound) in gradient.iter().zip(bound) {
+                    assert!(gradient.abs() <= bound + 1e-12, "{name}: {gradient} {bound}");
+                    largest = if *bound > 0.0 { largest.max(gradient.abs() / bound) } else { largest };
+                }
+            }
+        }
+        assert!(largest > 0.8, "{name}: {largest}");
+    }
 }
 
 /// Checks that a position that is not finite gives distances that are not, instead of pairs that seem to be far apart.
