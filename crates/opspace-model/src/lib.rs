@@ -70,6 +70,7 @@ pub mod model;
 pub mod momentum;
 mod name_list;
 pub mod operational_space;
+mod partial_inverse;
 pub mod postures;
 pub mod real;
 pub mod reduce;

@@ -33,7 +33,8 @@
 //! ```
 
 use crate::cholesky::MassMatrixFactor;
-use nalgebra::{Const, DMatrix, Matrix6, Matrix6xX, SymmetricEigen, Vector6};
+use crate::partial_inverse::{PartialInverse, partial_inverse};
+use nalgebra::{DMatrix, Matrix6, Matrix6xX, SymmetricEigen, Vector6};
 
 /// Method of inverting Λ⁻¹ when an eigenvalue λ is close to zero. Thresholds t are relative to λ_ref, which is the
 /// largest eigenvalue or the reference passed to [`update_with`](OperationalSpace::update_with).
@@ -81,17 +82,17 @@ impl Inversion {
         matches!(self, Self::Damped(_) | Self::Adaptive { .. })
     }
 
-    /// Norm of the demand along the directions whose force it bounds, relative to the full demand.
+    /// Norm of the demand along the directions whose force it bounds, relative to the full demand. `spectrum` are eigenvalues
+    /// with their directions; those above the threshold do not count.
     fn relative_demand(
         self,
-        spectrum: &SymmetricEigen<f64, Const<6>>,
+        spectrum: impl Iterator<Item = (f64, Vector6<f64>)>,
         reference: f64,
         demand: Option<&Vector6<f64>>,
     ) -> f64 {
         let (Self::Adaptive { most, full_demand, .. }, Some(demand)) = (self, demand) else { return 1.0 };
-        let parts = spectrum.eigenvalues.iter().zip(spectrum.eigenvectors.column_iter());
-        let sum: f64 = parts
-            .map(|(&value, direction)| fade(value, most * reference) * direction.dot(demand).powi(2))
+        let sum: f64 = spectrum
+            .map(|(value, direction)| fade(value, most * reference) * direction.dot(demand).powi(2))
             .sum();
         // Finite, so that its product with a weight of zero is zero.
         (sum.sqrt() / full_demand).min(MAX_DEMAND)
@@ -232,12 +233,23 @@ impl OperationalSpace {
         for r in rows..6 {
             mobility[(r, r)] = padding;
         }
-        let certified = certified_inverse(&mobility, rows, reference.unwrap_or(trace), inversion.threshold());
-        if let Some(inverse) = certified {
-            self.task_inertia = inverse;
-            self.min_singular_gain = 1.0;
-        } else if mobility.iter().all(|x| x.is_finite()) {
-            self.invert_spectrum(mobility, trace, inversion, reference, demand);
+        let largest_inverse = 1.0 / (inversion.threshold() * reference.unwrap_or(trace));
+        match partial_inverse(&mobility, rows, trace, largest_inverse) {
+            PartialInverse::Whole(inverse) => {
+                self.task_inertia = inverse;
+                self.min_singular_gain = 1.0;
+            }
+            PartialInverse::ButOne { rest, value, vector } if reference.is_some() => {
+                self.task_inertia = rest;
+                self.min_singular_gain = 1.0;
+                let reference = reference.unwrap_or(trace);
+                let demand = inversion.relative_demand(std::iter::once((value, vector)), reference, demand);
+                self.add_direction(value, &vector, inversion, reference, demand);
+            }
+            _ if mobility.iter().all(|x| x.is_finite()) => {
+                self.invert_spectrum(mobility, trace, inversion, reference, demand);
+            }
+            _ => {}
         }
         for r in rows..6 {
             self.task_inertia[(r, r)] = 0.0;
@@ -256,20 +268,34 @@ impl OperationalSpace {
         // A matrix without a spectrum is not finite: the task gets no force.
         let Some(spectrum) = SymmetricEigen::try_new(mobility, f64::EPSILON, MAX_ITERATIONS) else { return };
         // The padding is larger than the trace; all eigenvalues of the task are smaller.
-        let largest =
-            spectrum.eigenvalues.iter().filter(|&&v| v <= 1.5 * trace).fold(0.0, |m: f64, &v| m.max(v));
+        let of_task = spectrum.eigenvalues.iter().zip(spectrum.eigenvectors.column_iter());
+        let of_task = of_task.filter(|&(&value, _)| value <= 1.5 * trace);
+        let of_task = of_task.map(|(&value, vector)| (value, vector.into_owned()));
+        let largest = of_task.clone().fold(0.0, |largest: f64, (value, _)| largest.max(value));
         let reference = reference.unwrap_or(largest);
-        let demand = inversion.relative_demand(&spectrum, reference, demand);
+        let demand = inversion.relative_demand(of_task.clone(), reference, demand);
         self.min_singular_gain = 1.0;
-        for (&value, vector) in spectrum.eigenvalues.iter().zip(spectrum.eigenvectors.column_iter()) {
-            let reciprocal = inversion.reciprocal(value, reference, demand);
-            let gain = (reciprocal * value).max(0.0);
-            self.min_singular_gain = self.min_singular_gain.min(gain);
-            let square = vector * vector.transpose();
-            self.task_inertia += square * reciprocal;
-            if gain < 1.0 && value <= 1.5 * trace {
-                self.damped_inertia += square / (value.max(0.0) + LOST * reference);
-            }
+        for (value, vector) in of_task {
+            self.add_direction(value, &vector, inversion, reference, demand);
+        }
+    }
+
+    /// Adds an eigenvector of Λ⁻¹ with its eigenvalue.
+    fn add_direction(
+        &mut self,
+        value: f64,
+        vector: &Vector6<f64>,
+        inversion: Inversion,
+        reference: f64,
+        demand: f64,
+    ) {
+        let reciprocal = inversion.reciprocal(value, reference, demand);
+        let gain = (reciprocal * value).max(0.0);
+        self.min_singular_gain = self.min_singular_gain.min(gain);
+        let square = vector * vector.transpose();
+        self.task_inertia += square * reciprocal;
+        if gain < 1.0 {
+            self.damped_inertia += square / (value.max(0.0) + LOST * reference);
         }
     }
 
@@ -317,39 +343,6 @@ impl OperationalSpace {
             }
         }
     }
-}
-
-/// Returns the exact inverse if bounds on the eigenvalues prove that none is below the threshold: λ_min ≥ 1/tr(A⁻¹),
-/// and λ_max ≤ tr(A) if the reference is λ_max.
-fn certified_inverse(a: &Matrix6<f64>, rows: usize, reference: f64, threshold: f64) -> Option<Matrix6<f64>> {
-    let inverse = positive_inverse(a)?;
-    let inverse_trace: f64 = (0..rows).map(|r| inverse[(r, r)]).sum();
-    (1.0 >= threshold * reference * inverse_trace).then_some(inverse)
-}
-
-/// Returns the inverse of a symmetric matrix by Gauss-Jordan elimination without pivoting, which is stable for positive
-/// definite matrices; `None` if a pivot shows that the matrix is not positive definite.
-fn positive_inverse(a: &Matrix6<f64>) -> Option<Matrix6<f64>> {
-    let mut swept = *a;
-    for k in 0..6 {
-        let pivot = swept[(k, k)];
-        if !(pivot > 0.0 && pivot.is_finite()) {
-            return None;
-        }
-        let reciprocal = 1.0 / pivot;
-        let mut column = swept.column(k).into_owned();
-        column[k] = 0.0;
-        let scaled = column * reciprocal;
-        for c in 0..6 {
-            let factor = swept[(k, c)];
-            let mut target = swept.column_mut(c);
-            target -= scaled * factor;
-            target[k] = factor * reciprocal;
-        }
-        swept.set_column(k, &-scaled);
-        swept[(k, k)] = reciprocal;
-    }
-    Some(swept)
 }
 
 /// Largest number of iterations of a decomposition: finite matrices of our sizes need some ten per row.

@@ -8,11 +8,11 @@ use crate::common::{
     Case, DIFFERENCE, INVERSE, ROUNDING, STEP, case, close, close_placement, config, evaluated, jacobian,
     jointed, moved, placement, plus, stacked, unit, vector,
 };
-use nalgebra::DMatrix;
+use nalgebra::{DMatrix, Matrix6xX};
 use opspace_model::{
-    Data, OperationalSpace, aba, bias, crba, frame_bias_acceleration, frame_jacobian, frame_placement,
-    frame_velocity, generalized_momentum, gravity, kinematics, kinetic_energy, potential_energy, rnea,
-    update,
+    Data, Inversion, OperationalSpace, aba, bias, crba, frame_bias_acceleration, frame_jacobian,
+    frame_placement, frame_velocity, generalized_momentum, gravity, kinematics, kinetic_energy,
+    potential_energy, rnea, update,
 };
 use proptest::prelude::*;
 
@@ -279,6 +279,62 @@ proptest! {
         close(&(inertia * inverse_inertia), &identity, INVERSE)?;
         close(&(minv_jt.transpose() * nullspace.transpose()), &DMatrix::zeros(rows, n), INVERSE)?;
         prop_assert_eq!(space.min_singular_gain, 1.0);
+    }
+
+    /// Compared: Λ and the smallest gain near a singular pose, and those by the spectrum of Λ⁻¹ with the documented
+    /// formula, for thresholds between its eigenvalues. The smallest one is scaled down to zero.
+    #[test]
+    fn inertia_near_singular_pose_is_that_of_spectrum(
+        case in case(),
+        rows in 1..7usize,
+        between in 0..3usize,
+        scale in proptest::sample::select(vec![1.0, 1e-2, 1e-5, 1e-9, 0.0]),
+    ) {
+        let n = case.model.n();
+        let data = case.evaluated();
+        let mut jacobian = jacobian(n, |j| frame_jacobian(&case.model, &data, case.tip, j));
+        let mass_matrix = data.mass_matrix.clone().cholesky().unwrap();
+        let mobility = |jacobian: &Matrix6xX<f64>| {
+            let task = jacobian.rows(0, rows).into_owned();
+            &task * mass_matrix.solve(&task.transpose())
+        };
+        let spectrum = mobility(&jacobian).symmetric_eigen();
+        let smallest = spectrum.eigenvectors.column(spectrum.eigenvalues.imin()).into_owned();
+        let task = jacobian.rows(0, rows).into_owned();
+        let lost = &smallest * (smallest.transpose() * &task) * (1.0 - scale);
+        jacobian.rows_mut(0, rows).copy_from(&(task - lost));
+
+        let spectrum = mobility(&jacobian).symmetric_eigen();
+        let mut values: Vec<f64> = spectrum.eigenvalues.iter().copied().collect();
+        values.sort_by(f64::total_cmp);
+        // A threshold below, between or above the eigenvalues, away from those that rounding changes.
+        let largest = values[rows - 1];
+        prop_assume!(largest > 1e-6);
+        let floor = match between {
+            0 => 1e-6 * largest,
+            1 => (values[0].max(1e-8 * largest) * values[(rows - 1).min(1)].max(1e-8 * largest)).sqrt(),
+            _ => 2.0 * largest,
+        };
+        let reciprocal = |value: f64| {
+            let value = value.max(0.0);
+            let mu = if value < floor { floor * (1.0 - (value / floor).powi(2)) } else { 0.0 };
+            if value > 0.0 { value / (value * value + mu * mu) } else { 0.0 }
+        };
+        let gain = values.iter().map(|value| value.max(0.0) * reciprocal(*value)).fold(1.0, f64::min);
+        let inverse = DMatrix::from_diagonal(&spectrum.eigenvalues.map(reciprocal));
+        let expected = &spectrum.eigenvectors * inverse * spectrum.eigenvectors.transpose();
+
+        let mut space = OperationalSpace::new(n);
+        let reference = 3.0;
+        let inversion = Inversion::Damped(floor / reference);
+        space.update_inertia(&data.mass_matrix_factor, &jacobian, rows, inversion, Some(reference), None);
+        let inertia = space.task_inertia.view((0, 0), (rows, rows)).into_owned();
+        // Relative to the slope of the formula, whose largest value is 1/floor².
+        let rounding = ROUNDING * (1.0 + largest / floor) / floor.min(1.0);
+        let error = (&inertia - &expected).amax();
+        prop_assert!(error <= rounding, "{error:e} of {rounding:e}: {inertia} {expected} {values:?} {floor:e}");
+        let error = (space.min_singular_gain - gain).abs();
+        prop_assert!(error <= ROUNDING * (1.0 + largest / floor), "{error:e}: {values:?} {floor:e}");
     }
 
     /// Compared: Jacobian and velocity of a frame on the base during any joint motion, and zero; its pose, and its
