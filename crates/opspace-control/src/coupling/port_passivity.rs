@@ -253,12 +253,17 @@ impl PortPassivity {
             self.active_s += self.period_s;
             return Vector6::zeros();
         }
-        let excess_j = out_j - self.budget_j().max(0.0);
+        let budget_j = self.budget_j().max(0.0);
         let mut allowed = wanted;
-        if excess_j > 0.0 {
+        if out_j > budget_j {
             // Least change in units of the axes' uncertainty.
             let along = force.component_mul(&self.uncertainty).component_mul(&self.uncertainty);
-            allowed -= along * (excess_j / along.dot(force));
+            // A second time for the rounding of the first, which is relative to what is wanted and would be spent in each
+            // cycle.
+            for _ in 0..2 {
+                let excess_j = force.dot(&allowed) - budget_j;
+                allowed -= along * (excess_j.max(0.0) / along.dot(force));
+            }
             self.active_s += self.period_s;
         }
         self.gap += displacement - allowed;

@@ -486,6 +486,12 @@ proptest! {
     }
 }
 
+/// A reference far from its partner: the motion that is taken off is much larger than what is left, and so is its rounding.
+#[test]
+fn rounding_of_motion_taken_off_is_not_spent() {
+    check_bound(8863884700818845201, [Force, Reference], 0.0);
+}
+
 /// Motion beyond the bound on the acceleration: the energy out is at most the energy in plus the store plus the largest debt
 /// of each side. Without such motion there is no debt.
 #[test]
