@@ -70,7 +70,7 @@ pub(crate) struct CollisionBounds {
     /// Highest speed of each joint, rad/s or m/s (n).
     velocity: Vec<f64>,
     near: CollisionData,
-    watches: Vec<Watch>,
+    states: Vec<PairState>,
     /// Upper bounds of the change of each pair's distance with each joint, m/rad (pairs × n, pair by pair).
     change_bounds: Vec<f64>,
     /// Joint positions of the last cycle, rad or m (nq).
@@ -103,7 +103,7 @@ impl CollisionBounds {
             braking: bounds.braking().to_vec(),
             velocity: bounds.velocity().to_vec(),
             near: CollisionData::new(&geometry),
-            watches: vec![Watch::DUE; geometry.pairs().len()],
+            states: vec![PairState::DUE; geometry.pairs().len()],
             change_bounds,
             last_q: DVector::zeros(model.nq()),
             moved: vec![0.0; model.n()],
@@ -140,7 +140,7 @@ impl CollisionBounds {
 
     /// Forgets the motion before a start: all pairs are looked at.
     pub(crate) fn start(&mut self) {
-        self.watches.fill(Watch::DUE);
+        self.states.fill(PairState::DUE);
     }
 
     /// Computes the bounds of a state, for α: joint accelerations without `bias_acceleration` (n). `push` are accelerations
@@ -157,18 +157,18 @@ impl CollisionBounds {
         let least_at_most_m = self.within_m.min(self.least_m + longest_m);
         self.least_m = self.within_m;
         place_capsules(&self.geometry, model, data, &mut self.near);
-        for pair in 0..self.watches.len() {
-            let watch = &self.watches[pair];
+        for pair in 0..self.states.len() {
+            let state = &self.states[pair];
             // What is not a number is neither.
-            let (has_spare, is_not_nearest) = (watch.spare_m > 0.0, watch.at_least_m > least_at_most_m);
+            let (has_spare, is_not_nearest) = (state.spare_m > 0.0, state.at_least_m > least_at_most_m);
             if has_spare && is_not_nearest {
                 continue;
             }
             let closest = pair_proximity(&self.geometry, &self.near, pair);
             self.least_m = self.least_m.min(closest.distance_m);
-            self.watches[pair].at_least_m = closest.distance_m;
+            self.states[pair].at_least_m = closest.distance_m;
             if !has_spare {
-                self.watches[pair].spare_m = self.bound(model, data, bias_acceleration, push, pair, &closest);
+                self.states[pair].spare_m = self.bound(model, data, bias_acceleration, push, pair, &closest);
             }
         }
     }
@@ -181,10 +181,10 @@ impl CollisionBounds {
         }
         let mut longest_m = 0.0_f64;
         let bounds = self.change_bounds.chunks_exact(self.moved.len().max(1));
-        for (watch, bound) in self.watches.iter_mut().zip(bounds) {
+        for (state, bound) in self.states.iter_mut().zip(bounds) {
             let moved_m = dot(bound, &self.moved);
-            watch.at_least_m -= moved_m;
-            watch.spare_m -= moved_m;
+            state.at_least_m -= moved_m;
+            state.spare_m -= moved_m;
             longest_m = longest_m.max(moved_m);
         }
         longest_m
@@ -297,16 +297,16 @@ impl CollisionBounds {
     }
 }
 
-/// What is known of a pair that is not looked at in each cycle.
+/// State of a pair since its distance was last computed.
 #[derive(Clone, Copy, Debug)]
-struct Watch {
+struct PairState {
     /// Lower bound of its distance, m.
     at_least_m: f64,
     /// Motion until the pair is looked at, m; not positive if it is due.
     spare_m: f64,
 }
 
-impl Watch {
+impl PairState {
     /// A pair that is looked at in the next cycle.
     const DUE: Self = Self { at_least_m: f64::NEG_INFINITY, spare_m: f64::NEG_INFINITY };
 }
@@ -375,7 +375,7 @@ mod tests {
         for _ in 0..20 {
             let (model, limits) = arm(&mut rng);
             let bounds = Bounds::new(&model, JointLimits::of(&model), PERIOD_S, 0.02);
-            let [mut watched, mut all] = [(); 2].map(|()| CollisionBounds::new(&model, &limits, &bounds));
+            let [mut selective, mut all] = [(); 2].map(|()| CollisionBounds::new(&model, &limits, &bounds));
             let (mut data, still) = (Data::new(&model), DVector::zeros(JOINTS));
             let mut amplitude = [0.0; JOINTS];
             let mut phase = [0.0; JOINTS];
@@ -396,12 +396,12 @@ mod tests {
                 let dq: Vec<f64> =
                     (0..JOINTS).map(|i| amplitude[i] * rate[i] * (rate[i] * t + phase[i]).cos()).collect();
                 kinematics(&model, &mut data, &q, &dq);
-                watched.update(&model, &data, &still, still.as_slice());
+                selective.update(&model, &data, &still, still.as_slice());
                 all.start();
                 all.update(&model, &data, &still, still.as_slice());
-                assert_eq!(watched.least_m().to_bits(), all.least_m().to_bits(), "cycle {cycle}");
+                assert_eq!(selective.least_m().to_bits(), all.least_m().to_bits(), "cycle {cycle}");
                 // Rows of what is not a number are equal to nothing.
-                let missing = all.rows().iter().filter(|row| cycle != 600 && !watched.rows().contains(row));
+                let missing = all.rows().iter().filter(|row| cycle != 600 && !selective.rows().contains(row));
                 for row in missing {
                     let all_joints: f64 =
                         row.row.iter().zip(bounds.braking()).map(|(row, braking)| row.abs() * braking).sum();
@@ -409,8 +409,8 @@ mod tests {
                     late += 1;
                 }
                 with_rows += usize::from(!all.rows().is_empty());
-                left_out += watched.watches.iter().filter(|watch| watch.spare_m > 0.0).count();
-                pairs += watched.watches.len();
+                left_out += selective.states.iter().filter(|state| state.spare_m > 0.0).count();
+                pairs += selective.states.len();
             }
         }
         assert!(with_rows > 1000 && late * 500 < with_rows, "{late} of {with_rows}");
