@@ -42,7 +42,9 @@ pub(crate) fn partial_inverse(
     shift: f64,
     largest_inverse: f64,
 ) -> PartialInverse {
-    let Some(inverse) = positive_inverse(a) else { return PartialInverse::Unknown };
+    // Every eigenvalue is too small for damped least squares.
+    let inverse = if largest_inverse > 0.0 { positive_inverse(a) } else { None };
+    let Some(inverse) = inverse else { return PartialInverse::Unknown };
     // The norm of A⁻¹ is at least its largest eigenvalue. Unlike the trace, it is also a bound if rounding makes an
     // eigenvalue near zero negative.
     let (of_inverse, largest_square) = (square_norm(&inverse), largest_inverse * largest_inverse);

@@ -12,6 +12,9 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::f64::consts::PI;
 
+/// Rounding of distances, m, and of their derivatives.
+const ROUNDING_M: f64 = 1e-12;
+
 fn link_capsule(name: &str, link: &str) -> LinkCapsule {
     LinkCapsule {
         name: name.into(),
@@ -181,13 +184,13 @@ fn distances_change_at_most_by_their_bounds() {
                     bound.iter().zip(from.iter().zip(&to)).map(|(bound, (a, b))| bound * (a - b).abs()).sum();
                 let change = (a.distance_m - b.distance_m).abs();
                 assert!(
-                    change <= moved + 1e-12,
+                    change <= moved + ROUNDING_M,
                     "{name}, {:?}: {change} {moved}",
                     collision.pair_names(pair)
                 );
                 distance_gradient(&collision, &model, &data, pair, &b, &mut gradient);
                 for (gradient, bound) in gradient.iter().zip(bound) {
-                    assert!(gradient.abs() <= bound + 1e-12, "{name}: {gradient} {bound}");
+                    assert!(gradient.abs() <= bound + ROUNDING_M, "{name}: {gradient} {bound}");
                     largest = if *bound > 0.0 { largest.max(gradient.abs() / bound) } else { largest };
                 }
             }
