@@ -12,7 +12,7 @@
 
 use nalgebra::{DVector, Matrix6xX, Vector3};
 use opspace_backend::quantity::{NonNegative, Positive};
-use opspace_model::{Data, Force, FrameId, Model, OperationalSpace, frame_jacobian};
+use opspace_model::{Data, Force, FrameId, Inversion, Model, OperationalSpace, frame_jacobian};
 use opspace_transformer::{
     FrictionCompensation, FrictionCompensationParameters, FrictionLaw, FrictionParameters, MomentumObserver,
 };
@@ -103,11 +103,16 @@ impl EstimatedForce {
         }
         self.observer.update(elapsed_s, &data.momentum, known);
         frame_jacobian(model, data, self.frame, &mut self.jacobian);
-        self.space.update(&data.mass_matrix_factor, &self.jacobian, 3, DAMPED_BELOW);
-        let mut force = Vector3::zeros();
-        for (column, residual) in self.space.jbar_transpose.column_iter().zip(self.observer.residual()) {
-            force += column.fixed_rows::<3>(0) * *residual;
+        let factor = &data.mass_matrix_factor;
+        self.space.update_inertia(factor, &self.jacobian, 3, Inversion::Damped(DAMPED_BELOW), None, None);
+        // J̄ᵀ r = Λ J M⁻¹ r
+        known.copy_from(self.observer.residual());
+        factor.solve(known.as_mut_slice());
+        let mut acceleration = Vector3::zeros();
+        for (column, ddq) in self.jacobian.column_iter().zip(known.iter()) {
+            acceleration += column.fixed_rows::<3>(0) * *ddq;
         }
+        let force = self.space.task_inertia.fixed_view::<3, 3>(0, 0) * acceleration;
         self.force = Force { linear: force, angular: Vector3::zeros() };
     }
 

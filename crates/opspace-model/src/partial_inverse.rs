@@ -34,8 +34,9 @@ const CONVERGED: f64 = 1e-28;
 /// Ratio of the norm of all other eigenvalues of the inverse to the largest one above which the iteration would be slow.
 const RATIO: f64 = 0.5;
 
-/// Inverts `a`, whose first `rows` rows belong to the task and whose others have larger eigenvalues. An eigenvalue is too
-/// small if its inverse is above `largest_inverse`. `shift` is an upper bound of the eigenvalues of the task's block.
+/// Inverts the first `rows` rows of `a`, which belong to the task; the others have larger eigenvalues and are not coupled to
+/// them, and are of no use in the inverse. An eigenvalue is too small if its inverse is above `largest_inverse`. `shift` is
+/// an upper bound of the eigenvalues of the task's block.
 pub(crate) fn partial_inverse(
     a: &Matrix6<f64>,
     rows: usize,
@@ -43,7 +44,7 @@ pub(crate) fn partial_inverse(
     largest_inverse: f64,
 ) -> PartialInverse {
     // Every eigenvalue is too small for damped least squares.
-    let inverse = if largest_inverse > 0.0 { positive_inverse(a) } else { None };
+    let inverse = if largest_inverse > 0.0 { positive_inverse(a, rows) } else { None };
     let Some(inverse) = inverse else { return PartialInverse::Unknown };
     // The norm of A⁻¹ is at least its largest eigenvalue. Unlike the trace, it is also a bound if rounding makes an
     // eigenvalue near zero negative.
@@ -57,7 +58,9 @@ pub(crate) fn partial_inverse(
     // Exactly zero in the other rows, as they do not couple.
     let value = vector.dot(&(a * vector));
     let square = vector * vector.transpose();
-    let Some(mut rest) = positive_inverse(&(a + square * shift)) else { return PartialInverse::Unknown };
+    let Some(mut rest) = positive_inverse(&(a + square * shift), rows) else {
+        return PartialInverse::Unknown;
+    };
     rest -= square / (value + shift);
     if square_norm(&rest) <= largest_square {
         PartialInverse::ButOne { rest, value, vector }
@@ -93,11 +96,17 @@ fn square_norm(a: &Matrix6<f64>) -> f64 {
     squares.sum()
 }
 
-/// Returns the inverse of a symmetric matrix by Gauss-Jordan elimination without pivoting, which is stable for positive
-/// definite matrices; `None` if a pivot shows that the matrix is not positive definite.
-fn positive_inverse(a: &Matrix6<f64>) -> Option<Matrix6<f64>> {
+/// Returns the inverse of the first `rows` rows of a symmetric matrix; `None` if a pivot shows that the matrix is not
+/// positive definite. The other rows, which are not coupled to them, are zero or inverted too.
+fn positive_inverse(a: &Matrix6<f64>, rows: usize) -> Option<Matrix6<f64>> {
+    // Positions alone are half the work.
+    if rows <= 3 { inverse_of_first::<3>(a) } else { inverse_of_first::<6>(a) }
+}
+
+/// Inverts the first `N` rows by Gauss-Jordan elimination without pivoting, which is stable for positive definite matrices.
+fn inverse_of_first<const N: usize>(a: &Matrix6<f64>) -> Option<Matrix6<f64>> {
     let mut swept = *a;
-    for k in 0..6 {
+    for k in 0..N {
         let pivot = swept[(k, k)];
         if !(pivot > 0.0 && pivot.is_finite()) {
             return None;
@@ -106,7 +115,7 @@ fn positive_inverse(a: &Matrix6<f64>) -> Option<Matrix6<f64>> {
         let mut column = swept.column(k).into_owned();
         column[k] = 0.0;
         let scaled = column * reciprocal;
-        for c in 0..6 {
+        for c in 0..N {
             let factor = swept[(k, c)];
             let mut target = swept.column_mut(c);
             target -= scaled * factor;
@@ -114,6 +123,9 @@ fn positive_inverse(a: &Matrix6<f64>) -> Option<Matrix6<f64>> {
         }
         swept.set_column(k, &-scaled);
         swept[(k, k)] = reciprocal;
+    }
+    for r in N..6 {
+        swept[(r, r)] = 0.0;
     }
     Some(swept)
 }

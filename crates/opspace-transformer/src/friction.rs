@@ -159,7 +159,13 @@ impl CompensatedJoint {
     /// Deflection after a motion (rad, m), exact for a motion without reversal.
     fn deflected(&self, motion: f64) -> f64 {
         let slipping = self.presliding * motion.signum();
-        slipping + (self.deflection - slipping) * (-motion.abs() / self.presliding).exp()
+        // A joint that has moved far in one direction keeps its deflection.
+        let remaining = self.deflection - slipping;
+        if remaining == 0.0 {
+            slipping
+        } else {
+            slipping + remaining * (-motion.abs() / self.presliding).exp()
+        }
     }
 }
 
@@ -241,6 +247,18 @@ impl FrictionCompensation {
             FrictionLaw::Reference => joint.reference + (1.0 - joint.reference.abs()) * bristles,
         };
         joint.coulomb * direction + joint.viscous * dq
+    }
+
+    /// Upper bound of [`damping`](Self::damping), which takes a fraction of its time.
+    #[inline]
+    #[must_use]
+    pub(crate) fn most_damping(&self, joint: usize, dq: f64) -> f64 {
+        let joint = &self.joints[joint];
+        let coulomb = match self.law {
+            FrictionLaw::Velocity => joint.coulomb / self.smoothing.max(dq.abs()),
+            FrictionLaw::Displacement | FrictionLaw::Reference => 0.0,
+        };
+        coulomb + joint.viscous
     }
 
     /// Part c q̇ of the friction torque n̂ of one joint that follows the velocity `dq` (rad/s, m/s): c, Nms/rad (Ns/m).

@@ -114,7 +114,10 @@ impl TorqueObserver {
     fn has_strong_friction(&self, data: &Data) -> bool {
         let diagonal = data.mass_matrix.as_slice().iter().step_by(self.dq.len() + 1);
         let mut joints = diagonal.zip(&self.dq).enumerate();
-        joints.any(|(i, (inertia, dq))| self.friction.damping(i, *dq) * self.period_s > STRONG * inertia)
+        joints.any(|(i, (inertia, dq))| {
+            let is_strong = |damping: f64| damping * self.period_s > STRONG * inertia;
+            is_strong(self.friction.most_damping(i, *dq)) && is_strong(self.friction.damping(i, *dq))
+        })
     }
 
     /// Replaces the torques x by (M + C T)⁻¹ x.

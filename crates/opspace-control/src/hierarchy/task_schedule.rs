@@ -4,10 +4,12 @@ use crate::context::ControlContext;
 use crate::controller::ControlInput;
 use crate::error::{ControlError, Reason};
 use crate::hierarchy::contact_condition::{AwaitedContact, ContactCondition};
+use crate::hierarchy::priority_level::PriorityLevel;
 use crate::hierarchy::task_hierarchy::TaskHierarchy;
 use crate::hierarchy::task_parameters::TaskSetParameters;
 use crate::hierarchy::task_set::TaskSet;
 use crate::targets::{AllowedInputs, Targets};
+use crate::tasks::joint_task::JointTask;
 use opspace_backend::signal_names::TASK_SET;
 use opspace_backend::{Observable, Signal, SignalRecorder};
 use opspace_model::Model;
@@ -271,22 +273,37 @@ impl Observable for TaskSchedule {
 impl Slot {
     /// Records the signals of the slot's task, if it is active and has them.
     fn record(&self, hierarchy: &TaskHierarchy, out: &mut SignalRecorder<'_>) {
-        let is_own = |name: &str, kind: &str| name == self.name && kind == self.kind;
-        let level = hierarchy.levels.iter().find(|level| is_own(level.name(), level.task.kind()));
-        let any_kind = self.group == Group::JointSlack;
-        let joint = (hierarchy.joint.as_ref())
-            .filter(|task| is_own(task.name(), if any_kind { self.kind } else { task.kind() }));
-        match (self.group, level, joint) {
-            (Group::Motion, Some(level), _) => level.task.record(out),
-            (Group::Force, Some(level), _) => level.record_force(out),
-            (Group::Slack, Some(level), _) => level.record_slack(out),
-            (Group::Escape, Some(level), _) => level.record_escape(out),
-            (Group::Gains, Some(level), _) => level.task.record_gains(out),
-            (Group::Sensed, Some(level), _) => level.task.record_sensed(out),
-            (Group::Target, Some(level), _) => level.task.record_target(out),
-            (Group::AllJoints, _, Some(task)) => task.record(out),
-            (Group::JointSlack, _, Some(task)) => hierarchy.record_joint_slack(task.name(), out),
-            (Group::JointTarget, _, Some(task)) => task.record_target(out),
+        match &hierarchy.joint {
+            Some(task) if self.group.is_of_all_joints() => self.record_joints(&**task, hierarchy, out),
+            _ => self.record_level(hierarchy, out),
+        }
+    }
+
+    fn record_level(&self, hierarchy: &TaskHierarchy, out: &mut SignalRecorder<'_>) {
+        let is_own = |level: &&PriorityLevel| level.name() == self.name && level.task.kind() == self.kind;
+        let Some(level) = hierarchy.levels.iter().find(is_own) else { return };
+        match self.group {
+            Group::Motion => level.task.record(out),
+            Group::Force => level.record_force(out),
+            Group::Slack => level.record_slack(out),
+            Group::Escape => level.record_escape(out),
+            Group::Gains => level.task.record_gains(out),
+            Group::Sensed => level.task.record_sensed(out),
+            Group::Target => level.task.record_target(out),
+            Group::AllJoints | Group::JointSlack | Group::JointTarget => {}
+        }
+    }
+
+    fn record_joints(&self, task: &dyn JointTask, hierarchy: &TaskHierarchy, out: &mut SignalRecorder<'_>) {
+        // What limits take from a task of all joints has the same signal for all kinds.
+        let is_own_kind = self.group == Group::JointSlack || task.kind() == self.kind;
+        if task.name() != self.name || !is_own_kind {
+            return;
+        }
+        match self.group {
+            Group::AllJoints => task.record(out),
+            Group::JointSlack => hierarchy.record_joint_slack(task.name(), out),
+            Group::JointTarget => task.record_target(out),
             _ => {}
         }
     }

@@ -99,7 +99,8 @@ impl Resistance {
         // ((Λ h)⁻¹ + λ_typical/PULL)⁻¹, also for a singular Λ.
         let steady = task.space.task_inertia * (STEP_S / period_s);
         let parallel = Matrix6::identity() + steady * (typical / PULL);
-        let force = parallel.lu().solve(&(steady * demand * bounded)).unwrap_or_default();
+        let force =
+            parallel.cholesky().map_or(Vector6::zeros(), |factor| factor.solve(&(steady * demand * bounded)));
         self.passive.fill(0.0);
         add_transposed(&task.jacobian, &force, self.passive.as_mut_slice());
         data.mass_matrix_factor.solve(self.passive.as_mut_slice());
