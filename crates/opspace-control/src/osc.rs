@@ -46,6 +46,8 @@ pub struct OperationalSpaceController {
     torque: DVector<f64>,
     joint_torque: DVector<f64>,
     scratch: DVector<f64>,
+    /// Joint accelerations M⁻¹ τ that the task torques cause, rad/s² or m/s² (n).
+    alpha: DVector<f64>,
     /// Intermediate value (n).
     added: DVector<f64>,
     /// Joint accelerations with which the levels follow their references, rad/s² or m/s² (n).
@@ -93,6 +95,7 @@ impl OperationalSpaceController {
             torque: zero.clone(),
             joint_torque: zero.clone(),
             scratch: zero.clone(),
+            alpha: zero.clone(),
             added: zero.clone(),
             intended: zero.clone(),
             compensation_torque: zero.clone(),
@@ -271,23 +274,26 @@ impl OperationalSpaceController {
         if !hierarchy.levels.iter().any(PriorityLevel::is_observed) {
             return;
         }
-        self.scratch.copy_from(&self.torque);
-        input.data.mass_matrix_factor.solve(self.scratch.as_mut_slice());
-        let alpha = self.scratch.as_slice();
+        if self.limiter.is_none() {
+            self.alpha.copy_from(&self.torque);
+            input.data.mass_matrix_factor.solve(self.alpha.as_mut_slice());
+        }
+        let alpha = self.alpha.as_slice();
         hierarchy.follow_standstills(input, alpha, self.standstill_below_m_per_s, self.context.period_s);
     }
 
-    /// Modifies the task torques where a limit requires it.
+    /// Modifies the task torques where a limit requires it, and computes the joint accelerations that they cause, if limits
+    /// are enforced.
     fn limit(&mut self, input: &ControlInput<'_>) {
         let data = input.data;
         let Some(limiter) = &mut self.limiter else {
             return;
         };
+        self.alpha.copy_from(&self.torque);
+        data.mass_matrix_factor.solve(self.alpha.as_mut_slice());
         let hierarchy = self.schedule.current_mut();
         limiter.update_state(input.model, data, self.compensation, hierarchy);
-        self.scratch.copy_from(&self.torque);
-        data.mass_matrix_factor.solve(self.scratch.as_mut_slice());
-        let (alpha, torque, compensation_torque) = (&self.scratch, &self.torque, &self.compensation_torque);
+        let (alpha, torque, compensation_torque) = (&self.alpha, &self.torque, &self.compensation_torque);
         if limiter.is_strictly_feasible(input, &self.commanded, alpha, torque, compensation_torque) {
             for level in &mut hierarchy.levels {
                 level.limited = false;
@@ -297,6 +303,7 @@ impl OperationalSpaceController {
             limiter.record_status(Solver::Unlimited, alpha, torque, compensation_torque);
             if limiter.is_rehearsal_due() {
                 hierarchy.complete_nullspace(data);
+                self.scratch.copy_from(alpha);
                 let scratch = &mut self.scratch;
                 limiter.rehearse(input, &self.commanded, hierarchy, scratch, compensation_torque);
             }
@@ -307,16 +314,17 @@ impl OperationalSpaceController {
         let (compensation_torque, scratch) = (&self.compensation_torque, &mut self.scratch);
         let solver = match limiter.solve(data, hierarchy, &self.joint_torque, compensation_torque, scratch) {
             Ok(solver) => {
-                limiter.torque_into(data, self.torque.as_mut_slice());
+                limiter.command_into(data, self.torque.as_mut_slice(), self.alpha.as_mut_slice());
                 solver
             }
             Err(_) => Solver::Clipped,
         };
-        limiter.clip(&mut self.torque, &self.compensation_torque);
-        self.scratch.copy_from(&self.torque);
-        data.mass_matrix_factor.solve(self.scratch.as_mut_slice());
-        limiter.set_slack(&self.scratch, self.schedule.current_mut());
-        limiter.record_status(solver, &self.scratch, &self.torque, &self.compensation_torque);
+        if limiter.clip(&mut self.torque, &self.compensation_torque) {
+            self.alpha.copy_from(&self.torque);
+            data.mass_matrix_factor.solve(self.alpha.as_mut_slice());
+        }
+        limiter.set_slack(&self.alpha, self.schedule.current_mut());
+        limiter.record_status(solver, &self.alpha, &self.torque, &self.compensation_torque);
     }
 }
 

@@ -218,14 +218,11 @@ impl OperationalSpace {
         if self.min_singular_gain < 1.0 {
             self.damped_inertia = Matrix6::zeros();
         }
-        self.task_inertia = Matrix6::zeros();
         self.min_singular_gain = 0.0;
         let trace = mobility.trace();
-        if trace.is_nan() || trace.is_infinite() {
-            return;
-        }
-        if trace <= 0.0 {
-            self.min_singular_gain = if rows == 0 { 1.0 } else { 0.0 };
+        if trace.is_nan() || trace.is_infinite() || trace <= 0.0 {
+            self.task_inertia = Matrix6::zeros();
+            self.min_singular_gain = if rows == 0 && trace <= 0.0 { 1.0 } else { 0.0 };
             return;
         }
         // Unused rows become eigenvectors whose eigenvalues are larger than all eigenvalues of the task.
@@ -234,22 +231,20 @@ impl OperationalSpace {
             mobility[(r, r)] = padding;
         }
         let largest_inverse = 1.0 / (inversion.threshold() * reference.unwrap_or(trace));
-        match partial_inverse(&mobility, rows, trace, largest_inverse) {
-            PartialInverse::Whole(inverse) => {
-                self.task_inertia = inverse;
-                self.min_singular_gain = 1.0;
-            }
-            PartialInverse::ButOne { rest, value, vector } if reference.is_some() => {
-                self.task_inertia = rest;
+        match partial_inverse(&mobility, rows, trace, largest_inverse, &mut self.task_inertia) {
+            PartialInverse::Whole => self.min_singular_gain = 1.0,
+            PartialInverse::ButOne { value, vector } if reference.is_some() => {
                 self.min_singular_gain = 1.0;
                 let reference = reference.unwrap_or(trace);
                 let demand = inversion.relative_demand(std::iter::once((value, vector)), reference, demand);
                 self.add_direction(value, &vector, inversion, reference, demand);
             }
-            _ if mobility.iter().all(|x| x.is_finite()) => {
-                self.invert_spectrum(mobility, trace, inversion, reference, demand);
+            _ => {
+                self.task_inertia = Matrix6::zeros();
+                if mobility.iter().all(|x| x.is_finite()) {
+                    self.invert_spectrum(mobility, trace, inversion, reference, demand);
+                }
             }
-            _ => {}
         }
         for r in rows..6 {
             self.task_inertia[(r, r)] = 0.0;

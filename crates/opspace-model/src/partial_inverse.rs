@@ -7,20 +7,18 @@
 
 use nalgebra::{Matrix6, Vector6};
 
-/// Inverse of a symmetric matrix in the directions whose eigenvalues are certainly large enough.
+/// Directions in which the inverse of a symmetric matrix is certain.
 pub(crate) enum PartialInverse {
-    /// No eigenvalue is too small: the inverse.
-    Whole(Matrix6<f64>),
-    /// One eigenvalue may be too small.
+    /// All: no eigenvalue is too small.
+    Whole,
+    /// All but one, in which the inverse is zero: its eigenvalue may be too small.
     ButOne {
-        /// Inverse in all directions but `vector`, in which it is zero.
-        rest: Matrix6<f64>,
         /// The smallest eigenvalue.
         value: f64,
         /// Its eigenvector.
         vector: Vector6<f64>,
     },
-    /// Nothing is certain.
+    /// None.
     Unknown,
 }
 
@@ -34,36 +32,40 @@ const CONVERGED: f64 = 1e-28;
 /// Ratio of the norm of all other eigenvalues of the inverse to the largest one above which the iteration would be slow.
 const RATIO: f64 = 0.5;
 
-/// Inverts the first `rows` rows of `a`, which belong to the task; the others have larger eigenvalues and are not coupled to
-/// them, and are of no use in the inverse. An eigenvalue is too small if its inverse is above `largest_inverse`. `shift` is
-/// an upper bound of the eigenvalues of the task's block.
+/// Writes the inverse of the first `rows` rows of `a`, which belong to the task, into `inverse`, as far as it is certain. The
+/// other rows of `a` have larger eigenvalues and are not coupled to them; those of `inverse` are of no use. An eigenvalue is
+/// too small if its inverse is above `largest_inverse`. `shift` is an upper bound of the eigenvalues of the task's block.
 pub(crate) fn partial_inverse(
     a: &Matrix6<f64>,
     rows: usize,
     shift: f64,
     largest_inverse: f64,
+    inverse: &mut Matrix6<f64>,
 ) -> PartialInverse {
     // Every eigenvalue is too small for damped least squares.
-    let inverse = if largest_inverse > 0.0 { positive_inverse(a, rows) } else { None };
-    let Some(inverse) = inverse else { return PartialInverse::Unknown };
+    inverse.copy_from(a);
+    if largest_inverse <= 0.0 || !invert_positive(inverse, rows) {
+        return PartialInverse::Unknown;
+    }
     // The norm of A⁻¹ is at least its largest eigenvalue. Unlike the trace, it is also a bound if rounding makes an
     // eigenvalue near zero negative.
-    let (of_inverse, largest_square) = (square_norm(&inverse), largest_inverse * largest_inverse);
+    let (of_inverse, largest_square) = (square_norm(inverse), largest_inverse * largest_inverse);
     if of_inverse <= largest_square {
-        return PartialInverse::Whole(inverse);
+        return PartialInverse::Whole;
     }
-    let Some(vector) = smallest_direction(&inverse, rows, of_inverse) else {
+    let Some(vector) = smallest_direction(inverse, rows, of_inverse) else {
         return PartialInverse::Unknown;
     };
     // Exactly zero in the other rows, as they do not couple.
     let value = vector.dot(&(a * vector));
     let square = vector * vector.transpose();
-    let Some(mut rest) = positive_inverse(&(a + square * shift), rows) else {
+    *inverse = a + square * shift;
+    if !invert_positive(inverse, rows) {
         return PartialInverse::Unknown;
-    };
-    rest -= square / (value + shift);
-    if square_norm(&rest) <= largest_square {
-        PartialInverse::ButOne { rest, value, vector }
+    }
+    *inverse -= square / (value + shift);
+    if square_norm(inverse) <= largest_square {
+        PartialInverse::ButOne { value, vector }
     } else {
         PartialInverse::Unknown
     }
@@ -96,36 +98,35 @@ fn square_norm(a: &Matrix6<f64>) -> f64 {
     squares.sum()
 }
 
-/// Returns the inverse of the first `rows` rows of a symmetric matrix; `None` if a pivot shows that the matrix is not
-/// positive definite. The other rows, which are not coupled to them, are zero or inverted too.
-fn positive_inverse(a: &Matrix6<f64>, rows: usize) -> Option<Matrix6<f64>> {
+/// Replaces the first `rows` rows of a symmetric matrix by their inverse, to which the others are not coupled, and returns
+/// true; false if a pivot shows that the matrix is not positive definite. The other rows become zero or are inverted too.
+fn invert_positive(a: &mut Matrix6<f64>, rows: usize) -> bool {
     // Positions alone are half the work.
-    if rows <= 3 { inverse_of_first::<3>(a) } else { inverse_of_first::<6>(a) }
+    if rows <= 3 { invert_first::<3>(a) } else { invert_first::<6>(a) }
 }
 
 /// Inverts the first `N` rows by Gauss-Jordan elimination without pivoting, which is stable for positive definite matrices.
-fn inverse_of_first<const N: usize>(a: &Matrix6<f64>) -> Option<Matrix6<f64>> {
-    let mut swept = *a;
+fn invert_first<const N: usize>(a: &mut Matrix6<f64>) -> bool {
     for k in 0..N {
-        let pivot = swept[(k, k)];
+        let pivot = a[(k, k)];
         if !(pivot > 0.0 && pivot.is_finite()) {
-            return None;
+            return false;
         }
         let reciprocal = 1.0 / pivot;
-        let mut column = swept.column(k).into_owned();
+        let mut column = a.column(k).into_owned();
         column[k] = 0.0;
         let scaled = column * reciprocal;
         for c in 0..N {
-            let factor = swept[(k, c)];
-            let mut target = swept.column_mut(c);
+            let factor = a[(k, c)];
+            let mut target = a.column_mut(c);
             target -= scaled * factor;
             target[k] = factor * reciprocal;
         }
-        swept.set_column(k, &-scaled);
-        swept[(k, k)] = reciprocal;
+        a.set_column(k, &-scaled);
+        a[(k, k)] = reciprocal;
     }
     for r in N..6 {
-        swept[(r, r)] = 0.0;
+        a[(r, r)] = 0.0;
     }
-    Some(swept)
+    true
 }

@@ -29,6 +29,7 @@ use crate::hierarchy::products::dot;
 use crate::limits::bounds::{Bounds, JointState};
 use crate::limits::collision_limits::CollisionLimits;
 use crate::qp::lexicographic::SpeedBound;
+use crate::qp::quadratic_program::axpy;
 use nalgebra::DVector;
 use opspace_model::collision::{
     CollisionData, CollisionModel, Proximity, collision_distances, distance_bias_acceleration,
@@ -71,8 +72,10 @@ pub(crate) struct CollisionBounds {
     velocity: Vec<f64>,
     near: CollisionData,
     states: Vec<PairState>,
-    /// Upper bounds of the change of each pair's distance with each joint, m/rad (pairs × n, pair by pair).
+    /// Upper bounds of the change of each pair's distance with each joint, m/rad (pairs × n, joint by joint).
     change_bounds: Vec<f64>,
+    /// Bound of the motion of each pair since the last cycle, m.
+    pair_moved_m: Vec<f64>,
     /// Joint positions of the last cycle, rad or m (nq).
     last_q: DVector<f64>,
     /// Motion of each joint since the last cycle, rad or m (n).
@@ -92,9 +95,12 @@ impl CollisionBounds {
         // A pair has a bound for its closest points and for at most four ends.
         let rows = (5 * geometry.pairs().len()).min(MAX_ROWS);
         let row = SpeedBound { row: DVector::zeros(model.n()), upper: f64::INFINITY };
-        let mut change_bounds = vec![0.0; geometry.pairs().len() * model.n()];
-        for (pair, bound) in change_bounds.chunks_exact_mut(model.n().max(1)).enumerate() {
-            geometry.distance_change_bound(model, pair, bound);
+        let (pairs, mut of_pair) = (geometry.pairs().len(), vec![0.0; model.n()]);
+        let mut change_bounds = vec![0.0; pairs * model.n()];
+        for pair in 0..pairs {
+            geometry.distance_change_bound(model, pair, &mut of_pair);
+            let bounds = change_bounds[pair..].iter_mut().step_by(pairs);
+            bounds.zip(&of_pair).for_each(|(bound, of_pair)| *bound = *of_pair);
         }
         let mut new = Self {
             margin_m: limits.margin_m,
@@ -105,6 +111,7 @@ impl CollisionBounds {
             near: CollisionData::new(&geometry),
             states: vec![PairState::DUE; geometry.pairs().len()],
             change_bounds,
+            pair_moved_m: vec![0.0; pairs],
             last_q: DVector::zeros(model.nq()),
             moved: vec![0.0; model.n()],
             gradient: vec![0.0; model.n()],
@@ -179,10 +186,13 @@ impl CollisionBounds {
             *moved = (q - *last).abs();
             *last = *q;
         }
+        self.pair_moved_m.fill(0.0);
+        let bounds = self.change_bounds.chunks_exact(self.states.len().max(1));
+        for (bound, moved) in bounds.zip(&self.moved) {
+            axpy(*moved, bound, &mut self.pair_moved_m);
+        }
         let mut longest_m = 0.0_f64;
-        let bounds = self.change_bounds.chunks_exact(self.moved.len().max(1));
-        for (state, bound) in self.states.iter_mut().zip(bounds) {
-            let moved_m = dot(bound, &self.moved);
+        for (state, &moved_m) in self.states.iter_mut().zip(&self.pair_moved_m) {
             state.at_least_m -= moved_m;
             state.spare_m -= moved_m;
             longest_m = longest_m.max(moved_m);

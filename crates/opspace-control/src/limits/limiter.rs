@@ -265,18 +265,23 @@ impl Limiter {
         (limits, &mut self.cascade)
     }
 
-    /// Clips torques that exceed their limits, because of rounding or because no solver succeeded.
-    pub(crate) fn clip(&self, torque: &mut DVector<f64>, compensation_torque: &DVector<f64>) {
+    /// Clips torques that exceed their limits, because of rounding or because no solver succeeded. Returns true if there
+    /// were any.
+    pub(crate) fn clip(&self, torque: &mut DVector<f64>, compensation_torque: &DVector<f64>) -> bool {
         let Interval { lower, upper } = &self.torque_bounds;
+        let mut clipped = false;
         for (i, t) in torque.iter_mut().enumerate() {
             let commanded = *t + compensation_torque[i];
             // NaN is not clipped: the backend reports it.
             if commanded < lower[i] {
                 *t = lower[i] - compensation_torque[i];
+                clipped = true;
             } else if commanded > upper[i] {
                 *t = upper[i] - compensation_torque[i];
+                clipped = true;
             }
         }
+        clipped
     }
 
     /// Stores the command and its active bounds: `alpha` are the joint accelerations that it causes (n).
@@ -326,9 +331,10 @@ impl Limiter {
         self.cascade.replace_shortcut(false);
     }
 
-    /// Writes the torques computed by [`solve`](Self::solve) into `torque` (n).
-    pub(crate) fn torque_into(&mut self, data: &Data, torque: &mut [f64]) {
+    /// Writes the torques computed by [`solve`](Self::solve) and the joint accelerations that they cause (n each).
+    pub(crate) fn command_into(&self, data: &Data, torque: &mut [f64], alpha: &mut [f64]) {
         self.cascade.torque_into(data, torque);
+        alpha.copy_from_slice(self.cascade.alpha());
     }
 
     /// Records which bounds are active at each joint, and which solver computed the command.
