@@ -145,13 +145,13 @@ impl ProjectedTask {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
     use nalgebra::{DMatrix, Matrix3, Vector3};
     use opspace_model::{Data, Inertia, Joint, JointKind, Limits, Model, Placement, frame_jacobian, update};
 
     /// A chain of `n` identical links, each rotated relative to the previous one.
-    fn chain(n: usize) -> Model {
+    pub(crate) fn chain(n: usize) -> Model {
         let mut model = Model::new("chain");
         for i in 0..n {
             let joint = Joint { name: format!("j{i}"), kind: JointKind::Continuous, limits: Limits::NONE };

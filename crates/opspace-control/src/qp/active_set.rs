@@ -45,6 +45,10 @@ const ITERATIONS: usize = 10;
 /// [again](ActiveSet::solve_again): the error of a step is far smaller than the step, but not arbitrarily.
 const LONG_STEP: f64 = 1e-3;
 
+/// Multiplier, relative to the largest one, above which a row certainly pushes the solution. What rounding leaves between
+/// the rows is inversely proportional to it.
+const CLEAR_PUSH: f64 = 3e-4;
+
 /// Data of the program, with [padded](crate::qp::padded) columns.
 #[derive(Debug)]
 struct ProgramData {
@@ -551,6 +555,40 @@ impl ActiveSet {
     /// Lets the next solution start with the rows that another solver remembers.
     pub(crate) fn start_from(&mut self, other: &Self) {
         self.last.clone_from(&other.last);
+    }
+
+    /// Returns true if one row more than `variables` is active, and each of them pushes the solution.
+    pub(crate) fn balances(&self, variables: usize) -> bool {
+        let push = |active: &Active| self.norms[active.row] * active.multiplier;
+        let least = CLEAR_PUSH * self.active.iter().map(push).fold(0.0, f64::max);
+        self.active.len() == variables + 1 && self.active.iter().all(|active| push(active) > least)
+    }
+
+    /// Returns true if the rows that are active in another solver determine all variables of the last program, which they
+    /// replace the active rows of. `program` only gives its size.
+    pub(crate) fn is_determined_by(&mut self, other: &Self, program: &QuadraticProgram) -> bool {
+        let (n, stride, tall) = (self.data.variables, self.data.stride, self.data.tall);
+        for k in (0..self.active.len()).rev() {
+            if !other.is_active[self.active[k].row] {
+                self.drop_row(k);
+            }
+        }
+        for &Active { row, sign, b, .. } in &other.active {
+            if self.active.len() == n {
+                break;
+            }
+            if self.is_active[row] {
+                continue;
+            }
+            let (copy, column) = (&mut self.data.rows[row * stride..], &self.data.by_variable[row..]);
+            copy.iter_mut().zip(column.iter().step_by(tall)).take(n).for_each(|(copy, x)| *copy = *x);
+            copy[n..stride].fill(0.0);
+            if let Ok((Some(_), _)) = self.turn_towards(program, row, sign) {
+                self.add(Active { row, sign, b, multiplier: 0.0, equality: false });
+            }
+        }
+        self.remember();
+        self.active.len() == n
     }
 
     /// Stores the active rows as those that the next solution starts with.
