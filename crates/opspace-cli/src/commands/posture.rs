@@ -34,8 +34,10 @@ pub struct Posture {
     source: String,
     /// Start positions for a task file, if they were searched for.
     start_rad: Option<String>,
-    /// Links that touch in all postures that were found, if one was searched for.
+    /// Links that are nearer than the margin in all postures that were found, if one was searched for.
     contact: Option<[String; 2]>,
+    /// Distance that the robot keeps between its links, m; 0 if it keeps none.
+    margin_m: f64,
     report: PostureReport,
     /// Torque limits (n; Nm or N); infinite where there are none.
     limits: Vec<f64>,
@@ -51,6 +53,7 @@ impl Posture {
         robot: Option<&RobotDefinition>,
     ) -> Result<Option<Self>, Failure> {
         let Some(frame) = frame(args.frame.as_deref(), model, robot)? else { return Ok(None) };
+        let mut margin_m = 0.0;
         let (q, source, start_rad, contact) = match args.at.as_slice() {
             [] => {
                 let (q, source) = positions(&args.q, model, robot)?;
@@ -58,6 +61,7 @@ impl Posture {
             }
             pose => {
                 let mut own_body = own_body(args, frame, model, robot)?;
+                margin_m = own_body.as_ref().map_or(0.0, OwnBody::margin_m);
                 let found = found_at(pose, frame, model, robot, own_body.as_mut())?;
                 (found.q, "found for --at".to_owned(), Some(found.start_rad), found.contact)
             }
@@ -70,7 +74,7 @@ impl Posture {
             RobotDefinition::torque_limits,
         );
         let outside = outside(model, &q);
-        Ok(Some(Self { q, source, start_rad, contact, report, limits, outside }))
+        Ok(Some(Self { q, source, start_rad, contact, margin_m, report, limits, outside }))
     }
 
     /// Text of the posture.
@@ -80,9 +84,15 @@ impl Posture {
             let _ = writeln!(text, "{start_rad}");
         }
         if let Some([first, second]) = &self.contact {
+            let (near, other) = if self.margin_m > 0.0 {
+                let near = format!("are nearer to each other than margin_m = {}", self.margin_m);
+                (near, "in which all links keep it")
+            } else {
+                ("touch".to_owned(), "without contact")
+            };
             let _ = writeln!(
                 text,
-                "  links '{first}' and '{second}' touch, as far as their capsules show: no posture was found without contact"
+                "  links '{first}' and '{second}' {near}, as far as their capsules show: no posture was found {other}"
             );
         }
         for joint in &self.outside {
@@ -249,10 +259,7 @@ fn own_body(
     }
     let reach_m = reach(model, frame);
     Ok(match robot {
-        Some(robot) => {
-            let stated = Some(robot.capsules()).filter(|capsules| !capsules.is_empty());
-            OwnBody::new(model, &robot.urdf, stated, reach_m, 0.0)
-        }
+        Some(robot) => OwnBody::of_robot(robot, reach_m),
         None => OwnBody::new(model, &Source::read(&args.robot)?, None, reach_m, 0.0),
     })
 }

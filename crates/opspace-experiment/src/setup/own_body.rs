@@ -1,9 +1,11 @@
-//! Distances of a robot from itself and from the floor, for the choice of a posture. They need no `[collision]` in robot.toml.
+//! Distances of a robot from itself and from the floor, for the choice of a posture. They need no `[collision]` in robot.toml,
+//! but keep its margin if there is one.
 //!
 //! Links without a capsule, often the base, which has neither a readable shape nor an inertia, get one along their *skeleton*:
 //! from their joint towards the next ones.
 
 use crate::files::collision::generated_capsules;
+use crate::files::robot::RobotDefinition;
 use crate::files::source::Source;
 use nalgebra::Vector3;
 use opspace_model::collision::{
@@ -45,6 +47,7 @@ pub struct Contacts {
 pub struct OwnBody {
     collision: CollisionModel,
     data: CollisionData,
+    margin_m: f64,
 }
 
 impl OwnBody {
@@ -55,6 +58,31 @@ impl OwnBody {
         model: &Model,
         urdf: &Source,
         stated: Option<&[LinkCapsule]>,
+        reach_m: f64,
+        within_m: f64,
+    ) -> Option<Self> {
+        Self::with_pairs(model, urdf, stated, &[], reach_m, within_m)
+    }
+
+    /// Capsules of the links of a robot folder, without the pairs that its `[collision]` drops, with the margin that it keeps
+    /// between the others.
+    #[must_use]
+    pub fn of_robot(robot: &RobotDefinition, reach_m: f64) -> Option<Self> {
+        let (model, stated) = (&robot.model, Some(robot.capsules()).filter(|capsules| !capsules.is_empty()));
+        let Some(file) = &robot.file.collision else {
+            return Self::new(model, &robot.urdf, stated, reach_m, 0.0);
+        };
+        let margin_m = file.margin_m.get();
+        let own = Self::with_pairs(model, &robot.urdf, stated, &file.drop, reach_m, margin_m)?;
+        Some(Self { margin_m, ..own })
+    }
+
+    /// The same without the pairs of `dropped` capsules.
+    fn with_pairs(
+        model: &Model,
+        urdf: &Source,
+        stated: Option<&[LinkCapsule]>,
+        dropped: &[[String; 2]],
         reach_m: f64,
         within_m: f64,
     ) -> Option<Self> {
@@ -70,10 +98,19 @@ impl OwnBody {
             let floor = CollisionShape::HalfSpace(HalfSpace { normal: Vector3::z(), offset_m });
             collision.add_obstacle(FLOOR, floor).ok()?;
         }
+        for [first, second] in dropped {
+            collision.drop_pairs(first, second).ok()?;
+        }
         let sampling = PairSampling { colliding_m: within_m, ..PairSampling::default() };
         collision.drop_unneeded_pairs(model, &sampling);
         let data = CollisionData::new(&collision);
-        (!collision.pairs().is_empty()).then_some(Self { collision, data })
+        (!collision.pairs().is_empty()).then_some(Self { collision, data, margin_m: 0.0 })
+    }
+
+    /// Distance that the robot keeps between its links, m; 0 if it keeps none.
+    #[must_use]
+    pub fn margin_m(&self) -> f64 {
+        self.margin_m
     }
 
     /// Contacts nearer than `within_m` in a posture `q` (n; rad, m). `data` gets the kinematics of this posture.

@@ -110,13 +110,13 @@ pub struct PostureAt {
     pub tries: usize,
     /// Start positions for a task file.
     pub start_rad: String,
-    /// Links that touch each other, as far as their capsules show; `None` if none do.
+    /// Links that touch each other or are nearer than the robot's margin, as far as their capsules show; `None` if none are.
     pub contact: Option<[String; 2]>,
 }
 
 /// Searches for a posture within the joint limits in which a frame is at `position_m`, with the orientation `rpy_rad` (about
 /// fixed axes) if it is given. The first search starts at `start` (n; rad, m), which need not be within the limits. Of the
-/// postures that reach the pose, those are preferred in which no links of `own_body` touch, and then the one whose joints are
+/// postures that reach the pose, those are preferred in which no links of `own_body` are nearer than its margin, and then the one whose joints are
 /// farthest from their limits.
 ///
 /// # Errors
@@ -163,7 +163,7 @@ pub fn posture_at(
         let joints = model.joints().iter().zip(&search.ranges).zip(found.q.iter());
         let q: Vec<f64> =
             joints.map(|((joint, range), q)| rounded(without_turns(joint.kind, *range, *q))).collect();
-        let contacts = own_body.as_mut().map(|own_body| own_body.contacts(model, &mut data, &q, 0.0));
+        let contacts = own_body.as_mut().map(|own| own.contacts(model, &mut data, &q, own.margin_m()));
         let contact = contacts.and_then(|contacts| contacts.links);
         kinematics(model, &mut data, &q, &vec![0.0; n]);
         let left = error(&task, model, &data);

@@ -3,8 +3,12 @@
 use opspace_backend::CommandKind;
 use opspace_experiment::preflight::start_diagnostics;
 use opspace_experiment::run::replay::replay;
+use opspace_experiment::setup::own_body::OwnBody;
+use opspace_experiment::setup::posture_at::posture_at;
 use opspace_experiment::{Code, Experiment, FileError, Files, Progress, RunOptions, diagnostics};
 use opspace_log::Recording;
+use opspace_model::collision::{CollisionData, collision_distances};
+use opspace_model::{Data, Postures, forward_kinematics, frame_placement};
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
 
@@ -170,4 +174,37 @@ fn logs_do_not_need_meshes() {
     let again = Experiment::of_log(&log).expect("a complete log");
     assert_eq!(again.robot().capsules(), capsules);
     assert!(capsules.iter().any(|c| format!("{:?}", c.source) == "Mesh"), "{capsules:?}");
+}
+
+/// Compared: the least distance of the pairs that a controller keeps apart, in postures that `posture_at` finds without
+/// contact, with the robot's margin. Without the margin, some of them are nearer.
+#[test]
+fn found_postures_keep_the_margin() {
+    let experiment = load("panda-folded", &[]).unwrap_or_else(|error| panic!("{error}"));
+    let (robot, kept) = (experiment.robot(), experiment.kept_distances().expect("[collision]"));
+    let (model, limits) = (&robot.model, &kept.limits);
+    let tip = model.frame_id("flange").expect("a link");
+    let with_margin = OwnBody::of_robot(robot, 1.0).expect("links that can touch");
+    let without = OwnBody::new(model, &robot.urdf, Some(robot.capsules()), 1.0, 0.0).expect("links");
+    let (mut data, mut near) = (Data::new(model), CollisionData::new(&limits.geometry));
+    let postures = Postures::new(model, 1.0);
+    let start = [0.0, -0.7854, 0.0, -2.3562, 0.0, 1.5708, 0.7854];
+    let mut nearer = [0, 0];
+    for sample in 0..60 {
+        forward_kinematics(model, &mut data, &postures.posture(sample));
+        let goal_m = frame_placement(model, &data, tip).translation.into();
+        for (own_body, nearer) in [&with_margin, &without].into_iter().zip(&mut nearer) {
+            let mut own_body = own_body.clone();
+            let found =
+                posture_at(model, "flange", goal_m, None, &start, Some(&mut own_body)).expect("moves");
+            if found.contact.is_some() {
+                continue;
+            }
+            forward_kinematics(model, &mut data, &found.q);
+            collision_distances(&limits.geometry, model, &data, limits.margin_m, &mut near);
+            *nearer += near.near().count();
+        }
+    }
+    assert_eq!(nearer[0], 0, "pairs nearer than the margin");
+    assert!(nearer[1] > 0, "the margin changes a posture");
 }
