@@ -188,7 +188,7 @@ fn found_postures_keep_the_margin() {
     let without = OwnBody::new(model, &robot.urdf, Some(robot.capsules()), 1.0, 0.0).expect("links");
     let (mut data, mut near) = (Data::new(model), CollisionData::new(&limits.geometry));
     let postures = Postures::new(model, 1.0);
-    let start = [0.0, -0.7854, 0.0, -2.3562, 0.0, 1.5708, 0.7854];
+    let start = [0.0, -0.8, 0.0, -2.4, 0.0, 1.6, 0.8];
     let mut nearer = [0, 0];
     for sample in 0..60 {
         forward_kinematics(model, &mut data, &postures.posture(sample));
