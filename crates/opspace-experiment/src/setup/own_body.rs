@@ -77,7 +77,7 @@ impl OwnBody {
         Some(Self { margin_m, ..own })
     }
 
-    /// The same without the pairs of `dropped` capsules.
+    /// Capsules as for [`new`](Self::new), without the pairs of `dropped` capsules.
     fn with_pairs(
         model: &Model,
         urdf: &Source,
