@@ -43,8 +43,11 @@ pub(crate) fn partial_inverse(
     inverse: &mut Matrix6<f64>,
 ) -> PartialInverse {
     // Every eigenvalue is too small for damped least squares.
+    if largest_inverse <= 0.0 {
+        return PartialInverse::Unknown;
+    }
     inverse.copy_from(a);
-    if largest_inverse <= 0.0 || !invert_positive(inverse, rows) {
+    if !invert_positive(inverse, rows) {
         return PartialInverse::Unknown;
     }
     // The norm of A⁻¹ is at least its largest eigenvalue. Unlike the trace, it is also a bound if rounding makes an

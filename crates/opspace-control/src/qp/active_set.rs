@@ -564,9 +564,9 @@ impl ActiveSet {
         self.active.len() == variables + 1 && self.active.iter().all(|active| push(active) > least)
     }
 
-    /// Returns true if the rows that are active in another solver determine all variables of the last program, which they
-    /// replace the active rows of. `program` only gives its size.
-    pub(crate) fn is_determined_by(&mut self, other: &Self, program: &QuadraticProgram) -> bool {
+    /// Replaces the active rows of the last program by those of another solver, as far as they are independent, as the start
+    /// of the next program. Returns true if they determine all variables. `program` limits the number of steps.
+    pub(crate) fn exchange_active(&mut self, other: &Self, program: &QuadraticProgram) -> bool {
         let (n, stride, tall) = (self.data.variables, self.data.stride, self.data.tall);
         for k in (0..self.active.len()).rev() {
             if !other.is_active[self.active[k].row] {

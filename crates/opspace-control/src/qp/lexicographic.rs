@@ -403,7 +403,7 @@ impl HierarchicalQp {
             Problem::Joints => joints,
             Problem::Scaled | Problem::Bounds => return false,
         };
-        bounds.balances(self.freedom) && contradicted.is_determined_by(bounds, &self.program)
+        bounds.balances(self.freedom) && contradicted.exchange_active(bounds, &self.program)
     }
 
     /// Widens the bounds to include the current α and M α, with a margin for rounding.

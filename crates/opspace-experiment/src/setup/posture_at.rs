@@ -116,8 +116,8 @@ pub struct PostureAt {
 
 /// Searches for a posture within the joint limits in which a frame is at `position_m`, with the orientation `rpy_rad` (about
 /// fixed axes) if it is given. The first search starts at `start` (n; rad, m), which need not be within the limits. Of the
-/// postures that reach the pose, those are preferred in which no links of `own_body` are nearer than its margin, and then the one whose joints are
-/// farthest from their limits.
+/// postures that reach the pose, those are preferred in which no links of `own_body` are nearer than its margin, and then the
+/// one whose joints are farthest from their limits.
 ///
 /// # Errors
 /// A frame that the robot does not have, or that cannot move along all axes of the pose in any posture.
