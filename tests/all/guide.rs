@@ -70,12 +70,11 @@ const ELSEWHERE: [(&str, &str); 6] = [
 ];
 
 /// Commands that no test of these pages runs.
-const NOT_RUN: [(&str, &str); 5] = [
+const NOT_RUN: [(&str, &str); 4] = [
     ("cargo test", "this is a part of it"),
     ("cargo install --path crates/opspace-cli", "installs a program"),
     ("pip install mcap mcap-protobuf-support mcap-ros2-support", "a step of .ci/run runs it"),
     ("opspace bench", "takes minutes; a step of .ci/run runs it"),
-    ("opspace run experiments/teleop-wall.toml", "tests/all/coupled.rs and a suite of .ci/run run it"),
 ];
 
 /// Creates a folder that looks like a clone.

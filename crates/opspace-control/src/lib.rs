@@ -115,7 +115,7 @@ pub use references::path_reference::{
 };
 pub use references::ramp;
 pub use references::recorded::{self, PoseSample, RecordedError, RecordedPath, RecordedReason};
-pub use references::reference::{CartesianReference, Trajectory};
+pub use references::reference::{CartesianReference, PointToPoint, Sinusoid, Trajectory, Waypoint};
 pub use references::scalar_reference::{
     ScalarGoal, ScalarOnlineGoal, ScalarPointToPoint, ScalarReference, ScalarSinusoid,
 };
@@ -123,6 +123,7 @@ pub use references::streamed::{OnTimeout, STOP_S, StreamedShape};
 pub use references::streamed_joints::{JointShape, StreamedJointReference};
 pub use references::streamed_pose::{PoseShape, QUATERNION_TOLERANCE, StreamedReference};
 pub use references::target::Target;
+pub use references::wave::{AngularWave, LinearWave};
 pub use targets::{AllowedInputs, HoldCause, InputHandle, TargetError, Targets, TaskHandle, TaskTarget};
 pub use tasks::admittance::AdmittanceLimits;
 pub use tasks::axes::{

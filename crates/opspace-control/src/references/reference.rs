@@ -109,6 +109,14 @@ pub struct Sinusoid {
     pub ramp_s: Positive,
 }
 
+impl Default for Sinusoid {
+    /// No motion: no sines, and the ramp of files.
+    fn default() -> Self {
+        let (x, y, z, rx, ry, rz) = Default::default();
+        Self { x, y, z, rx, ry, rz, ramp_s: default_ramp_s() }
+    }
+}
+
 impl CartesianReference {
     /// Returns true if the reference contains a rotation. It is false for a recorded path, whose orientations are
     /// recorded with the positions even if the rotation axes are free.
