@@ -2,7 +2,7 @@
 
 use crate::cli::ModelArgs;
 use crate::console::{Exit, Failure, render};
-use opspace_control::rank::reach;
+use opspace_control::reach;
 use opspace_experiment::evaluate::posture::{Conditioning, PostureReport};
 use opspace_experiment::evaluate::table::{Cell, Table};
 use opspace_experiment::files::suggest::nearest;

@@ -18,7 +18,7 @@ const ALLOWED: [[&str; 3]; 3] = [
 ];
 
 /// Crates that still have cycles.
-const KNOWN: [&str; 4] = ["opspace-cli", "opspace-control", "opspace-experiment", "opspace-model"];
+const KNOWN: [&str; 3] = ["opspace-cli", "opspace-experiment", "opspace-model"];
 
 /// Name of a folder's own file among its layers.
 const OWN: &str = "own file";
@@ -46,6 +46,31 @@ fn no_crate_has_an_import_cycle() {
     }
     assert!(edges > 1000, "only {edges} imports were found: the reader is wrong");
     assert!(cycles.is_empty(), "import cycles:\n{}", cycles.join("\n"));
+}
+
+/// Compared: the orders of layers in ARCHITECTURE.md, and the folders and imports of each crate that has folders.
+#[test]
+fn layers_are_in_the_order_of_the_architecture() {
+    let page = fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("../../ARCHITECTURE.md"));
+    let page = page.expect("the page of the architecture");
+    let mut found = Vec::new();
+    for (name, root) in crates().into_iter().filter(|(name, _)| !KNOWN.contains(&name.as_str())) {
+        let imports = Sources::read(&root.join("src")).imports();
+        let line = page.lines().find_map(|line| line.strip_prefix(&format!("* `{name}`: ")));
+        let order: Vec<&str> =
+            line.unwrap_or_default().split(" < ").map(|layer| layer.trim_matches('`')).collect();
+        let place = |module: &Module| order.iter().position(|layer| *layer == module[0]);
+        let folders = imports.keys().filter(|module| module.len() > 1 && place(module).is_none());
+        found.extend(folders.map(|module| format!("{name}: {} has no place", module.join("::"))));
+        let unknown = order.iter().filter(|layer| !imports.keys().any(|module| module.join("::") == **layer));
+        found.extend(unknown.map(|layer| format!("{name}: there is no {layer}")));
+        for (from, targets) in imports.iter().filter(|(from, _)| !from.is_empty()) {
+            let upward = targets.iter().filter(|to| !to.is_empty() && place(to) > place(from));
+            let upward = upward.filter(|_| place(from).is_some());
+            found.extend(upward.map(|to| format!("{name}: {} imports {}", from.join("::"), to.join("::"))));
+        }
+    }
+    assert!(found.is_empty(), "{}", found.join("\n"));
 }
 
 /// Compared: a constructed crate whose files import each other in no circle but whose folders do, and its one cycle.
