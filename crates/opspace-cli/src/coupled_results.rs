@@ -7,13 +7,13 @@ use crate::output::{Format, pretty, write, write_named};
 use crate::result_folder::{LOGS, ROWS};
 use crate::suite_results::{is_stdout, worst};
 use crate::sweep::Executed;
+use opspace_experiment::evaluate::coupled_summary::CoupledSummary;
 use opspace_experiment::evaluate::csv::coupled_csv;
 use opspace_experiment::evaluate::notes::{allowed_notes, assumed_notes};
 use opspace_experiment::report::coupled_suite_page::coupled_suite_page;
 use opspace_experiment::report::coupled_table::{coupling_notes, coupling_table};
-use opspace_experiment::run::coupled_summary::CoupledSummary;
-use opspace_experiment::run::folder::REPORT;
-use opspace_experiment::run::suite_rows::SUITE_ROWS;
+use opspace_experiment::run::result_files::REPORT;
+use opspace_experiment::suites::suite_rows::SUITE_ROWS;
 use serde_json::json;
 
 /// Writes and prints the results, and returns the exit code that they give.

@@ -9,8 +9,8 @@ use opspace_experiment::evaluate::baseline::{Baseline, BaselineComparison, TOLER
 use opspace_experiment::evaluate::csv::csv;
 use opspace_experiment::evaluate::results::group_rows;
 use opspace_experiment::report::document::{RunSection, page};
-use opspace_experiment::run::folder::REPORT;
-use opspace_experiment::run::suite_rows::{SUITE_ROWS, SuiteRows};
+use opspace_experiment::run::result_files::REPORT;
+use opspace_experiment::suites::suite_rows::{SUITE_ROWS, SuiteRows};
 use opspace_experiment::{Experiment, Extensions, Source, Summary};
 use opspace_log::LogFile;
 use serde_json::{Value, json};

@@ -9,7 +9,7 @@ use crate::output::{pretty, write};
 use crate::result_folder::{IDENTIFICATION, ROBOT_FILE, SERVO_FILE, prepare};
 use indicatif::ProgressBar;
 use opspace_experiment::identify::{IdentificationJob, IdentificationResults, Request};
-use opspace_experiment::run::folder::REPORT;
+use opspace_experiment::run::result_files::REPORT;
 use opspace_experiment::{Files, RobotDefinition, Source};
 use opspace_identify::ExcitationPlan;
 use opspace_identify::session::AbortReason;

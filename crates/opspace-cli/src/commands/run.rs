@@ -12,7 +12,7 @@ use crate::result_folder::{MOVE_TO_START, prepare};
 use opspace_experiment::evaluate::results::MEASURES;
 use opspace_experiment::files::origin::Kind;
 use opspace_experiment::preflight::{checked_for_real_robot, start_diagnostics};
-use opspace_experiment::run::folder::{LOG, REPORT, SUMMARY};
+use opspace_experiment::run::result_files::{LOG, REPORT, SUMMARY};
 use opspace_experiment::{Experiment, Extensions, Files, Summary};
 use std::path::PathBuf;
 

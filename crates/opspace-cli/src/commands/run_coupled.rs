@@ -7,9 +7,9 @@ use crate::interrupt;
 use crate::output::pretty;
 use crate::plant::PlantChoice;
 use crate::result_folder::prepare;
+use opspace_experiment::evaluate::coupled_summary::CoupledSummary;
 use opspace_experiment::report::coupled_table::coupling_table;
-use opspace_experiment::run::coupled_summary::CoupledSummary;
-use opspace_experiment::run::folder::{LOG, REPORT, SUMMARY};
+use opspace_experiment::run::result_files::{LOG, REPORT, SUMMARY};
 use opspace_experiment::{ControllerKind, CoupledExperiment, Extensions, Files};
 use std::path::PathBuf;
 
