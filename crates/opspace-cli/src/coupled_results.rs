@@ -1,10 +1,10 @@
 //! Results of a suite of experiments with several robots: table, page, JSON and CSV.
 
 use crate::cli::SuiteOutputArgs;
-use crate::commands::run_coupled::coupled_exit_code;
 use crate::console::{Console, Exit, Outcome, print_exactly, render, with_notes};
 use crate::output::{Format, pretty, write, write_named};
 use crate::result_folder::{LOGS, ROWS};
+use crate::run_progress::coupled_exit_code;
 use crate::suite_results::{is_stdout, worst};
 use crate::sweep::Executed;
 use opspace_experiment::evaluate::coupled_summary::CoupledSummary;

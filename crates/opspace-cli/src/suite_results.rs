@@ -1,10 +1,10 @@
 //! Results of a suite: table, page, JSON, CSV, and the comparison with a baseline.
 
 use crate::cli::SuiteOutputArgs;
-use crate::commands::run_progress::exit_code;
 use crate::console::{Console, Exit, Failure, Outcome, print_exactly, render, report, results};
 use crate::output::{Format, pretty, write, write_named};
 use crate::result_folder::{LOGS, ROWS};
+use crate::run_progress::exit_code;
 use opspace_experiment::evaluate::baseline::{Baseline, BaselineComparison, TOLERANCE, Verdict};
 use opspace_experiment::evaluate::csv::csv;
 use opspace_experiment::evaluate::results::group_rows;

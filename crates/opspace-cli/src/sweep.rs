@@ -1,8 +1,8 @@
 //! Execution of the runs of a suite, several at a time.
 
-use crate::commands::run_progress::style;
 use crate::console::{Console, Exit, Failure, Outcome};
 use crate::result_folder::clear_run_of_robots;
+use crate::run_progress::style;
 use indicatif::ProgressBar;
 use opspace_experiment::evaluate::coupled_summary::CoupledSummary;
 use opspace_experiment::run::physics::OWN_PLANT;
