@@ -1,19 +1,19 @@
 //! Results of a suite of experiments with several robots: table, page, JSON and CSV.
 
 use crate::cli::SuiteOutputArgs;
-use crate::commands::run_coupled::coupled_exit_code;
 use crate::console::{Console, Exit, Outcome, print_exactly, render, with_notes};
 use crate::output::{Format, pretty, write, write_named};
 use crate::result_folder::{LOGS, ROWS};
+use crate::run_progress::coupled_exit_code;
 use crate::suite_results::{is_stdout, worst};
 use crate::sweep::Executed;
+use opspace_experiment::evaluate::coupled_summary::CoupledSummary;
 use opspace_experiment::evaluate::csv::coupled_csv;
 use opspace_experiment::evaluate::notes::{allowed_notes, assumed_notes};
 use opspace_experiment::report::coupled_suite_page::coupled_suite_page;
 use opspace_experiment::report::coupled_table::{coupling_notes, coupling_table};
-use opspace_experiment::run::coupled_summary::CoupledSummary;
-use opspace_experiment::run::folder::REPORT;
-use opspace_experiment::run::suite_rows::SUITE_ROWS;
+use opspace_experiment::run::result_files::REPORT;
+use opspace_experiment::suites::suite_rows::SUITE_ROWS;
 use serde_json::json;
 
 /// Writes and prints the results, and returns the exit code that they give.

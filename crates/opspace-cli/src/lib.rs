@@ -23,6 +23,7 @@ mod output;
 mod outputs;
 mod plant;
 mod result_folder;
+mod run_progress;
 mod shard;
 mod suite_results;
 mod sweep;

@@ -1,16 +1,16 @@
 //! Results of a suite: table, page, JSON, CSV, and the comparison with a baseline.
 
 use crate::cli::SuiteOutputArgs;
-use crate::commands::run_progress::exit_code;
 use crate::console::{Console, Exit, Failure, Outcome, print_exactly, render, report, results};
 use crate::output::{Format, pretty, write, write_named};
 use crate::result_folder::{LOGS, ROWS};
+use crate::run_progress::exit_code;
 use opspace_experiment::evaluate::baseline::{Baseline, BaselineComparison, TOLERANCE, Verdict};
 use opspace_experiment::evaluate::csv::csv;
 use opspace_experiment::evaluate::results::group_rows;
 use opspace_experiment::report::document::{RunSection, page};
-use opspace_experiment::run::folder::REPORT;
-use opspace_experiment::run::suite_rows::{SUITE_ROWS, SuiteRows};
+use opspace_experiment::run::result_files::REPORT;
+use opspace_experiment::suites::suite_rows::{SUITE_ROWS, SuiteRows};
 use opspace_experiment::{Experiment, Extensions, Source, Summary};
 use opspace_log::LogFile;
 use serde_json::{Value, json};

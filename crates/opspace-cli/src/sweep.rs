@@ -1,13 +1,13 @@
 //! Execution of the runs of a suite, several at a time.
 
-use crate::commands::run_progress::style;
 use crate::console::{Console, Exit, Failure, Outcome};
 use crate::result_folder::clear_run_of_robots;
+use crate::run_progress::style;
 use indicatif::ProgressBar;
-use opspace_experiment::run::coupled_summary::CoupledSummary;
+use opspace_experiment::evaluate::coupled_summary::CoupledSummary;
 use opspace_experiment::run::physics::OWN_PLANT;
 use opspace_experiment::run::result_files::{ResultFolder, replace_file};
-use opspace_experiment::run::suite_rows::{RunSummary, SUITE_ROWS, SuiteRow, SuiteRows, SuiteRowsFile};
+use opspace_experiment::suites::suite_rows::{RunSummary, SUITE_ROWS, SuiteRow, SuiteRows, SuiteRowsFile};
 use opspace_experiment::{CoupledExperiment, Experiment, Progress, Summary};
 use opspace_log::LogFile;
 use std::collections::{BTreeMap, BTreeSet};

@@ -16,11 +16,11 @@
 //! range at most at 20 1/s times its distance from there, and if a joint would then be faster than its limit, all are slowed down
 //! by one factor, so that q̇_ref keeps its direction. Margins and fractions of the limits are those of [`LimitParameters`].
 
+use crate::algebra::{add_transposed, product};
 use crate::context::ControlContext;
 use crate::controller::{ControlInput, Controller, StaleTarget};
 use crate::error::{ControlError, Reason};
 use crate::hierarchy::contact_condition::ContactCondition;
-use crate::hierarchy::products::{add_transposed, product};
 use crate::hierarchy::task_hierarchy::TaskHierarchy;
 use crate::hierarchy::task_parameters::TaskSetParameters;
 use crate::hierarchy::task_schedule::{RecordedSignals, TaskSchedule};

@@ -71,14 +71,18 @@
 
 #![forbid(unsafe_code)]
 
+pub(crate) mod algebra;
+pub mod axis_mode;
 pub mod context;
 pub mod controller;
 pub mod coupling;
 pub mod error;
 pub mod hierarchy;
 pub mod ik;
+pub(crate) mod limiter;
 pub mod limits;
 pub mod measurement;
+pub(crate) mod nullspace;
 pub mod orientation;
 pub mod osc;
 pub mod per_joint;
@@ -90,6 +94,7 @@ pub mod references;
 pub mod targets;
 pub mod tasks;
 
+pub use axis_mode::AxisMode;
 pub use context::ControlContext;
 pub use controller::{ControlInput, Controller, StaleTarget};
 pub use error::{ControlError, Reason};
@@ -126,14 +131,13 @@ pub use references::target::Target;
 pub use references::wave::{AngularWave, LinearWave};
 pub use targets::{AllowedInputs, HoldCause, InputHandle, TargetError, Targets, TaskHandle, TaskTarget};
 pub use tasks::admittance::AdmittanceLimits;
-pub use tasks::axes::{
-    AXIS_NAMES, Axes, AxesFrame, AxesFrameParameter, AxisMode, PerAxis, SurfaceAxesParameters,
-};
+pub use tasks::axes::{AXIS_NAMES, Axes, AxesFrame, AxesFrameParameter, PerAxis, SurfaceAxesParameters};
 pub use tasks::cartesian::CartesianTask;
 pub use tasks::cartesian_parameters::{
     CartesianParameters, CenterOfMassParameters, Decoupling, SingularityHandling,
 };
 pub use tasks::cartesian_target::CartesianTarget;
+pub use tasks::characteristic_length::{characteristic_length, reach};
 pub use tasks::controlled_frame::ControlledFrame;
 pub use tasks::coordinate::Coordinate;
 pub use tasks::coordinate_task::{CoordinateGains, CoordinateTask};

@@ -5,7 +5,6 @@ pub(crate) mod collision_bounds;
 pub mod collision_limits;
 pub mod horizon;
 pub mod joint_limits;
-pub(crate) mod limiter;
 pub(crate) mod push;
 pub(crate) mod resistance;
 pub mod viable_speed;

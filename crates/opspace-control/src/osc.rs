@@ -13,17 +13,17 @@
 //! [limits](crate::limits), they are the command. Otherwise each level is satisfied as closely as the limits and the
 //! levels above allow.
 
+use crate::algebra::multiply;
 use crate::context::ControlContext;
 use crate::controller::{ControlInput, Controller, StaleTarget};
 use crate::error::ControlError;
 use crate::hierarchy::contact_condition::ContactCondition;
 use crate::hierarchy::priority_level::PriorityLevel;
-use crate::hierarchy::products::multiply;
 use crate::hierarchy::task_parameters::{Compensation, TaskSetParameters};
 use crate::hierarchy::task_schedule::{RecordedSignals, TaskSchedule};
 use crate::hierarchy::task_set::TaskSet;
+use crate::limiter::Limiter;
 use crate::limits::joint_limits::LimitParameters;
-use crate::limits::limiter::Limiter;
 use crate::prediction::Prediction;
 use crate::qp::lexicographic::Solver;
 use crate::targets::Targets;

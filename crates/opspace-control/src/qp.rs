@@ -2,6 +2,7 @@
 
 pub mod active_set;
 pub mod interior_point;
+pub(crate) mod interval;
 pub(crate) mod level_cost;
 pub(crate) mod lexicographic;
 pub(crate) mod padded;

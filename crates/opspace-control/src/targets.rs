@@ -18,7 +18,7 @@
 //! # Ok::<(), opspace_control::TargetError>(())
 //! ```
 
-use crate::tasks::axes::AxisMode;
+use crate::axis_mode::AxisMode;
 use opspace_backend::signal_names::TARGET_HOLD;
 use opspace_backend::{Layout, Signal};
 use std::ops::Range;

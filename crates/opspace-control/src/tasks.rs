@@ -7,6 +7,7 @@ pub(crate) mod carry;
 pub mod cartesian;
 pub mod cartesian_parameters;
 pub mod cartesian_target;
+pub mod characteristic_length;
 pub mod controlled_frame;
 pub mod coordinate;
 pub mod coordinate_task;

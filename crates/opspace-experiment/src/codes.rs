@@ -3,7 +3,7 @@
 //! A code names a kind of problem and remains the same when its text changes. A mistake in a file, an unknown key for example,
 //! has none: its message says all. The pages are in `codes.md`, one section for each code.
 
-use crate::files::suggest::nearest;
+use crate::suggest::nearest;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::str::FromStr;

@@ -1,21 +1,20 @@
-//! Metrics of runs, and tables of these metrics.
+//! Metrics of runs, summaries, and tables of metrics.
 
 pub mod baseline;
+pub mod coupled_summary;
 pub(crate) mod coupling;
-pub mod coupling_metrics;
 pub mod csv;
 pub(crate) mod direction;
 pub mod escape_record;
-pub mod expectations;
 pub(crate) mod failures;
 pub(crate) mod harmonics;
 pub mod limited_reference;
-pub(crate) mod metric_tables;
 pub mod metrics;
 pub mod notes;
 pub mod posture;
 pub mod results;
 pub(crate) mod spectrum;
 pub mod spread;
+pub mod summary;
 pub mod table;
 pub mod unreached;

@@ -1,10 +1,10 @@
-//! Robot, task and suite files: reading, and descriptions of the mistakes in them.
+//! Robot, task and experiment files: reading, and descriptions of the mistakes in them.
 
 pub mod collision;
+pub mod controller_kind;
 pub mod expectation;
 pub mod experiment_file;
 pub(crate) mod explain;
-pub mod grid;
 pub mod interface;
 pub mod joint_layers;
 pub(crate) mod layered_path;
@@ -14,10 +14,7 @@ pub mod overrides;
 pub(crate) mod renamed;
 pub mod robot;
 pub mod robot_part;
-pub(crate) mod seeds;
 pub mod source;
-pub mod suggest;
-pub mod suite;
 pub mod task;
 pub mod task_kinds;
 pub(crate) mod toml_path;

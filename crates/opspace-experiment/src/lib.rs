@@ -31,26 +31,32 @@ pub mod evaluate;
 pub mod extensions;
 pub mod files;
 pub mod identify;
+pub mod metrics;
 pub mod preflight;
 pub mod report;
+pub mod results;
 pub mod run;
 pub mod setup;
+pub mod suggest;
+pub mod suites;
+pub mod text;
 
 pub use codes::Code;
 pub use evaluate::metrics::{Metrics, Timing};
+pub use evaluate::summary::Summary;
 pub use extensions::Extensions;
+pub use files::controller_kind::ControllerKind;
 pub use files::origin::Files;
 pub use files::robot::RobotDefinition;
 pub use files::source::{FileError, Source};
-pub use files::suite::Suite;
 pub use files::task::TaskDefinition;
 pub use files::task_kinds::{TaskKindError, TaskKinds};
 pub use preflight::{Diagnostic, diagnostics};
 pub use run::coupled_experiment::CoupledExperiment;
 pub use run::error::RunError;
 pub use run::execute::{Progress, RunResult};
-pub use run::experiment::{ControllerKind, Experiment, RunOptions};
-pub use run::summary::Summary;
+pub use run::experiment::{Experiment, RunOptions};
+pub use suites::suite::Suite;
 
 /// Code examples of the README, compiled and run as doctests.
 #[cfg(doctest)]

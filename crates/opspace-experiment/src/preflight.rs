@@ -63,7 +63,8 @@ mod torque_floor;
 mod variation;
 
 use crate::codes::Code;
-use crate::run::experiment::{ControllerKind, Experiment};
+use crate::files::controller_kind::ControllerKind;
+use crate::run::experiment::Experiment;
 use crate::run::rollout::Rollout;
 use case::PreflightCase;
 pub use couplings::coupling_diagnostics;

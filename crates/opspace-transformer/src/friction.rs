@@ -34,7 +34,7 @@ use serde::Deserialize;
 
 /// Friction of one joint: Coulomb and static friction with the Stribeck effect, and viscous friction.
 #[derive(Clone, Debug, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema), schemars(transform = crate::parameters::with_optional_keys))]
+#[cfg_attr(feature = "schema", derive(JsonSchema), schemars(transform = crate::optional_keys::with_optional_keys))]
 #[serde(deny_unknown_fields)]
 pub struct FrictionParameters {
     /// Coulomb friction Fc while moving, Nm (N); that of the URDF if absent.

@@ -55,6 +55,8 @@ mod motion_estimator;
 pub mod moving_joint;
 pub mod observed;
 pub mod observer;
+#[cfg(feature = "schema")]
+mod optional_keys;
 pub mod parameters;
 pub mod polynomial;
 pub mod servo;

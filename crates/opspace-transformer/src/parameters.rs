@@ -4,6 +4,8 @@ use crate::closed_loop_transformer::ClosedLoopModel;
 use crate::estimator::EstimatorParameters;
 use crate::friction::FrictionParameters;
 use crate::gain_adaptation::GainAdaptationParameters;
+#[cfg(feature = "schema")]
+use crate::optional_keys::with_optional_keys;
 use crate::servo::{ServoParameters, VelocityServo};
 use crate::setpoint_limits::SetpointLimitParameters;
 use crate::transformer::TransformerKind;
@@ -39,12 +41,6 @@ pub struct JointParameters {
     pub rotor: RotorParameters,
     /// Friction at the joint.
     pub friction: FrictionParameters,
-}
-
-/// Allows a table to lack any of its keys: other tables of the file may state them.
-#[cfg(feature = "schema")]
-pub(crate) fn with_optional_keys(schema: &mut schemars::Schema) {
-    schema.remove("required");
 }
 
 /// Rotor and encoder of a joint's motor.

@@ -29,7 +29,7 @@ pub enum ServoParameters {
 
 /// Equation (K9) of the paper: `τ = kv [kp (q_desired − q) − q̇]`; optionally with an integral in the velocity loop.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema), schemars(transform = crate::parameters::with_optional_keys))]
+#[cfg_attr(feature = "schema", derive(JsonSchema), schemars(transform = crate::optional_keys::with_optional_keys))]
 #[serde(deny_unknown_fields)]
 pub struct CascadedServo {
     /// Gain of the outer position loop, 1/s.
@@ -55,7 +55,7 @@ pub struct CascadedServo {
 
 /// `τ = K e + D ė + Ki ∫ e`, with e = q_desired − q, and ė or −q̇ from a filtered finite difference.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema), schemars(transform = crate::parameters::with_optional_keys))]
+#[cfg_attr(feature = "schema", derive(JsonSchema), schemars(transform = crate::optional_keys::with_optional_keys))]
 #[serde(deny_unknown_fields)]
 pub struct PidServo {
     /// Stiffness K, Nm/rad (N/m).
@@ -135,7 +135,7 @@ impl SetpointFilter {
 
 /// `τ = kv (q̇_desired − q̇) + ki ∫ (q̇_desired − q̇)`, with q̇ from a filtered finite difference.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema), schemars(transform = crate::parameters::with_optional_keys))]
+#[cfg_attr(feature = "schema", derive(JsonSchema), schemars(transform = crate::optional_keys::with_optional_keys))]
 #[serde(deny_unknown_fields)]
 pub struct VelocityServo {
     /// Gain kv on the velocity error, Nms/rad (Ns/m).

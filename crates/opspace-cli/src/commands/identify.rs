@@ -2,14 +2,14 @@
 
 use crate::cli::IdentifyArgs;
 use crate::commands::posture::first_task;
-use crate::commands::run_progress::style;
 use crate::console::{Console, Exit, Failure, Outcome, render};
 use crate::interrupt;
 use crate::output::{pretty, write};
 use crate::result_folder::{IDENTIFICATION, ROBOT_FILE, SERVO_FILE, prepare};
+use crate::run_progress::style;
 use indicatif::ProgressBar;
 use opspace_experiment::identify::{IdentificationJob, IdentificationResults, Request};
-use opspace_experiment::run::folder::REPORT;
+use opspace_experiment::run::result_files::REPORT;
 use opspace_experiment::{Files, RobotDefinition, Source};
 use opspace_identify::ExcitationPlan;
 use opspace_identify::session::AbortReason;

@@ -17,7 +17,6 @@ pub mod report;
 pub mod report_coupled;
 pub mod run;
 pub mod run_coupled;
-pub mod run_progress;
 pub mod schema;
 
 use opspace_backend::CommandKind;

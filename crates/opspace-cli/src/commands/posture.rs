@@ -2,13 +2,13 @@
 
 use crate::cli::ModelArgs;
 use crate::console::{Exit, Failure, render};
-use opspace_control::rank::reach;
+use opspace_control::reach;
 use opspace_experiment::evaluate::posture::{Conditioning, PostureReport};
 use opspace_experiment::evaluate::table::{Cell, Table};
-use opspace_experiment::files::suggest::nearest;
 use opspace_experiment::setup::own_body::OwnBody;
 use opspace_experiment::setup::posture_at::{PostureAt, posture_at};
 use opspace_experiment::setup::tip::tip;
+use opspace_experiment::suggest::nearest;
 use opspace_experiment::{Files, RobotDefinition, Source, TaskDefinition};
 use opspace_model::{FrameId, JointKind, Model, neutral};
 use serde_json::{Value, json};

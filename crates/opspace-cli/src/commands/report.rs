@@ -7,7 +7,7 @@ use crate::output::{Format, log_path, logs_of_experiment, open_log, pretty, writ
 use crate::outputs::check_outputs;
 use opspace_experiment::evaluate::results::MEASURES;
 use opspace_experiment::report::document::{RunSection, page};
-use opspace_experiment::run::folder::REPORT;
+use opspace_experiment::run::result_files::REPORT;
 use opspace_experiment::{Experiment, Extensions, RunError};
 use opspace_log::OutcomeRecord;
 use std::path::{Path, PathBuf};

@@ -3,16 +3,16 @@
 use crate::cli::RunArgs;
 use crate::commands::own_backend;
 use crate::commands::run_coupled::run_coupled;
-use crate::commands::run_progress::{exit_code, with_bar};
 use crate::console::{Console, Exit, Failure, Outcome, results as table};
 use crate::interrupt;
 use crate::output::pretty;
 use crate::plant::PlantChoice;
 use crate::result_folder::{MOVE_TO_START, prepare};
+use crate::run_progress::{exit_code, with_bar};
 use opspace_experiment::evaluate::results::MEASURES;
 use opspace_experiment::files::origin::Kind;
 use opspace_experiment::preflight::{checked_for_real_robot, start_diagnostics};
-use opspace_experiment::run::folder::{LOG, REPORT, SUMMARY};
+use opspace_experiment::run::result_files::{LOG, REPORT, SUMMARY};
 use opspace_experiment::{Experiment, Extensions, Files, Summary};
 use std::path::PathBuf;
 

@@ -1,15 +1,14 @@
 //! `opspace run` of an experiment with several robots.
 
 use crate::cli::RunArgs;
-use crate::commands::run_progress::{exit_code, with_bar};
 use crate::console::{Console, Exit, Failure, Outcome, render};
 use crate::interrupt;
 use crate::output::pretty;
 use crate::plant::PlantChoice;
 use crate::result_folder::prepare;
+use crate::run_progress::{coupled_exit_code, with_bar};
 use opspace_experiment::report::coupled_table::coupling_table;
-use opspace_experiment::run::coupled_summary::CoupledSummary;
-use opspace_experiment::run::folder::{LOG, REPORT, SUMMARY};
+use opspace_experiment::run::result_files::{LOG, REPORT, SUMMARY};
 use opspace_experiment::{ControllerKind, CoupledExperiment, Extensions, Files};
 use std::path::PathBuf;
 
@@ -76,18 +75,6 @@ pub fn run_coupled(args: &RunArgs, extensions: &Extensions, console: Console) ->
     }
     args.open.show(&results.path().join(REPORT), console);
     Ok(coupled_exit_code(&summary))
-}
-
-/// Exit code of a run: the worst of its robots, and 1 if an expectation was missed.
-pub fn coupled_exit_code(summary: &CoupledSummary) -> Exit {
-    if summary.has_failed() {
-        return Exit::Failed;
-    }
-    let of_robots = summary.robots.values().map(exit_code);
-    match of_robots.into_iter().find(|exit| *exit != Exit::Done) {
-        None if !summary.not_saved.is_empty() => Exit::DataLost,
-        exit => exit.unwrap_or(Exit::Done),
-    }
 }
 
 /// Refuses options that choose something for one robot: the file states it for each.

@@ -6,8 +6,8 @@ use crate::key_page::key_page;
 use crate::output::pretty;
 use opspace_experiment::files::experiment_file::ExperimentFile;
 use opspace_experiment::files::robot::RobotFile;
-use opspace_experiment::files::suite::SuiteFile;
 use opspace_experiment::files::task::TaskFile;
+use opspace_experiment::suites::suite::SuiteFile;
 use schemars::{Schema, schema_for};
 
 pub fn schema(args: &SchemaArgs) -> Outcome {

@@ -1,7 +1,7 @@
 //! Task at another pose of the arm than the present one, at rest.
 
-use crate::hierarchy::nullspace::{Nullspace, ProjectedTask};
-use crate::hierarchy::products::{add_transposed, product};
+use crate::algebra::{add_transposed, product};
+use crate::nullspace::{Nullspace, ProjectedTask};
 use crate::tasks::task::Task;
 use nalgebra::{DVector, Matrix6xX, Vector6};
 use opspace_model::{Data, Model, update};

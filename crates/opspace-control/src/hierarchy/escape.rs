@@ -25,13 +25,13 @@
 //! the pose of the arm, as after a hold. It is given up after 10 s, or if the arm moves away from the goal; the arm then rests
 //! as without the option until it is demanded elsewhere.
 
+use crate::algebra::{dot, multiply, product};
 use crate::context::ControlContext;
 use crate::hierarchy::displaced_task::{DisplacedTask, error};
 use crate::hierarchy::mobility_spectrum::MobilitySpectrum;
-use crate::hierarchy::nullspace::{Nullspace, ProjectedTask};
 use crate::hierarchy::preview::{Preview, STEPS};
-use crate::hierarchy::products::{dot, multiply, product};
 use crate::hierarchy::saddle::{LostPose, Saddle};
+use crate::nullspace::{Nullspace, ProjectedTask};
 use crate::tasks::task::{Task, clear_free_rows};
 use nalgebra::{DVector, Matrix6xX, Vector6};
 use opspace_model::{Data, Model};

@@ -1,6 +1,6 @@
 //! Spectrum of a task's mobility Λ⁻¹, with the joint motion of each eigenvector.
 
-use crate::hierarchy::products::{add_transposed, product};
+use crate::algebra::{add_transposed, product};
 use nalgebra::{Matrix6, Matrix6xX, SymmetricEigen, Vector6};
 use opspace_model::MassMatrixFactor;
 

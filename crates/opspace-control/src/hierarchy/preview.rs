@@ -12,10 +12,10 @@
 //! that the tasks above need; h is 0.1 rad. Each step halves the errors along directions that the arm controls. Joints stop at their position
 //! limits.
 
+use crate::algebra::{add_transposed, product};
 use crate::hierarchy::displaced_task::{CORRECTED, DisplacedTask, error};
 use crate::hierarchy::mobility_spectrum::MobilitySpectrum;
-use crate::hierarchy::nullspace::Nullspace;
-use crate::hierarchy::products::{add_transposed, product};
+use crate::nullspace::Nullspace;
 use crate::tasks::task::Task;
 use nalgebra::{DVector, Matrix6xX, Vector6};
 use opspace_model::Model;

@@ -1,13 +1,13 @@
 //! A task of at most six rows at its priority level: its projected inertia and its torques.
 
+use crate::algebra::{add_transposed, product};
 use crate::context::ControlContext;
 use crate::controller::ControlInput;
 use crate::hierarchy::escape::{Effect, Escape, EscapeInput};
-use crate::hierarchy::nullspace::{Nullspace, ProjectedTask};
-use crate::hierarchy::products::{add_transposed, product};
 use crate::hierarchy::rank::TypicalMobility;
 use crate::hierarchy::standstill::{Outcome, Standstill};
 use crate::limits::resistance::Resistance;
+use crate::nullspace::{Nullspace, ProjectedTask};
 use crate::qp::level_cost::Reducible;
 use crate::qp::lexicographic::Residual;
 use crate::targets::TargetPlace;

@@ -1,10 +1,9 @@
-//! Feasibility of tasks: the rank of their axes over sampled configurations, and the arm's reach.
+//! Feasibility of tasks: the rank of their axes over sampled configurations, and their typical mobility.
 
-use crate::hierarchy::nullspace::{Nullspace, ProjectedTask};
-use crate::tasks::controlled_frame::ControlledFrame;
+use crate::nullspace::{Nullspace, ProjectedTask};
 use crate::tasks::task::Task;
 use nalgebra::{DMatrix, Matrix6xX, SymmetricEigen};
-use opspace_model::{Data, FrameId, Inversion, JointKind, Model, Postures, kinematics, update};
+use opspace_model::{Data, Inversion, Model, Postures, kinematics, update};
 
 /// Singular values below this fraction of the largest one count as zero. The value is far above rounding errors and far
 /// below the singular values of an axis that the arm can move, in its best configuration.
@@ -108,32 +107,4 @@ fn rank(matrix: &DMatrix<f64>) -> usize {
     let Some(values) = decomposed.map(|decomposed| decomposed.singular_values) else { return 0 };
     let floor = RANK_TOLERANCE * values.max();
     values.iter().filter(|&&v| v > floor).count()
-}
-
-/// Characteristic length that scales a task's rotations to displacements, m: the reach of the controlled frame.
-#[must_use]
-pub fn characteristic_length(model: &Model, controlled: ControlledFrame) -> f64 {
-    match controlled {
-        ControlledFrame::Frame(frame) | ControlledFrame::Relative { frame, .. } => reach(model, frame),
-        // The centre of mass does not rotate.
-        ControlledFrame::CenterOfMass => 1.0,
-    }
-}
-
-/// Upper bound of a frame's distance from the first joint that moves it, m: the sum of the distances between
-/// consecutive joints and of the strokes of prismatic joints; 1 m if the sum is zero.
-#[must_use]
-pub fn reach(model: &Model, frame: FrameId) -> f64 {
-    let mut sum = model.frame(frame).placement.translation.norm();
-    for i in model.ancestors(frame) {
-        let body = &model.bodies()[i];
-        if body.parent.is_some() {
-            sum += body.origin.translation.norm();
-        }
-        if body.kind == JointKind::Prismatic {
-            let (lower, upper) = model.joints()[body.joint].limits.range(body.kind);
-            sum += lower.abs().max(upper.abs());
-        }
-    }
-    if sum > 0.0 { sum } else { 1.0 }
 }

@@ -27,10 +27,10 @@
 //!
 //! G is the difference of J_pᵀ e at two poses, one for each vector of the basis, so that any task can be used.
 
+use crate::algebra::{add_transposed, dot, multiply, product};
 use crate::hierarchy::displaced_task::{DisplacedTask, error};
 use crate::hierarchy::mobility_spectrum::MobilitySpectrum;
-use crate::hierarchy::nullspace::Nullspace;
-use crate::hierarchy::products::{add_transposed, dot, multiply, product};
+use crate::nullspace::Nullspace;
 use crate::tasks::task::Task;
 use nalgebra::{DMatrix, DVector, Matrix6xX, Vector6};
 use opspace_model::{Data, Model};

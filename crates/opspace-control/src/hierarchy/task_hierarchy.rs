@@ -1,11 +1,11 @@
 //! The tasks of a robot in the order of their priority.
 
+use crate::algebra::multiply;
 use crate::controller::{ControlInput, StaleTarget};
 use crate::hierarchy::joint_standstill::JointStandstill;
-use crate::hierarchy::nullspace::Nullspace;
 use crate::hierarchy::priority_level::PriorityLevel;
-use crate::hierarchy::products::multiply;
 use crate::hierarchy::task_parameters::UNUSED_DAMPING_PER_S;
+use crate::nullspace::Nullspace;
 use crate::qp::level_cost::Reducible;
 use crate::qp::lexicographic::Residual;
 use crate::targets::{AllowedInputs, TargetPlace, Targets};

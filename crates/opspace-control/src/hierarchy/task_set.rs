@@ -2,11 +2,11 @@
 
 use crate::context::ControlContext;
 use crate::error::{ControlError, Reason};
-use crate::hierarchy::nullspace::Nullspace;
 use crate::hierarchy::priority_level::PriorityLevel;
 use crate::hierarchy::rank::{TypicalMobility, sampled_rank};
 use crate::hierarchy::task_hierarchy::TaskHierarchy;
 use crate::hierarchy::task_parameters::{TaskParameters, TaskSetParameters, largest_unused_damping_per_s};
+use crate::nullspace::Nullspace;
 use crate::tasks::cartesian::CartesianTask;
 use crate::tasks::coupled::CoupledTask;
 use crate::tasks::damping::Damping;

@@ -25,7 +25,7 @@
 //! If bounds contradict each other, those on torques and their rates take precedence; those that brake joints or pairs
 //! are then widened together, as little as possible.
 
-use crate::hierarchy::products::dot;
+use crate::algebra::dot;
 use crate::limits::bounds::{Bounds, JointState};
 use crate::limits::collision_limits::CollisionLimits;
 use crate::qp::lexicographic::SpeedBound;

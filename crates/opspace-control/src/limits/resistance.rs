@@ -27,9 +27,9 @@
 //! [standstill](crate::hierarchy::standstill) it stays at 1 at least and the arm is only braked (m = 0): joints that rest at
 //! their bounds, and unused degrees of freedom, would otherwise oscillate.
 
-use crate::hierarchy::nullspace::ProjectedTask;
-use crate::hierarchy::products::{add_transposed, multiply};
-use nalgebra::{DMatrix, DVector, Matrix6, Vector6};
+use crate::algebra::add_transposed;
+use crate::nullspace::ProjectedTask;
+use nalgebra::{DVector, Matrix6, Vector6};
 use opspace_model::Data;
 
 /// Force of the bounds per typical task inertia at which the passive arm has as much weight as the task, m/s².
@@ -115,24 +115,4 @@ impl Resistance {
         let target = (force / FULL_M_PER_S2).max(standstill);
         self.weight += (period_s / RISE_S).min(1.0) * (target - self.weight);
     }
-}
-
-/// Adds `weight` |δ + α − α_passive|²_M to a Hessian (lower triangle, n × n), and writes its gradient at δ = 0 into
-/// `pull` (n), for δ in units of 1/`scale` (n) and the accordingly scaled `mass` (n × n). `scratch` (n) is overwritten.
-pub(crate) fn add_resistance(
-    hessian: &mut DMatrix<f64>,
-    mass: &DMatrix<f64>,
-    weight: f64,
-    deviation: impl Iterator<Item = f64>,
-    scratch: &mut [f64],
-    pull: &mut [f64],
-) {
-    let n = pull.len();
-    for c in 0..n {
-        for r in c..n {
-            hessian[(r, c)] += weight * mass[(r, c)];
-        }
-    }
-    scratch.iter_mut().zip(deviation).for_each(|(x, deviation)| *x = weight * deviation);
-    multiply(mass, scratch, pull);
 }

@@ -1,4 +1,4 @@
-//! Costs of levels other than plain least squares: scaled tasks and weighted joints.
+//! Costs of levels other than plain least squares: scaled tasks, weighted joints, and the resistance of joints.
 //!
 //! A scaled level has one more variable, the reduction t. With y the deviation of its accelerations (J_p δ of rows, N δ of
 //! joints), v the predicted velocity, h the horizon and the metric G (D Λ D of rows, D M D of joints, with weights D),
@@ -10,6 +10,7 @@
 //! Without other deviations, y = −t v/|v| reduces the predicted velocity by the factor s = 1 − t h/|v|, at the cost
 //! (1 − s)² |v|²/h². A is the weight of all other deviations.
 
+use crate::algebra::multiply;
 use crate::qp::quadratic_program::{QuadraticProgram, dot};
 use nalgebra::{DMatrix, Matrix6, Matrix6xX, Vector6};
 
@@ -113,4 +114,24 @@ pub(crate) fn weigh_joints(
     }
     hessian[(last, last)] = weight * energy / (size * size) + 1.0;
     (PROXIMAL_SHARE * trace, Some(size / horizon_s))
+}
+
+/// Adds `weight` |δ + α − α_passive|²_M to a Hessian (lower triangle, n × n), and writes its gradient at δ = 0 into
+/// `pull` (n), for δ in units of 1/`scale` (n) and the accordingly scaled `mass` (n × n). `scratch` (n) is overwritten.
+pub(crate) fn add_resistance(
+    hessian: &mut DMatrix<f64>,
+    mass: &DMatrix<f64>,
+    weight: f64,
+    deviation: impl Iterator<Item = f64>,
+    scratch: &mut [f64],
+    pull: &mut [f64],
+) {
+    let n = pull.len();
+    for c in 0..n {
+        for r in c..n {
+            hessian[(r, c)] += weight * mass[(r, c)];
+        }
+    }
+    scratch.iter_mut().zip(deviation).for_each(|(x, deviation)| *x = weight * deviation);
+    multiply(mass, scratch, pull);
 }

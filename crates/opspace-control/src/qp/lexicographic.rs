@@ -23,13 +23,12 @@
 //! framework to inequality task*, IEEE T-RO 27(4), 2011; Escande, Mansard and Wieber, *Hierarchical quadratic
 //! programming*, IJRR 33(7), 2014.
 
-use crate::hierarchy::nullspace::Nullspace;
-use crate::hierarchy::products::{dot, multiply};
-use crate::limits::bounds::Bounds;
-use crate::limits::resistance::add_resistance;
+use crate::algebra::{dot, multiply};
+use crate::nullspace::Nullspace;
 use crate::qp::active_set::ActiveSet;
 use crate::qp::interior_point::InteriorPoint;
-use crate::qp::level_cost::{JointSpace, Reducible, scale_rows, weigh_joints};
+use crate::qp::interval::Interval;
+use crate::qp::level_cost::{JointSpace, Reducible, add_resistance, scale_rows, weigh_joints};
 use crate::qp::quadratic_program::{QpError, QuadraticProgram, axpy};
 use nalgebra::{DMatrix, DVector, Matrix6, Matrix6xX, Vector6};
 use opspace_model::Data;
@@ -95,7 +94,10 @@ pub(crate) enum Solver {
 
 /// Limits of one control cycle, on α and M α.
 pub(crate) struct Limits<'a> {
-    pub bounds: &'a mut Bounds,
+    /// Bounds on joint accelerations, rad/s² or m/s² (n).
+    pub acceleration: &'a mut Interval,
+    /// Bounds on commanded torques, Nm or N (n).
+    pub torque: &'a mut Interval,
     /// τ_own, the compensation torques that are added to M α, Nm or N (n).
     pub compensation_torque: &'a DVector<f64>,
     /// Joint acceleration in addition to α, rad/s² or m/s² (n).
@@ -107,8 +109,8 @@ impl Limits<'_> {
     /// Returns true if α and the torques M α respect all limits.
     pub(crate) fn allow(&self, alpha: &[f64], torque: &[f64]) -> bool {
         let joints = (0..alpha.len()).all(|i| {
-            self.bounds.acceleration.contains(i, alpha[i] + self.bias_acceleration[i])
-                && self.bounds.torque.contains(i, torque[i] + self.compensation_torque[i])
+            self.acceleration.contains(i, alpha[i] + self.bias_acceleration[i])
+                && self.torque.contains(i, torque[i] + self.compensation_torque[i])
         });
         joints && self.speeds.iter().all(|speed| speed.allows(alpha))
     }
@@ -409,7 +411,7 @@ impl HierarchicalQp {
     /// Widens the bounds to include the current α and M α, with a margin for rounding.
     fn admit(&mut self, data: &Data, limits: &mut Limits<'_>) {
         multiply(&data.mass_matrix, self.alpha.as_slice(), self.torque.as_mut_slice());
-        let (acceleration, torque) = (&mut limits.bounds.acceleration, &mut limits.bounds.torque);
+        let (acceleration, torque) = (&mut *limits.acceleration, &mut *limits.torque);
         for i in 0..self.scale.len() {
             for (interval, value) in [
                 (&mut *acceleration, self.alpha[i] + limits.bias_acceleration[i]),
@@ -690,7 +692,7 @@ impl HierarchicalQp {
             row[self.freedom] = 1.0;
             (self.program.lower[constraints], self.program.upper[constraints]) = (0.0, most);
         }
-        let (a, t) = (&limits.bounds.acceleration, &limits.bounds.torque);
+        let (a, t) = (&*limits.acceleration, &*limits.torque);
         for i in 0..n {
             let (scale, inverse) = (self.scale[i], self.inverse_scale[i]);
             let at = self.alpha[i] + limits.bias_acceleration[i];
@@ -743,9 +745,7 @@ impl HierarchicalQp {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::hierarchy::nullspace::tests::chain;
-    use crate::limits::horizon::HORIZON_S;
-    use crate::limits::joint_limits::JointLimits;
+    use crate::nullspace::tests::chain;
     use opspace_model::{Model, frame_jacobian, update};
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
@@ -756,7 +756,8 @@ mod tests {
         data: Data,
         jacobian: Matrix6xX<f64>,
         demand: DVector<f64>,
-        bounds: Bounds,
+        acceleration: Interval,
+        torque: Interval,
         speeds: Vec<SpeedBound>,
     }
 
@@ -770,18 +771,18 @@ mod tests {
             let mut jacobian = Matrix6xX::zeros(n);
             frame_jacobian(&model, &data, model.frame_id("end").expect("frame"), &mut jacobian);
             let demand = DVector::from_fn(n, |_, _| rng.random_range(-5.0..5.0));
-            let mut bounds = Bounds::new(&model, JointLimits::none(n), 1e-3, HORIZON_S);
+            let (mut acceleration, mut bounded) = (Interval::new(n), Interval::new(n));
             // The torques leave little choice, around accelerations that need not be within their bounds.
             let around = DVector::from_fn(n, |_, _| rng.random_range(-5.0..5.0));
             let torque = &data.mass_matrix * &around;
             for i in 0..n {
                 let half = if rng.random_bool(0.2) { f64::INFINITY } else { rng.random_range(0.0..0.2) };
                 let half = half * (1.0 + torque[i].abs());
-                (bounds.torque.lower[i], bounds.torque.upper[i]) = (torque[i] - half, torque[i] + half);
+                (bounded.lower[i], bounded.upper[i]) = (torque[i] - half, torque[i] + half);
                 if rng.random_bool(0.5) {
                     let middle = around[i] + rng.random_range(-3.0..3.0);
-                    bounds.acceleration.lower[i] = middle - 1.0;
-                    bounds.acceleration.upper[i] = middle + 1.0;
+                    acceleration.lower[i] = middle - 1.0;
+                    acceleration.upper[i] = middle + 1.0;
                 }
             }
             let speeds = (0..rng.random_range(0..3)).map(|_| {
@@ -790,7 +791,7 @@ mod tests {
                 SpeedBound { upper: row.dot(&around) + rng.random_range(-2.0..2.0), row }
             });
             let speeds = speeds.collect();
-            Self { model, data, jacobian, demand, bounds, speeds }
+            Self { model, data, jacobian, demand, acceleration, torque: bounded, speeds }
         }
 
         /// Solves a level of all rows, and returns α and the number of bounds that were met after they were widened, if any
@@ -800,7 +801,8 @@ mod tests {
             let cascade = &mut HierarchicalQp::new(n, 2, 10.0);
             let zero = DVector::zeros(n);
             let mut limits = Limits {
-                bounds: &mut self.bounds,
+                acceleration: &mut self.acceleration,
+                torque: &mut self.torque,
                 compensation_torque: &zero,
                 bias_acceleration: &zero,
                 speeds: &mut self.speeds,

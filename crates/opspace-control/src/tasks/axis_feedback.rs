@@ -1,8 +1,9 @@
 //! Feedback law of a Cartesian task: stiffness, damping and integral of each axis.
 
+use crate::axis_mode::AxisMode;
 use crate::error::{ControlError, Reason};
 use crate::references::reference::CartesianReference;
-use crate::tasks::axes::{AxisMode, required};
+use crate::tasks::axes::required;
 use crate::tasks::cartesian_parameters::CartesianParameters;
 use crate::tasks::cartesian_target::AxisSettings;
 use crate::tasks::force_parameters::default_force_damping;

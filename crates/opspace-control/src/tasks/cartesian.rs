@@ -16,10 +16,10 @@
 //! A speed limit ẋ_max bounds the desired speed and keeps its direction (Khatib 1987, §VI): with the damping 2ζω
 //! factored out, a* = 2ζω (ν ẋ* − v) with ẋ* = ẋ_d + ω/(2ζ) (x_d − x) and ν = min(1, ẋ_max/|ẋ*|).
 
+use crate::axis_mode::AxisMode;
 use crate::context::ControlContext;
 use crate::controller::ControlInput;
 use crate::error::{ControlError, Reason};
-use crate::hierarchy::rank::characteristic_length;
 use crate::orientation;
 use crate::references::path_bounds::PathPlace;
 use crate::references::reference::{CartesianReference, Trajectory};
@@ -27,12 +27,13 @@ use crate::references::streamed_pose::StreamedPose;
 use crate::references::target::Target;
 use crate::targets::AllowedInputs;
 use crate::tasks::admittance::Admittance;
-use crate::tasks::axes::{AXIS_NAMES, AxesFrame, AxisMode};
+use crate::tasks::axes::{AXIS_NAMES, AxesFrame};
 use crate::tasks::axis_feedback::AxisFeedback;
 use crate::tasks::cartesian_parameters::{
     CartesianParameters, CenterOfMassParameters, Decoupling, check_reference,
 };
 use crate::tasks::cartesian_target::{AxisSettings, inputs, settings};
+use crate::tasks::characteristic_length::characteristic_length;
 use crate::tasks::controlled_frame::ControlledFrame;
 use crate::tasks::force::{ForceFeedback, ForceInput};
 use crate::tasks::gains::integrate;

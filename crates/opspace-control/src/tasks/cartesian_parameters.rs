@@ -1,10 +1,11 @@
 //! Parameters of a Cartesian task, for files and code.
 
+use crate::axis_mode::AxisMode;
 use crate::error::{ControlError, Reason};
 use crate::references::joint_reference::check_times;
 use crate::references::path_motion::PathMotion;
 use crate::references::reference::CartesianReference;
-use crate::tasks::axes::{Axes, AxesFrameParameter, AxisMode, PerAxis};
+use crate::tasks::axes::{Axes, AxesFrameParameter, PerAxis};
 use crate::tasks::controlled_frame::ControlledFrame;
 use crate::tasks::damping_zone::DampingZone;
 use crate::tasks::force_parameters::ForceParameters;

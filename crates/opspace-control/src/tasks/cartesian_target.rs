@@ -1,10 +1,11 @@
 //! Inputs of a Cartesian task's streamed target, and a typed handle for it.
 
+use crate::axis_mode::AxisMode;
 use crate::orientation;
 use crate::references::streamed::given;
 use crate::references::streamed_pose::{ACCELERATION, POSE, QUATERNION_TOLERANCE, TWIST};
 use crate::targets::{AllowedInputs, InputHandle, TargetError, Targets, TaskHandle};
-use crate::tasks::axes::{AXIS_NAMES, AxisMode};
+use crate::tasks::axes::AXIS_NAMES;
 use opspace_backend::Signal;
 use opspace_model::Placement;
 use std::ops::Range;

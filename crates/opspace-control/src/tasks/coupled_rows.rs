@@ -3,9 +3,9 @@
 use crate::context::ControlContext;
 use crate::controller::ControlInput;
 use crate::error::{ControlError, Reason};
-use crate::hierarchy::rank::characteristic_length;
 use crate::orientation;
 use crate::tasks::axes::AXIS_NAMES;
+use crate::tasks::characteristic_length::characteristic_length;
 use crate::tasks::controlled_frame::ControlledFrame;
 use crate::tasks::coupled_parameters::{CoupledAxis, CoupledParameters};
 use crate::tasks::selected_joints::selected_joints;

@@ -1,10 +1,11 @@
 //! Force feedback of a Cartesian task: the force that is added on compliant and force axes, and on motion axes that
 //! compensate the sensed force.
 
+use crate::axis_mode::AxisMode;
 use crate::context::ControlContext;
 use crate::error::{ControlError, Reason};
 use crate::measurement::Measurement;
-use crate::tasks::axes::{AXIS_NAMES, Axes, AxisMode, required};
+use crate::tasks::axes::{AXIS_NAMES, Axes, required};
 use crate::tasks::force_axis::{AxisMotion, ForceAxis};
 use crate::tasks::force_parameters::ForceParameters;
 use crate::tasks::sensed_force::SensedForce;

@@ -12,7 +12,7 @@
 //! An axis that approaches moves at a constant speed v_a against the desired force, like a mass on a spring and a damper:
 //! a* = c (v_a − v) + c²/16 ∫ (v_a − v) dt, with twice the critical damping.
 
-use crate::tasks::axes::AxisMode;
+use crate::axis_mode::AxisMode;
 use crate::tasks::force_parameters::{COMPLIANT_GAIN, ContactParameters, ForceParameters, INTEGRAL_PER_S};
 use crate::tasks::force_passivity::ForcePassivity;
 use crate::tasks::gain_profile::value_at;

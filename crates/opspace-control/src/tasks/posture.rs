@@ -4,9 +4,9 @@
 //! τ = Nᵀ M (ω² (q_0 − q) − 2ζω q̇)
 //! ```
 
+use crate::algebra::multiply;
 use crate::controller::ControlInput;
 use crate::error::ControlError;
-use crate::hierarchy::products::multiply;
 use crate::per_joint::indices;
 use crate::tasks::joint_parameters::{JointFeedback, JointPostureParameters};
 use crate::tasks::joint_task::JointTask;

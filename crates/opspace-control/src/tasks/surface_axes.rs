@@ -11,8 +11,9 @@
 //! other axes turn with it, without turning about it. On a surface of the radius R the axis lags by the angle l/R. At rest
 //! and without contact, the axes keep their directions.
 
+use crate::axis_mode::AxisMode;
 use crate::error::Reason;
-use crate::tasks::axes::{AxesFrame, AxesFrameParameter, AxisMode};
+use crate::tasks::axes::{AxesFrame, AxesFrameParameter};
 use crate::tasks::cartesian_parameters::CartesianParameters;
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 

@@ -4,9 +4,9 @@
 //! τ = Nᵀ M (q̈_d + 2ζω (q̇_d − q̇) + ω² (q_d − q))
 //! ```
 
+use crate::algebra::multiply;
 use crate::controller::ControlInput;
 use crate::error::ControlError;
-use crate::hierarchy::products::multiply;
 use crate::references::joint_reference::{JointMotion, JointReference, JointTrajectory};
 use crate::references::streamed_joints::StreamedJoints;
 use crate::targets::TaskTarget;

@@ -141,7 +141,7 @@ fn torques_are_independent_of_length_unit() {
 fn reach_is_sum_of_link_lengths() {
     let model = four_joints();
     for (frame, expected) in [("hand", 0.235 + 0.275), ("elbow", 0.235), ("shoulder_roll", 1.0)] {
-        let reach = opspace_control::rank::reach(&model, model.frame_id(frame).expect("frame"));
+        let reach = opspace_control::reach(&model, model.frame_id(frame).expect("frame"));
         assert!((reach - expected).abs() < 1e-15, "{frame}: {reach} m");
     }
 }

@@ -7,10 +7,10 @@
 //! the mean magnitude of the old values. A single pair has no interval, and only the tolerance counts. The intervals
 //! are not corrected for the number of metrics.
 
+use crate::evaluate::summary::Summary;
 use crate::evaluate::table::{Cell, Table};
 use crate::run::experiment::Experiment;
 use crate::run::physics::OWN_PLANT;
-use crate::run::summary::Summary;
 use serde::Serialize;
 use serde_json::Value;
 use std::collections::{HashMap, HashSet};
@@ -362,7 +362,7 @@ impl BaselineComparison {
         let mut table = Table::new(&heads.map(|head| (head, "")));
         for metric in self.metrics.iter().filter(|metric| metric.verdict != Verdict::Same) {
             // The magnitudes of different metrics are not comparable: each number has its own digits.
-            let number = |value: f64| Cell::Text(crate::evaluate::table::format_number(value));
+            let number = |value: f64| Cell::Text(crate::text::format_number(value));
             table.push(vec![
                 metric.run.to_string().into(),
                 metric.metric.as_str().into(),

@@ -1,8 +1,8 @@
 //! Metrics of a coupling between two robots, computed from the logs of both.
 
-use crate::evaluate::coupling_metrics::{CouplingMetrics, FeltLine};
 use crate::evaluate::harmonics::{Harmonics, fit};
 use crate::evaluate::metrics::run_log::{Control, RmsMax, Run};
+use crate::metrics::coupling_metrics::{CouplingMetrics, FeltLine};
 use crate::run::coupled_experiment::{CoupledExperiment, Coupling};
 use crate::run::experiment::Experiment;
 use nalgebra::{Matrix3, Vector3};

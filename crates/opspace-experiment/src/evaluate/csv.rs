@@ -1,7 +1,7 @@
 //! Table of runs as CSV, for notebooks and spreadsheets.
 
-use crate::run::coupled_summary::CoupledSummary;
-use crate::run::summary::Summary;
+use crate::evaluate::coupled_summary::CoupledSummary;
+use crate::evaluate::summary::Summary;
 use serde::Serialize;
 use serde_json::{Map, Value};
 use std::collections::HashMap;

@@ -1,7 +1,7 @@
 //! Failures that no single metric shows: a run that ended as planned and still missed the purpose of its task.
 
-use crate::evaluate::metric_tables::Evaluation;
 use crate::evaluate::unreached::UnreachedGoal;
+use crate::metrics::metric_tables::Evaluation;
 use crate::run::experiment::Experiment;
 use opspace_backend::signal_names::{self, PHASE, REFERENCE, TICK_CHANNEL};
 use opspace_control::TaskParameters;

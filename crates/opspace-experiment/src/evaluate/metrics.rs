@@ -26,7 +26,7 @@ pub(crate) mod times;
 mod torque_errors;
 mod unreached_goals;
 
-pub use crate::evaluate::metric_tables::{
+pub use crate::metrics::metric_tables::{
     Compliance, Contact, ElementError, Evaluation, JointMetrics, Metrics, PoseErrors, Slack, TaskMetrics,
     Timing,
 };

@@ -1,9 +1,9 @@
 //! Notes under the tables of results: they explain terms, columns and what is missing.
 
-use crate::evaluate::metric_tables::{JointMetrics, PoseErrors, TaskMetrics};
 use crate::evaluate::results::{Measure, error_of_desired, group, task_table};
+use crate::evaluate::summary::Summary;
 use crate::files::source::KeyPath;
-use crate::run::summary::Summary;
+use crate::metrics::metric_tables::{JointMetrics, PoseErrors, TaskMetrics};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Note under tables of simulated runs.
@@ -254,10 +254,10 @@ pub fn joint_notes(summary: &Summary) -> Vec<String> {
 #[cfg(test)]
 mod tests {
     use super::{final_notes, joint_notes, notes, task_notes};
-    use crate::evaluate::metric_tables::{JointMetrics, TaskMetrics};
     use crate::evaluate::results::tests::summary;
     use crate::evaluate::results::{Measure, joint_table, task_table};
     use crate::evaluate::unreached::UnreachedGoal;
+    use crate::metrics::metric_tables::{JointMetrics, TaskMetrics};
 
     /// Checks joints whose desired torque is 0.5 % and 5 % of the limit, and one without a line above 8 Hz: cells and notes.
     #[test]

@@ -2,7 +2,7 @@
 
 use nalgebra::{DMatrix, Matrix6xX, Rotation3, UnitQuaternion};
 use opspace_control::ControlledFrame;
-use opspace_control::rank::characteristic_length;
+use opspace_control::characteristic_length;
 use opspace_model::{Data, FrameId, Model, frame_jacobian, frame_placement, gravity, update};
 
 /// Ratio of singular values below which the smaller one is zero.

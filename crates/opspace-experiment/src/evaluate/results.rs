@@ -1,11 +1,12 @@
 //! Comparison of summaries: the table that all commands print.
 
-use crate::evaluate::metric_tables::{JointMetrics, PoseErrors};
 use crate::evaluate::spread::Spread;
+use crate::evaluate::summary::Summary;
 use crate::evaluate::table::{Cell, Table, shown_unit};
-use crate::run::experiment::{ControllerKind, Experiment};
+use crate::files::controller_kind::ControllerKind;
+use crate::metrics::metric_tables::{JointMetrics, PoseErrors};
+use crate::run::experiment::Experiment;
 use crate::run::physics::OWN_PLANT;
-use crate::run::summary::Summary;
 use opspace_backend::CommandKind;
 use opspace_control::TaskParameters;
 use opspace_sim::EnvironmentObjectParameters;
@@ -530,8 +531,8 @@ fn drop_empty_columns(table: &mut Table) {
 #[cfg(test)]
 pub(crate) mod tests {
     use super::{MEASURES, group, group_rows, table};
+    use crate::evaluate::summary::Summary;
     use crate::run::physics::OWN_PLANT;
-    use crate::run::summary::Summary;
     use serde_json::json;
 
     pub(crate) fn summary(task: &str, profile: &str, seed: u64, position: f64) -> Summary {

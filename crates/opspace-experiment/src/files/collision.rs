@@ -2,7 +2,7 @@
 //! (`[obstacle.NAME.KIND]` of a task file).
 
 use crate::files::source::{FileError, Source};
-use crate::files::suggest::choices;
+use crate::suggest::choices;
 use nalgebra::Vector3;
 use opspace_backend::quantity::{NonNegative, Positive, exactly};
 use opspace_model::Model;

@@ -1,6 +1,6 @@
 //! Bounds on a metric in a task file.
 
-use crate::evaluate::table::format_number;
+use crate::text::format_number;
 #[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::Deserialize;

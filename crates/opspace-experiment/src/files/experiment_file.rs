@@ -1,7 +1,7 @@
 //! Files of experiments with several robots: robots with their tasks, couplings between tasks, and channels.
 
+use crate::files::controller_kind::ControllerKind;
 use crate::files::expectation::Expectation;
-use crate::run::experiment::ControllerKind;
 use opspace_backend::CommandKind;
 use opspace_backend::quantity::{Fraction, NonNegative, Positive, exactly};
 use opspace_control::{CarryParameters, TeleoperationParameters};

@@ -5,8 +5,8 @@ use std::ops::Range;
 use toml::de::{DeTable, DeValue};
 
 use crate::files::renamed::present_name;
-use crate::files::suggest::{self, nearest, same_but_unit, unit_of, units_differ};
 use crate::files::toml_path::{Part, dotted, keys_at, value_at};
+use crate::suggest::{self, nearest, same_but_unit, unit_of, units_differ};
 
 pub(crate) struct Words {
     pub(crate) message: String,

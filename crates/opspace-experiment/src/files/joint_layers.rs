@@ -7,7 +7,7 @@
 
 use crate::files::layered_path::{DEFAULTS, SERVO_TABLES, inner};
 use crate::files::source::{FileError, Source, explain};
-use crate::files::suggest::{self, choices};
+use crate::suggest::{self, choices};
 use opspace_model::{JointDynamics, Model};
 use opspace_transformer::{JointParameters, ServoParameters, VelocityServo};
 use serde::de::DeserializeOwned;

@@ -9,8 +9,8 @@ use std::ops::Range;
 use toml_edit::{Array, ArrayOfTables, DocumentMut, InlineTable, Item, Key, TableLike, Value};
 
 use crate::files::source::{FileError, Setting, Source, check_syntax};
-use crate::files::suggest::nearest;
 use crate::files::toml_path::{Part, dotted};
+use crate::suggest::nearest;
 
 /// Maximum depth of a key. Files are flat, so a deeper key is a mistake.
 const MAX_DEPTH: usize = 32;

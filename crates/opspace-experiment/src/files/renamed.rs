@@ -31,8 +31,8 @@ mod tests {
     use super::RENAMED;
     use crate::files::robot::RobotFile;
     use crate::files::source::{Source, parse};
-    use crate::files::suite::SuiteFile;
     use crate::files::task::TaskFile;
+    use crate::suites::suite::SuiteFile;
 
     /// Kind of file, old key, and a text with this key that contains only the tables required to reach it.
     const OLD_FILES: &[(&str, &str, &str)] = &[

@@ -2,7 +2,7 @@
 
 use crate::codes::Code;
 use crate::files::source::{FileError, Source};
-use crate::files::suggest::choices;
+use crate::suggest::choices;
 use opspace_model::{
     Limits, Model, ParsedUrdf, UrdfError, UrdfErrorKind, UrdfJoint, UrdfOptions, urdf_joints,
 };

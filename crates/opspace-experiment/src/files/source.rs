@@ -16,8 +16,8 @@ use toml::de::{DeTable, DeValue};
 use crate::codes::{Code, Effect};
 use crate::files::explain::{list, syntax_words, words};
 use crate::files::layered_path::stated_path;
-use crate::files::suggest::nearest;
 use crate::files::toml_path::{Part, depth_of, dotted, keys_at, path_at, span_of};
+use crate::suggest::nearest;
 
 /// Maximum size of a file. A larger file is probably a log or a mesh given by mistake.
 const MAX_BYTES: u64 = 4 << 20;

@@ -5,8 +5,8 @@ use crate::files::expectation::Expectation;
 use crate::files::origin::{Files, Kind, beside};
 use crate::files::overrides;
 use crate::files::source::{FileError, Source, checked, explain};
-use crate::files::suggest::nearest;
 use crate::files::task_kinds::TaskKinds;
+use crate::suggest::nearest;
 use opspace_backend::quantity::{NonNegative, Positive};
 use opspace_control::hierarchy::task_parameters::UNUSED_DAMPING_PER_S;
 use opspace_control::{

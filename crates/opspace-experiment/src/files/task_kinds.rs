@@ -1,7 +1,7 @@
 //! Registry of task kinds in addition to the built-in ones.
 
 use crate::files::source::{Document, FileError, Source, explain};
-use crate::files::suggest::nearest;
+use crate::suggest::nearest;
 use opspace_control::{ControlContext, ControlError, RegisteredTask, Task, TaskParameters};
 use opspace_model::Model;
 use serde::Deserialize;

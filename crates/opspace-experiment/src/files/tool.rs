@@ -1,7 +1,7 @@
 //! Tools and loads mounted on a robot: mass properties and the frame at the tip.
 
 use crate::files::source::{FileError, Source};
-use crate::files::suggest::choices;
+use crate::suggest::choices;
 use nalgebra::{Matrix3, Vector3};
 use opspace_backend::quantity::{NonNegative, exactly};
 use opspace_model::{Inertia, Model, Placement, principal_moments};

@@ -17,7 +17,7 @@ use super::diagnostic::{Diagnostic, short};
 use super::phase_margin::{Margin, hold, least_margin, rounded_down};
 use super::surfaces::{Surface, surfaces};
 use crate::codes::Code;
-use crate::run::experiment::ControllerKind;
+use crate::files::controller_kind::ControllerKind;
 use nalgebra::{Complex, DMatrix, DVector, Matrix6xX, RowDVector, Vector3};
 use opspace_backend::Setpoints;
 use opspace_backend::quantity::Positive;

@@ -1,11 +1,11 @@
 //! Diagnostics: predicted failures of a run, with their place and a remedy.
 
 use crate::codes::Code;
-pub(super) use crate::evaluate::table::format_short as short;
-use crate::evaluate::table::format_trimmed as trimmed;
 use crate::files::source::{FileError, Source};
 use crate::files::toml_path::dotted;
 use crate::run::experiment::Experiment;
+pub(super) use crate::text::format_short as short;
+use crate::text::format_trimmed as trimmed;
 
 /// Formats a proposed value that must be at least `number`: three significant digits, rounded up.
 pub(super) fn at_least(number: f64) -> String {

@@ -4,7 +4,7 @@ use super::case::PreflightCase;
 use super::diagnostic::{Diagnostic, short};
 use crate::codes::Code;
 use crate::evaluate::direction::direction;
-use crate::run::experiment::ControllerKind;
+use crate::files::controller_kind::ControllerKind;
 use nalgebra::{DMatrix, Matrix6xX, SymmetricEigen, Vector6};
 use opspace_control::tasks::task::DEFAULT_INVERSION;
 use opspace_control::{AXIS_NAMES, AxisMode, SingularEscape, TaskParameters};

@@ -7,7 +7,7 @@ use crate::codes::Code;
 use crate::run::rollout::{Instant, Rollout, error};
 use crate::setup::posture_at::{PostureSearch, REACHED_M, norm_in};
 use nalgebra::Vector6;
-use opspace_control::rank::reach;
+use opspace_control::reach;
 use opspace_control::{AXIS_NAMES, CartesianReference, ControlledFrame, Task, TaskParameters};
 use opspace_model::{Data, FrameId, kinematics};
 

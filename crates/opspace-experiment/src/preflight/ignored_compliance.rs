@@ -3,8 +3,9 @@
 use super::case::PreflightCase;
 use super::diagnostic::Diagnostic;
 use crate::codes::Code;
+use crate::files::controller_kind::ControllerKind;
 use crate::run::compliance::compliance;
-use crate::run::experiment::{ControllerKind, Experiment};
+use crate::run::experiment::Experiment;
 use opspace_transformer::{Method, TransformerKind};
 
 /// Reports each task whose compliance the controller ignores, or the transformer damps, once.

@@ -4,7 +4,7 @@ use super::case::PreflightCase;
 use super::diagnostic::{Diagnostic, at_least, short};
 use crate::codes::Code;
 use nalgebra::Vector3;
-use opspace_control::rank::reach;
+use opspace_control::reach;
 use opspace_model::frame_placement;
 use opspace_sim::EnvironmentObjectParameters;
 

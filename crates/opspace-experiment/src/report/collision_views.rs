@@ -1,10 +1,10 @@
 //! Views of arm, obstacles and environment as inline SVG, from three sides, at each moment of a run.
 
-use crate::evaluate::table::format_short;
 use crate::report::collision_moments::{ClosestPair, CollisionMoment, PlacedShape};
 use crate::report::environment_shapes::{EnvironmentShape, PlacedObject};
 use crate::report::figure::{Axis, Chart, Drawn, INK, PALETTE, canvas, chart, escape, printable, px, text};
 use crate::report::polygon::{cut, on, within};
+use crate::text::format_short;
 use nalgebra::{Vector2, Vector3};
 use opspace_model::collision::{Capsule, CollisionShape, HalfSpace};
 use plotters::prelude::*;

@@ -2,9 +2,9 @@
 
 use crate::evaluate::results::{Group, control, group};
 use crate::evaluate::spread::Spread;
+use crate::evaluate::summary::Summary;
 use crate::report::figure::{Comparison, ComparisonRow, Figure, Panel, Scale, Series, Style};
 use crate::report::run_section::RunSection;
-use crate::run::summary::Summary;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Creates a chart for each quantity: a row per task and profile, a mark per kind of robot, controller and transformer.

@@ -1,14 +1,14 @@
 //! Page about an experiment with several robots.
 
+use crate::evaluate::coupled_summary::CoupledSummary;
 use crate::evaluate::coupling::FELT_HZ;
-use crate::evaluate::coupling_metrics::{CouplingMetrics, FeltLine};
+use crate::metrics::coupling_metrics::{CouplingMetrics, FeltLine};
 use crate::report::coupled_table::{coupling_notes, coupling_table};
 use crate::report::document::{run_blocks, with_assumed};
 use crate::report::figure::{Figure, Panel, Series, Style};
 use crate::report::html::Page;
 use crate::report::run_section::RunSection;
 use crate::run::coupled_experiment::CoupledExperiment;
-use crate::run::coupled_summary::CoupledSummary;
 
 /// Builds the page about a run: the couplings, then each robot.
 pub(crate) fn coupled_page(

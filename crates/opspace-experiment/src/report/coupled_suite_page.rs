@@ -1,9 +1,9 @@
 //! Page about a suite of experiments with several robots.
 
+use crate::evaluate::coupled_summary::CoupledSummary;
 use crate::report::coupled_table::{coupling_notes, coupling_table};
 use crate::report::document::with_assumed;
 use crate::report::html::Page;
-use crate::run::coupled_summary::CoupledSummary;
 
 /// Builds the page about a suite. `pages` are names of runs, and the pages about them, as paths beside this page.
 #[must_use]

@@ -1,8 +1,8 @@
 //! Table of couplings.
 
-use crate::evaluate::coupling_metrics::CouplingMetrics;
+use crate::evaluate::coupled_summary::CoupledSummary;
 use crate::evaluate::table::{Cell, Table};
-use crate::run::coupled_summary::CoupledSummary;
+use crate::metrics::coupling_metrics::CouplingMetrics;
 use crate::run::physics::OWN_PLANT;
 
 /// Column of the table of couplings.

@@ -2,12 +2,12 @@
 
 use crate::evaluate::notes::{allowed_notes, assumed_notes, joint_notes, notes, task_notes};
 use crate::evaluate::results::{Measure, failures, group, joint_table, table, task_table};
+use crate::evaluate::summary::Summary;
 use crate::evaluate::table::Table;
 use crate::report::comparisons::{comparisons, overlays, sweeps};
 pub use crate::report::environment_shapes::{EnvironmentShape, PlacedObject};
 use crate::report::html::Page;
 pub use crate::report::run_section::{ClosestPair, CollisionMoment, PlacedShape, RunSection};
-use crate::run::summary::Summary;
 
 /// Builds a page about runs: one table, then a section for each run in `shown`.
 #[must_use]

@@ -6,7 +6,7 @@
 //! contains a remark.
 
 use crate::evaluate::spread::Spread;
-use crate::evaluate::table::format_short;
+use crate::text::format_short;
 use std::ops::Range;
 
 use plotters::coord::Shift;

@@ -1,8 +1,8 @@
 //! Lines and panels over time, from the log of a run.
 
 use crate::evaluate::metrics::run_log::Run;
-use crate::evaluate::table::format_short;
 use crate::report::figure::{Figure, Panel, Series, Style};
+use crate::text::format_short;
 use opspace_backend::signal_names::Q;
 use opspace_log::{ChannelData, Column};
 

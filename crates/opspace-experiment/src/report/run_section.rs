@@ -1,6 +1,7 @@
 //! Section of a page about one run.
 
 use crate::evaluate::notes::final_notes;
+use crate::evaluate::summary::Summary;
 pub use crate::report::collision_moments::{ClosestPair, CollisionMoment, PlacedShape};
 use crate::report::figure::Figure;
 use crate::report::run_figures::RunFigures;
@@ -8,7 +9,6 @@ use crate::run::error::RunError;
 use crate::run::experiment::Experiment;
 use crate::run::log_header;
 use crate::run::physics::OWN_PLANT;
-use crate::run::summary::Summary;
 use opspace_log::{LogFile, RECOVERED, Recording};
 use opspace_sim::{EnvironmentObjectParameters, WorldAxis};
 use opspace_transformer::VelocitySource;

@@ -4,20 +4,21 @@
 //! log can be replayed alone.
 
 use crate::codes::{AllowedRefusal, Code};
-use crate::evaluate::coupling_metrics::check_expectations;
-use crate::evaluate::table::format_short;
 use crate::extensions::Extensions;
+use crate::files::controller_kind::ControllerKind;
 use crate::files::experiment_file::{
     ChannelFile, CouplingEnd, CouplingFile, ExperimentFile, ExperimentRobot,
 };
 use crate::files::origin::{Files, Kind, beside};
 use crate::files::overrides;
 use crate::files::source::{FileError, Source, parse};
-use crate::files::suggest::choices;
+use crate::metrics::coupling_metrics::check_expectations;
 use crate::run::error::RunError;
 use crate::run::execute::Progress;
-use crate::run::experiment::{ControllerKind, Experiment, RunOptions};
+use crate::run::experiment::{Experiment, RunOptions};
 use crate::run::membership::Membership;
+use crate::suggest::choices;
+use crate::text::format_short;
 use opspace_backend::quantity::{NonNegative, Positive};
 use opspace_backend::{
     Backend, Capabilities, GroundTruth, Layout, Signal, Sink, TICK, TruthLayouts, signal_names,

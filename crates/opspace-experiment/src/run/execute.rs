@@ -1,9 +1,7 @@
 //! Execution of an experiment, with its log.
 
-use crate::evaluate::metrics::Evaluator;
 use crate::run::error::RunError;
 use crate::run::experiment::Experiment;
-use crate::run::summary::Summary;
 use opspace_backend::{Backend, Capabilities, GroundTruth, Layout, SERVO, Sink, TruthLayouts, World};
 use opspace_log::{
     Channel, OutcomeRecord, Pace, Recorder, Recording, SegmentRecorder, WriteStats, Writer, record,
@@ -170,17 +168,6 @@ impl Experiment {
         let log =
             OpenLog { recorder, writer, progress: &progress.ticks, ticks: 0, rows: 0, began: Instant::now() };
         Ok((control, log))
-    }
-
-    /// Runs the experiment in simulation without a log, and returns its summary.
-    ///
-    /// # Errors
-    /// A robot that cannot be simulated.
-    pub fn run_without_log(&self, progress: &Progress) -> Result<Summary, RunError> {
-        let mut evaluator = Evaluator::new(self);
-        let (record, realtime_factor) =
-            self.run_in_segments(progress, |segment, is_last| evaluator.add(segment, is_last))?;
-        Ok(self.summary_of(&Recording::default(), evaluator.finish(), &record, Some(realtime_factor)))
     }
 
     /// Runs the experiment in simulation and passes its rows to `receive` in segments, in order, with true for the last

@@ -1,14 +1,14 @@
 //! Experiment: a task on a robot, assembled from the task file and the robot file.
 
 use crate::codes::{AllowedRefusal, Code};
-use crate::evaluate::expectations;
 use crate::extensions::Extensions;
+use crate::files::controller_kind::ControllerKind;
 use crate::files::origin::Files;
 use crate::files::overrides::split;
 use crate::files::robot::RobotDefinition;
 use crate::files::source::FileError;
-use crate::files::suggest::choices;
 use crate::files::task::TaskDefinition;
+use crate::metrics::expectations;
 use crate::run::collision::{KeptDistances, kept_distances};
 use crate::run::membership::Membership;
 use crate::run::path_bounds::{PASSES, bounds, path_of, time_optimal_paths};
@@ -16,6 +16,7 @@ use crate::run::path_dynamics::JointBounds;
 use crate::run::physics::Physics;
 use crate::run::rollout::{Rollout, RolloutCase};
 use crate::run::start_positions::{IN_DEGREES, are_degrees, check_start, others_outside};
+use crate::suggest::choices;
 use opspace_backend::quantity::Positive;
 use opspace_backend::{Capabilities, CommandKind, GravityCompensation, MissedCycle};
 use opspace_control::hierarchy::task_parameters::largest_unused_damping_per_s;
@@ -34,53 +35,9 @@ use opspace_sim::{
 use opspace_transformer::{
     FrictionCompensation, FrictionObserver, JointParameters, ProfileParameters, ServoGains, TransformerKind,
 };
-#[cfg(feature = "schema")]
-use schemars::JsonSchema;
-use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-
-/// Controller of the robot.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
-#[serde(rename_all = "kebab-case")]
-#[non_exhaustive]
-pub enum ControllerKind {
-    /// Operational-space control: torques.
-    Osc,
-    /// Inverse kinematics: positions.
-    Ik,
-    /// Inverse kinematics with velocity lead and compensation of the gravity sag.
-    IkLead,
-}
-
-impl ControllerKind {
-    /// All controllers.
-    pub const ALL: [Self; 3] = [Self::Osc, Self::Ik, Self::IkLead];
-
-    /// Name of the controller in files, tables and on the command line.
-    #[must_use]
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Osc => "osc",
-            Self::Ik => "ik",
-            Self::IkLead => "ik-lead",
-        }
-    }
-
-    /// Description in one line.
-    #[must_use]
-    pub fn description(self) -> &'static str {
-        match self {
-            Self::Osc => "Operational-space control: joint torques",
-            Self::Ik => "Inverse kinematics, streamed as joint positions, without torque control",
-            Self::IkLead => {
-                "Inverse kinematics with velocity lead and compensation of gravity sag, streamed as joint positions"
-            }
-        }
-    }
-}
 
 /// Options of an experiment besides the two files.
 #[derive(Clone, Debug, PartialEq)]

@@ -2,12 +2,13 @@
 
 use crate::codes::AllowedRefusal;
 use crate::extensions::Extensions;
+use crate::files::controller_kind::ControllerKind;
 use crate::files::overrides;
 use crate::files::robot::RobotDefinition;
 use crate::files::source::Source;
 use crate::files::task::TaskDefinition;
 use crate::run::error::RunError;
-use crate::run::experiment::{ControllerKind, Experiment, RunOptions};
+use crate::run::experiment::{Experiment, RunOptions};
 use crate::run::membership::Membership;
 use crate::run::physics::Physics;
 use opspace_backend::quantity::Positive;
@@ -43,7 +44,7 @@ const EXPERIMENT_ROBOT: &str = "experiment_robot";
 const CAPSULES_FILE: &str = "capsules.json";
 
 /// True if the log was recorded on a real robot.
-pub(super) fn is_real(recording: &Recording) -> bool {
+pub(crate) fn is_real(recording: &Recording) -> bool {
     recording.metadata(RUN).and_then(|entries| entries.get(WORLD)).is_some_and(|world| world == REAL)
 }
 

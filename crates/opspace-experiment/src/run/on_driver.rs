@@ -3,10 +3,10 @@
 use crate::codes::Code;
 use crate::extensions::Extensions;
 use crate::files::source::FileError;
-use crate::files::suggest::choices;
 use crate::run::error::RunError;
 use crate::run::execute::{Progress, RunResult};
 use crate::run::experiment::Experiment;
+use crate::suggest::choices;
 use opspace_backend::{Backend, Driver, DriverError, Setting, Settings};
 use std::io::Write;
 
@@ -35,7 +35,7 @@ impl Experiment {
     }
 
     /// Opens the robot of `[driver]`, calls `body`, and closes the robot.
-    pub(super) fn with_driver<T>(
+    pub(crate) fn with_driver<T>(
         &self,
         extensions: &Extensions,
         body: impl FnOnce(&mut dyn Backend) -> Result<T, RunError>,

@@ -2,14 +2,12 @@
 //! for comparisons are rejected.
 
 use crate::codes::Code;
-use crate::extensions::Extensions;
+use crate::files::controller_kind::ControllerKind;
 use crate::files::source::{FileError, Source};
 use crate::files::task::TaskDefinition;
 use crate::files::task_kinds::TaskKinds;
 use crate::run::error::RunError;
-use crate::run::execute::Progress;
-use crate::run::experiment::{ControllerKind, Experiment, RunOptions};
-use crate::run::summary::Summary;
+use crate::run::experiment::{Experiment, RunOptions};
 use opspace_backend::{Backend, CommandKind, DeviceFault, Sample};
 use opspace_control::{SingularityHandling, TaskParameters};
 use opspace_model::{Joint, JointKind};
@@ -69,7 +67,7 @@ impl Experiment {
     }
 
     /// Checks that a real robot is at the start position of the task, so that its setpoints do not jump.
-    pub(super) fn check_start(&self, backend: &mut dyn Backend) -> Result<(), RunError> {
+    pub(crate) fn check_start(&self, backend: &mut dyn Backend) -> Result<(), RunError> {
         let q = positions(backend)?;
         let joints = self.robot.model.joints().iter();
         let away = joints.zip(self.start()?).zip(q).find(|((_, start), q)| !is_at(*q, *start));
@@ -146,24 +144,6 @@ impl Experiment {
         );
         text
     }
-
-    /// Opens the robot of `[driver]` and moves it slowly to the start position of the task
-    /// ([`motion_to_start`](Self::motion_to_start)). Writes log, summary and report of the motion to `folder`. `None`
-    /// if the robot is already there.
-    ///
-    /// # Errors
-    /// As [`run_on_driver`](Self::run_on_driver).
-    pub fn move_to_start(
-        &self,
-        extensions: &Extensions,
-        folder: &Path,
-        progress: &Progress,
-    ) -> Result<Option<Summary>, RunError> {
-        self.with_driver(extensions, |backend| {
-            let Some(motion) = self.motion_to_start(&positions(backend)?)? else { return Ok(None) };
-            motion.in_folder(folder, |log| motion.run_on(backend, log, progress)).map(Some)
-        })
-    }
 }
 
 /// True if a joint is at its start position; false for NaN.
@@ -172,7 +152,7 @@ fn is_at(q: f64, start: f64) -> bool {
 }
 
 /// Reads the current joint positions of a robot (n; rad or m).
-fn positions(backend: &mut dyn Backend) -> Result<Vec<f64>, RunError> {
+pub(crate) fn positions(backend: &mut dyn Backend) -> Result<Vec<f64>, RunError> {
     let mut sample = Sample::new(backend.capabilities());
     let read = backend.read(&mut sample).and_then(|()| match sample.q.iter().all(|q| q.is_finite()) {
         true => Ok(()),

@@ -8,6 +8,13 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{SystemTime, UNIX_EPOCH};
 
+/// File name of a run's log.
+pub const LOG: &str = "run.mcap";
+/// File name of the page of a run or a suite.
+pub const REPORT: &str = "report.html";
+/// File name of a run's summary.
+pub const SUMMARY: &str = "summary.json";
+
 /// Number of times that a folder which is moved while it is locked is tried again.
 const ATTEMPTS: usize = 100;
 

@@ -1,8 +1,8 @@
 //! Start of an experiment in words, for a reader who is about to run it.
 
-use crate::evaluate::table::format_short;
 use crate::files::source::FileError;
 use crate::run::experiment::Experiment;
+use crate::text::format_short;
 use opspace_control::TaskParameters;
 use opspace_model::{Data, frame_placement, kinematics};
 

@@ -1,7 +1,8 @@
 //! Transformer of an experiment: choice with its reason, requirements on the robot, and construction.
 
+use crate::files::controller_kind::ControllerKind;
 use crate::files::source::FileError;
-use crate::run::experiment::{ControllerKind, Experiment};
+use crate::run::experiment::Experiment;
 use nalgebra::DMatrix;
 use opspace_backend::quantity::{NonNegative, Positive};
 use opspace_backend::{CommandKind, Measured, Setpoints};

@@ -4,8 +4,8 @@
 //! in place of names. Servos follow from the bandwidth of the template and the inertias of the URDF.
 
 use crate::files::source::{FileError, Source, parse};
-use crate::files::suggest::choices;
 use crate::setup::tip::tip;
+use crate::suggest::choices;
 use nalgebra::Vector3;
 use opspace_model::{JointKind, Model};
 use serde::Deserialize;

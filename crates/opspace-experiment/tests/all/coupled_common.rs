@@ -1,7 +1,7 @@
 //! Runs of experiments with several robots, with their logs in memory.
 
 use opspace_backend::signal_names;
-use opspace_experiment::run::coupled_summary::CoupledSummary;
+use opspace_experiment::evaluate::coupled_summary::CoupledSummary;
 use opspace_experiment::run::result_files::ResultFolder;
 use opspace_experiment::{CoupledExperiment, Extensions, Files, Progress};
 use opspace_log::Recording;

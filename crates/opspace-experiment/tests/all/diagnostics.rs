@@ -2,7 +2,7 @@
 #![expect(clippy::unwrap_used, reason = "a test that can't go on has failed")]
 
 use opspace_backend::CommandKind;
-use opspace_control::rank::reach;
+use opspace_control::reach;
 use opspace_experiment::Progress;
 use opspace_experiment::evaluate::metrics::metrics;
 use opspace_experiment::preflight::not_checked;

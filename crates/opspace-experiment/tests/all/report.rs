@@ -4,11 +4,12 @@ use std::path::PathBuf;
 use std::process::Command;
 
 use opspace_experiment::evaluate::spread::Spread;
-use opspace_experiment::evaluate::table::{Cell, Table, format_number};
+use opspace_experiment::evaluate::table::{Cell, Table};
 use opspace_experiment::report::figure::{
     Comparison, ComparisonRow, Figure, Panel, Scale, Series, Style, decimate,
 };
 use opspace_experiment::report::html::Page;
+use opspace_experiment::text::format_number;
 use roxmltree::{Document, Node, ParsingOptions};
 
 const SVG: &str = "http://www.w3.org/2000/svg";

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use opspace_experiment::files::source::{FileError, Source, parse};
-use opspace_experiment::files::suggest::{nearest, unit_symbol};
+use opspace_experiment::suggest::{nearest, unit_symbol};
 use serde::Deserialize;
 
 #[derive(Debug, Deserialize)]

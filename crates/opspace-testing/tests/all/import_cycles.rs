@@ -1,176 +1,180 @@
-//! No file of a crate imports, directly or through others, a file that imports it.
+//! No layer of a crate imports, directly or through others, a layer that imports it.
 //!
-//! Compared: the `use crate::` and `use super::` edges between the files of each crate, without tests, and a list
-//! without cycles. The dynamics files of opspace-model are excepted, because they share one `Model` and one `Data`.
+//! Compared: the imports between the files of each crate, without tests, and a list without cycles. The layers of a
+//! crate are the files and folders in `src/`; those of a folder are the files and folders in it. A folder includes
+//! the file of its name, which declares its modules; where it has code of its own, it is a layer of the folder too.
 
+use crate::imports::{Module, Sources};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Crates in which cycles are allowed.
-const EXCEPTED: [&str; 1] = ["opspace-model"];
+/// Imports that are allowed in cycles: `Data` has fields of types that belong to one algorithm each, and every
+/// algorithm needs `Data`.
+const ALLOWED: [[&str; 3]; 3] = [
+    ["opspace-model", "data", "cholesky"],
+    ["opspace-model", "data", "coriolis"],
+    ["opspace-model", "data", "derivatives"],
+];
 
-/// Module path in a crate; empty for lib.rs.
-type Module = Vec<String>;
+/// Name of a folder's own file among its layers.
+const OWN: &str = "own file";
+
+/// Layers that each layer imports, with the files of one such import.
+type Layers = BTreeMap<String, BTreeMap<String, String>>;
 
 #[test]
 fn no_crate_has_an_import_cycle() {
-    let crates = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
     let mut cycles = Vec::new();
     let mut edges = 0;
-    for entry in fs::read_dir(crates).expect("the folder of the crates") {
-        let root = entry.expect("a folder").path();
-        let name = root.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        if EXCEPTED.contains(&name.as_str()) || !root.join("src").is_dir() {
-            continue;
+    for (name, root) in crates() {
+        let mut imports = Sources::read(&root.join("src")).imports();
+        for [_, from, to] in ALLOWED.iter().filter(|[allowed, ..]| *allowed == name) {
+            let targets = imports.get_mut(&vec![(*from).to_owned()]).expect("a file that imports");
+            assert!(targets.remove(&vec![(*to).to_owned()]), "{name}: {from} does not import {to}");
         }
-        let imports = imports(&root.join("src"));
         edges += imports.values().map(BTreeSet::len).sum::<usize>();
-        cycles.extend(cycle(&imports).map(|files| format!("{name}: {}", files.join(" -> "))));
+        cycles.extend(cycles_of(&imports).into_iter().map(|cycle| format!("{name}: {cycle}")));
     }
-    assert!(edges > 200, "only {edges} imports were found: the reader is wrong");
+    assert!(edges > 1000, "only {edges} imports were found: the reader is wrong");
     assert!(cycles.is_empty(), "import cycles:\n{}", cycles.join("\n"));
 }
 
+/// Compared: the orders of layers in ARCHITECTURE.md, and the folders and imports of each crate that has folders.
 #[test]
-fn cycle_is_found() {
-    let module = |name: &str| vec![name.to_owned()];
-    let edge = |from: &str, to: &str| (module(from), BTreeSet::from([module(to)]));
-    let circle = BTreeMap::from([edge("a", "b"), edge("b", "c"), edge("c", "a"), edge("d", "a")]);
-    assert_eq!(cycle(&circle), Some(["a", "b", "c", "a"].map(str::to_owned).to_vec()));
-    let tree = BTreeMap::from([edge("a", "b"), edge("b", "c"), edge("d", "a")]);
-    assert_eq!(cycle(&tree), None);
-}
-
-#[test]
-fn nested_imports_are_read() {
-    let text = "use crate::a::{b::C, d};\nuse super::e;\npub use f::G;\nuse std::fmt;\n#[cfg(test)]\nmod tests { use crate::z; }\n";
-    let found: Vec<String> =
-        paths(text, &["x".to_owned(), "y".to_owned()]).iter().map(|p| p.join("::")).collect();
-    assert_eq!(found, ["a::b::C", "a::d", "x::e", "x::y::f::G"]);
-}
-
-/// Modules that each module of a crate imports.
-fn imports(src: &Path) -> BTreeMap<Module, BTreeSet<Module>> {
-    let mut files = BTreeMap::new();
-    collect(src, &mut Vec::new(), &mut files);
-    let modules: BTreeSet<Module> = files.keys().cloned().collect();
-    let edges = |module: &Module, path: &PathBuf| {
-        let text = fs::read_to_string(path).expect("a source file");
-        let targets = paths(&text, module).into_iter().filter_map(|path| defining(&path, &modules));
-        targets.filter(|target| target != module).collect()
-    };
-    files.iter().map(|(module, path)| (module.clone(), edges(module, path))).collect()
-}
-
-fn collect(folder: &Path, module: &mut Module, files: &mut BTreeMap<Module, PathBuf>) {
-    for entry in fs::read_dir(folder).expect("a source folder") {
-        let path = entry.expect("a source file").path();
-        let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-        if path.is_dir() {
-            module.push(name);
-            collect(&path, module, files);
-            module.pop();
-        } else if path.extension().is_some_and(|extension| extension == "rs") {
-            let mut own = module.clone();
-            if !["lib", "main", "mod"].contains(&name.as_str()) {
-                own.push(name);
-            }
-            files.insert(own, path);
+fn layers_are_in_the_order_of_the_architecture() {
+    let page = fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("../../ARCHITECTURE.md"));
+    let page = page.expect("the page of the architecture");
+    let mut found = Vec::new();
+    for (name, root) in crates() {
+        let imports = Sources::read(&root.join("src")).imports();
+        let line = page.lines().find_map(|line| line.strip_prefix(&format!("* `{name}`: ")));
+        let order: Vec<&str> =
+            line.unwrap_or_default().split(" < ").map(|layer| layer.trim_matches('`')).collect();
+        let place = |module: &Module| order.iter().position(|layer| *layer == module[0]);
+        let folders = imports.keys().filter(|module| module.len() > 1 && place(module).is_none());
+        found.extend(folders.map(|module| format!("{name}: {} has no place", module.join("::"))));
+        let unknown = order.iter().filter(|layer| !imports.keys().any(|module| module.join("::") == **layer));
+        found.extend(unknown.map(|layer| format!("{name}: there is no {layer}")));
+        for (from, targets) in imports.iter().filter(|(from, _)| !from.is_empty()) {
+            let upward = targets.iter().filter(|to| !to.is_empty() && place(to) > place(from));
+            let upward = upward.filter(|_| place(from).is_some());
+            found.extend(upward.map(|to| format!("{name}: {} imports {}", from.join("::"), to.join("::"))));
         }
     }
+    assert!(found.is_empty(), "{}", found.join("\n"));
 }
 
-/// Module whose file defines an item: the longest prefix of its path that is a module.
-fn defining(path: &[String], modules: &BTreeSet<Module>) -> Option<Module> {
-    (1..=path.len()).rev().map(|length| path[..length].to_vec()).find(|part| modules.contains(part))
+/// Compared: a constructed crate whose files import each other in no circle but whose folders do, and its one cycle.
+#[test]
+fn cycle_of_folders_is_found() {
+    let texts = [
+        ("", "pub mod a; pub mod b; pub use b::{low::Low, high::High};"),
+        ("a", "mod middle;"),
+        ("a::middle", "use crate::Low; pub struct Middle(Low);"),
+        ("b", "pub mod low; pub mod high;"),
+        ("b::low", "pub struct Low;"),
+        ("b::high", "use crate::a::middle::Middle; pub struct High(Middle);"),
+    ];
+    let cycle = "a -> b (a::middle imports b::low), b -> a (b::high imports a::middle)";
+    assert_eq!(cycles_of(&Sources::of_texts(&texts).imports()), [cycle]);
+    assert!(cycles_of(&Sources::of_texts(&texts[..5]).imports()).is_empty());
 }
 
-/// Paths that a file imports from its crate, relative to the crate root.
-fn paths(text: &str, module: &[String]) -> Vec<Vec<String>> {
-    let code = text.split("#[cfg(test)]\nmod").next().unwrap_or_default();
-    let mut found = Vec::new();
-    for line in code.split(';') {
-        let statement =
-            line.rsplit_once("use ").map(|(before, tree)| (before.lines().last().unwrap_or(""), tree));
-        let Some((before, tree)) = statement else { continue };
-        let before = before.trim();
-        if !(before.is_empty() || before.starts_with("pub")) {
+/// Compared: a folder whose file defines what a file in the folder imports, and the cycle of both.
+#[test]
+fn cycle_with_the_file_of_a_folder_is_found() {
+    let texts = [("a", "mod b; pub struct A(b::B);"), ("a::b", "use super::A; pub struct B;")];
+    let cycle = "a::b -> own file (a::b imports a), own file -> a::b (a imports a::b)";
+    assert_eq!(cycles_of(&Sources::of_texts(&texts).imports()), [cycle]);
+}
+
+/// Compared: imports in all forms, and the files that define the items.
+#[test]
+fn imports_are_followed_to_their_definition() {
+    let texts = [
+        ("", "mod x; mod y; mod z; pub use x::deep::Deep; pub use y::*;"),
+        ("x", "pub mod deep; pub use deep::{Deep, Other as Renamed};"),
+        ("x::deep", "use std::fmt; pub struct Deep; pub struct Other;"),
+        ("y", "pub use crate::x::Renamed; pub struct Y; // use crate::z;"),
+        ("z", "use crate::{Deep, Renamed, x::{self, deep}};\nuse serde::z;"),
+        ("z::all", "use super::super::Y; #[cfg(test)]\nmod tests { use crate::z; }"),
+        ("z::code", "fn f() -> &'static str { crate::Deep::new('\"', r#\"crate::y::Y\"#); \"crate::y::Y\" }"),
+    ];
+    let imports = Sources::of_texts(&texts).imports();
+    let of = |module: &str| {
+        let module: Module = module.split("::").map(str::to_owned).collect();
+        imports[&module].iter().map(|target| target.join("::")).collect::<Vec<_>>()
+    };
+    assert_eq!(of("z"), ["x", "x::deep"]);
+    assert_eq!((of("z::all"), of("z::code"), of("y")), (vec!["y".to_owned()], of("y"), of("x")));
+    assert!(of("x::deep").is_empty());
+}
+
+/// Names and folders of all crates.
+fn crates() -> Vec<(String, PathBuf)> {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
+    let roots =
+        fs::read_dir(folder).expect("the folder of the crates").map(|entry| entry.expect("a folder").path());
+    let named = |root: PathBuf| (root.file_name().unwrap_or_default().to_string_lossy().into_owned(), root);
+    roots.filter(|root| root.join("src").is_dir()).map(named).collect()
+}
+
+/// Cycles between the layers of a crate and of each of its folders; one for layers that are in several.
+fn cycles_of(imports: &BTreeMap<Module, BTreeSet<Module>>) -> Vec<String> {
+    let mut folders: BTreeMap<Module, Layers> = BTreeMap::new();
+    for (from, targets) in imports {
+        for to in targets {
+            let common = from.iter().zip(to).take_while(|(from, to)| from == to).count();
+            let layer = |module: &Module| match module.get(common) {
+                Some(_) => module[..=common].join("::"),
+                None => OWN.to_owned(),
+            };
+            let files = format!("{} imports {}", from.join("::"), to.join("::"));
+            let layers = folders.entry(from[..common].to_vec()).or_default();
+            layers.entry(layer(from)).or_default().entry(layer(to)).or_insert(files);
+        }
+    }
+    folders.values().flat_map(cycles_of_layers).collect()
+}
+
+fn cycles_of_layers(layers: &Layers) -> Vec<String> {
+    let reached: BTreeMap<&str, BTreeSet<&str>> =
+        layers.keys().map(|layer| (layer.as_str(), reached(layer, layers))).collect();
+    let mut done = BTreeSet::new();
+    let mut cycles = Vec::new();
+    for layer in layers.keys() {
+        let is_member = |other: &str| {
+            reached[layer.as_str()].contains(other)
+                && reached.get(other).is_some_and(|r| r.contains(layer.as_str()))
+        };
+        if !is_member(layer) || !done.insert(layer.as_str()) {
             continue;
         }
-        let mut flat = Vec::new();
-        flatten(&tree.split_whitespace().collect::<String>(), &mut Vec::new(), &mut flat);
-        found.extend(flat.into_iter().filter_map(|path| from_root(path, module, before.starts_with("pub"))));
+        let members = layers.iter().filter(|(other, _)| is_member(other));
+        let edges = members.flat_map(|(from, targets)| {
+            let inner = targets.iter().filter(|(to, _)| is_member(to));
+            inner.map(move |(to, files)| format!("{from} -> {to} ({files})"))
+        });
+        cycles.push(edges.collect::<Vec<_>>().join(", "));
+        done.extend(layers.keys().map(String::as_str).filter(|other| is_member(other)));
     }
-    found
+    cycles
 }
 
-/// Expands the braces of an import.
-fn flatten(tree: &str, prefix: &mut Vec<String>, found: &mut Vec<Vec<String>>) {
-    let Some(open) = tree.find('{') else {
-        let own = tree.split("::").map(str::to_owned);
-        found.push(prefix.iter().cloned().chain(own).collect());
-        return;
-    };
-    let before: Vec<String> = tree[..open].split("::").filter(|p| !p.is_empty()).map(str::to_owned).collect();
-    let length = prefix.len();
-    prefix.extend(before);
-    let inner = tree[open + 1..].strip_suffix('}').unwrap_or_default();
-    let (mut depth, mut begin) = (0, 0);
-    for (at, character) in inner.char_indices().chain([(inner.len(), ',')]) {
-        match character {
-            '{' => depth += 1,
-            '}' => depth -= 1,
-            ',' if depth == 0 => {
-                if at > begin {
-                    flatten(&inner[begin..at], prefix, found);
-                }
-                begin = at + 1;
-            }
-            _ => {}
-        }
+/// Layers that a layer imports, directly or through others.
+fn reached<'a>(layer: &'a str, layers: &'a Layers) -> BTreeSet<&'a str> {
+    let mut found = BTreeSet::new();
+    let mut open = vec![layer];
+    while let Some(next) = open.pop() {
+        open.extend(
+            layers
+                .get(next)
+                .into_iter()
+                .flat_map(BTreeMap::keys)
+                .map(String::as_str)
+                .filter(|target| found.insert(*target)),
+        );
     }
-    prefix.truncate(length);
-}
-
-/// Path of an import relative to the crate root; `None` for other crates. A re-export without `crate` refers to a
-/// child module.
-fn from_root(path: Vec<String>, module: &[String], exported: bool) -> Option<Vec<String>> {
-    let first = path.first()?.as_str();
-    let rest = path[1..].to_vec();
-    match first {
-        "crate" => Some(rest),
-        "super" => Some([&module[..module.len().saturating_sub(1)], &rest].concat()),
-        "self" => Some([module, &rest].concat()),
-        _ if exported && first.starts_with(char::is_lowercase) && !first.starts_with("opspace_") => {
-            Some([module, &path].concat())
-        }
-        _ => None,
-    }
-}
-
-/// Returns a cycle, if there is one; its first module is repeated at the end.
-fn cycle(imports: &BTreeMap<Module, BTreeSet<Module>>) -> Option<Vec<String>> {
-    let mut done = BTreeSet::new();
-    imports.keys().find_map(|module| search(module, imports, &mut Vec::new(), &mut done))
-}
-
-fn search(
-    module: &Module,
-    imports: &BTreeMap<Module, BTreeSet<Module>>,
-    path: &mut Vec<Module>,
-    done: &mut BTreeSet<Module>,
-) -> Option<Vec<String>> {
-    if let Some(begin) = path.iter().position(|other| other == module) {
-        let names = path[begin..].iter().chain([module]).map(|module| module.join("::"));
-        return Some(names.collect());
-    }
-    if !done.insert(module.clone()) {
-        return None;
-    }
-    path.push(module.clone());
-    let targets = imports.get(module).into_iter().flatten();
-    let found = targets.filter_map(|target| search(target, imports, path, done)).next();
-    path.pop();
     found
 }

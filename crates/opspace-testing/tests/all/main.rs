@@ -3,6 +3,7 @@
 mod dependencies;
 mod doc_lines;
 mod import_cycles;
+mod imports;
 mod licences;
 mod old_names;
 mod packages;

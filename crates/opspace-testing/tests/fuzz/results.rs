@@ -9,7 +9,7 @@ use opspace_experiment::evaluate::csv::csv;
 use opspace_experiment::evaluate::notes::notes;
 use opspace_experiment::evaluate::results::{failures, group_rows, table};
 use opspace_experiment::report::document::page;
-use opspace_experiment::run::suite_rows::{SuiteHeader, SuiteRow, SuiteRows};
+use opspace_experiment::suites::suite_rows::{SuiteHeader, SuiteRow, SuiteRows};
 use opspace_experiment::{Files, Progress, Suite, Summary};
 use serde_json::{Value, json};
 

@@ -2,7 +2,7 @@
 
 use super::run_log::RmsMax;
 use super::task_axes::TaskRow;
-use crate::evaluate::metric_tables::{error_names, range_name};
+use crate::metrics::metric_tables::{error_names, range_name};
 use nalgebra::Vector3;
 use std::collections::BTreeMap;
 

@@ -1,8 +1,9 @@
 //! Fractions of the control cycles, and the largest torques and speeds.
 
 use super::run_log::{Mean, Run, finite};
-use crate::evaluate::metric_tables::Metrics;
-use crate::run::experiment::{ControllerKind, Experiment};
+use crate::files::controller_kind::ControllerKind;
+use crate::metrics::metric_tables::Metrics;
+use crate::run::experiment::Experiment;
 use opspace_backend::signal_names::{
     self, COMMAND, DQ, LEAST_DISTANCE, LIMITS_SOLVER, MIN_SINGULAR_GAIN, MISSED_CYCLES,
     SETPOINT_ACCELERATION, SETPOINT_LIMITED, SETPOINT_SPEED, TORQUE_SATURATED, TRUTH_CHANNEL,

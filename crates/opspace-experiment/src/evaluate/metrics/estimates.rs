@@ -2,7 +2,7 @@
 
 use super::run_log::{RmsMax, Run};
 use super::tasks::total;
-use crate::evaluate::metric_tables::Metrics;
+use crate::metrics::metric_tables::Metrics;
 use crate::run::experiment::Experiment;
 use nalgebra::Vector3;
 use opspace_backend::signal_names::{self, WRENCH};

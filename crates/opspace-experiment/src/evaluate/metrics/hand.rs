@@ -1,7 +1,7 @@
 //! Force and motion of the first simulated hand.
 
 use super::run_log::{RmsMax, Run, masked_norm};
-use crate::evaluate::metric_tables::Metrics;
+use crate::metrics::metric_tables::Metrics;
 use crate::run::experiment::Experiment;
 use nalgebra::{Matrix3, Vector3};
 use opspace_backend::signal_names::{self, FORCE, TRUTH_CHANNEL};

@@ -2,8 +2,8 @@
 
 use super::chatter::{BLOCK_S, Chatter};
 use super::run_log::{Mean, Relative, Run};
-use crate::evaluate::metric_tables::JointMetrics;
 use crate::evaluate::spectrum::Welch;
+use crate::metrics::metric_tables::JointMetrics;
 use crate::run::experiment::Experiment;
 use opspace_backend::signal_names::{TORQUE_DESIRED, TORQUE_SATURATED};
 use realfft::RealFftPlanner;

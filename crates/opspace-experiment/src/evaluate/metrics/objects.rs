@@ -1,7 +1,7 @@
 //! State of the first hole and the first drawer of the environment.
 
 use super::run_log::Run;
-use crate::evaluate::metric_tables::Metrics;
+use crate::metrics::metric_tables::Metrics;
 use crate::run::experiment::Experiment;
 use opspace_backend::signal_names::{self, DEPTH, OPENING, TRUTH_CHANNEL};
 

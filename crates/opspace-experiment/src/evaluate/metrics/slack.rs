@@ -1,7 +1,7 @@
 //! Acceleration that limits take from a task, over its translations and over its rotations.
 
 use super::run_log::{RmsMax, Run};
-use crate::evaluate::metric_tables::Slack;
+use crate::metrics::metric_tables::Slack;
 use opspace_backend::signal_names;
 use opspace_log::Column;
 

@@ -4,7 +4,7 @@ use super::axis_metrics::AxisMetrics;
 use super::run_log::{Mean, RmsMax, Run, masked_norm};
 use super::slack::SlackOfTask;
 use super::task_axes::{AxesOfTask, TaskAxes, TaskRow, orientation};
-use crate::evaluate::metric_tables::{ElementError, TaskMetrics};
+use crate::metrics::metric_tables::{ElementError, TaskMetrics};
 use crate::run::experiment::Experiment;
 use nalgebra::{Matrix3, Vector3};
 use opspace_backend::signal_names::{

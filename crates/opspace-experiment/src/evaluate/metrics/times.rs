@@ -1,6 +1,6 @@
 //! Durations of the control cycles.
 
-use crate::evaluate::metric_tables::Timing;
+use crate::metrics::metric_tables::Timing;
 use hdrhistogram::Histogram;
 use opspace_backend::signal_names::{PHASE, TICK_CHANNEL, TICK_TIME, TIMING_CHANNEL};
 use opspace_log::Recording;

@@ -2,7 +2,7 @@
 
 use super::ripple;
 use super::run_log::{Mean, Relative, Run, finite};
-use crate::evaluate::metric_tables::Metrics;
+use crate::metrics::metric_tables::Metrics;
 use crate::run::experiment::Experiment;
 use opspace_backend::quantity::Positive;
 use opspace_backend::signal_names::{DQ, MOTOR_TORQUE, SERVO_CHANNEL, TORQUE_DESIRED, TRUTH_CHANNEL};

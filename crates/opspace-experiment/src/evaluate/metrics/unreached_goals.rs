@@ -5,7 +5,8 @@ use super::holds::{Cycle, HeldState, Hold, NO_ERRORS, RowErrors, norm_in};
 use super::near_pairs::pair_names;
 use super::run_log::Run;
 use crate::evaluate::unreached::UnreachedGoal;
-use crate::run::experiment::{ControllerKind, Experiment};
+use crate::files::controller_kind::ControllerKind;
+use crate::run::experiment::Experiment;
 use opspace_backend::signal_names::{
     self, COMMAND, DQ, ERROR, LIMITED, MODES, PHASE, Q, STANDSTILL, TASK_SET, TORQUE_DESIRED,
     TORQUE_SATURATED,

@@ -1,6 +1,7 @@
 //! Vertices of Wavefront OBJ files: the lines `v` and `f` of the format; all others are ignored.
 
-use super::{MeshErrorKind, three_numbers};
+use super::error::MeshErrorKind;
+use super::vertex::three_numbers;
 use nalgebra::Vector3;
 
 /// Returns all vertices. Faces are read to detect a truncated file, in which they are missing or refer to missing

@@ -1,6 +1,7 @@
 //! Vertices of STL files. The format has no specification; Wikipedia's page "STL (file format)" describes it.
 
-use super::{MeshErrorKind, three_numbers};
+use super::error::MeshErrorKind;
+use super::vertex::three_numbers;
 use nalgebra::Vector3;
 
 /// Size of the header of a binary file: 80 bytes of text, and the number of triangles.

@@ -1,10 +1,10 @@
 //! Execution of an experiment with several robots of which some are real: those whose robot.toml selects a driver.
 
+use crate::evaluate::coupled_summary::CoupledSummary;
 use crate::extensions::Extensions;
 use crate::files::source::FileError;
 use crate::preflight::checked_for_real_robot;
-use crate::run::coupled_experiment::{CoupledExperiment, Member};
-use crate::run::coupled_summary::CoupledSummary;
+use crate::run::coupled_experiment::CoupledExperiment;
 use crate::run::error::RunError;
 use crate::run::execute::Progress;
 use crate::run::result_files::ResultFolder;
@@ -27,12 +27,11 @@ impl CoupledExperiment {
     /// The refusals of [`checked_for_real_robot`].
     pub fn checked_for_real_robots(mut self, real: &[String]) -> Result<Self, FileError> {
         let members = std::mem::take(&mut self.members).into_iter();
-        let checked = members.map(|member| {
-            if !real.contains(&member.name) {
-                return Ok(member);
+        let checked = members.map(|mut member| {
+            if real.contains(&member.name) {
+                member.experiment = checked_for_real_robot(member.experiment)?;
             }
-            let experiment = checked_for_real_robot(member.experiment)?;
-            Ok(Member { experiment, ..member })
+            Ok(member)
         });
         self.members = checked.collect::<Result<_, FileError>>()?;
         Ok(self)

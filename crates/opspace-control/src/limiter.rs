@@ -4,10 +4,11 @@ use crate::context::ControlContext;
 use crate::controller::ControlInput;
 use crate::hierarchy::task_hierarchy::TaskHierarchy;
 use crate::hierarchy::task_parameters::Compensation;
-use crate::limits::bounds::{Bounds, Interval};
+use crate::limits::bounds::Bounds;
 use crate::limits::collision_bounds::CollisionBounds;
 use crate::limits::joint_limits::LimitParameters;
 use crate::limits::push::Push;
+use crate::qp::interval::Interval;
 use crate::qp::lexicographic::{HierarchicalQp, Limits, Solver, SpeedBound};
 use crate::qp::quadratic_program::QpError;
 use nalgebra::DVector;
@@ -257,7 +258,8 @@ impl Limiter {
         compensation_torque: &'a DVector<f64>,
     ) -> (Limits<'a>, &'a mut HierarchicalQp) {
         let limits = Limits {
-            bounds: &mut self.bounds,
+            acceleration: &mut self.bounds.acceleration,
+            torque: &mut self.bounds.torque,
             compensation_torque,
             bias_acceleration: &self.bias_acceleration,
             speeds: &mut self.speeds[..self.speed_count],

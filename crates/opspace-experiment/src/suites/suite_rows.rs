@@ -3,12 +3,12 @@
 //! The first line identifies the suite, and each other line is a [`SuiteRow`]. A line that was cut off, by the end of the
 //! process in the middle of it for example, is ignored when the file is read.
 
+use crate::evaluate::coupled_summary::CoupledSummary;
 use crate::evaluate::results::Measure;
-use crate::files::suite::{MAX_RUNS, Suite};
-use crate::run::coupled_summary::CoupledSummary;
+use crate::evaluate::summary::Summary;
 use crate::run::result_files::write_file;
-use crate::run::shard::Shard;
-use crate::run::summary::Summary;
+use crate::suites::shard::Shard;
+use crate::suites::suite::{MAX_RUNS, Suite};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -216,8 +216,8 @@ fn line(value: &impl Serialize) -> String {
 #[cfg(test)]
 mod tests {
     use super::{RunSummary, SuiteHeader, SuiteRow, SuiteRows};
-    use crate::run::coupled_summary::CoupledSummary;
-    use crate::run::summary::Summary;
+    use crate::evaluate::coupled_summary::CoupledSummary;
+    use crate::evaluate::summary::Summary;
     use serde_json::{Value, json};
 
     fn header() -> SuiteHeader {

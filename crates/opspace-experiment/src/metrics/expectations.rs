@@ -1,13 +1,13 @@
 //! Expectations of a task file: bounds on metrics of its run, so that a program can judge the run by its exit code.
 
-use crate::evaluate::metric_tables::{
-    ElementError, Evaluation, JointMetrics, Metrics, TaskMetrics, error_names, range_name,
-};
-use crate::evaluate::table::format_number;
 use crate::files::robot::RobotDefinition;
 use crate::files::source::FileError;
-use crate::files::suggest::choices;
 use crate::files::task::TaskDefinition;
+use crate::metrics::metric_tables::{
+    ElementError, Evaluation, JointMetrics, Metrics, TaskMetrics, error_names, range_name,
+};
+use crate::suggest::choices;
+use crate::text::format_number;
 use opspace_control::{AXIS_NAMES, CartesianReference, TaskParameters};
 use serde::Serialize;
 use serde_json::Value;

@@ -1,17 +1,17 @@
 //! Execution of an experiment with several robots: a log, a summary and a page for each robot and for all.
 
+use crate::evaluate::coupled_summary::{CoupledEvaluator, CoupledSummary};
 use crate::evaluate::metrics::Evaluator;
+use crate::evaluate::summary::Summary;
 use crate::report::coupled_page::coupled_page;
 use crate::report::coupling_figures::coupling_figures;
 use crate::report::document::RunSection;
 use crate::report::figure::Figure;
+use crate::results::folder::NewLog;
 use crate::run::coupled_experiment::CoupledExperiment;
-use crate::run::coupled_summary::{CoupledEvaluator, CoupledSummary};
 use crate::run::error::RunError;
 use crate::run::execute::Progress;
-use crate::run::folder::{LOG, NewLog, REPORT, SUMMARY};
-use crate::run::result_files::{ResultFolder, write_file};
-use crate::run::summary::Summary;
+use crate::run::result_files::{LOG, REPORT, ResultFolder, SUMMARY, write_file};
 use opspace_backend::Backend;
 use opspace_log::{LogFile, Recording, SegmentRecorder};
 use std::cell::RefCell;

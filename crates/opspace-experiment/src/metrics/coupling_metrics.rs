@@ -1,9 +1,9 @@
 //! Metrics of a coupling between two robots, and bounds on them.
 
-use crate::evaluate::table::format_number;
 use crate::files::expectation::Expectation;
 use crate::files::source::{FileError, Source};
-use crate::files::suggest::choices;
+use crate::suggest::choices;
+use crate::text::format_number;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 

@@ -1,23 +1,16 @@
 //! Folder of a run: log, summary and report.
 
 use crate::evaluate::results::MEASURES;
+use crate::evaluate::summary::Summary;
 use crate::report::document::{RunSection, page};
 use crate::run::error::RunError;
 use crate::run::execute::RunResult;
 use crate::run::experiment::Experiment;
-use crate::run::result_files::{ResultFolder, write_file};
-use crate::run::summary::Summary;
+use crate::run::result_files::{LOG, REPORT, ResultFolder, SUMMARY, write_file};
 use opspace_log::{LogError, LogFile};
 use std::fs::File;
 use std::io::BufWriter;
 use std::path::{Path, PathBuf};
-
-/// File name of a run's log.
-pub const LOG: &str = "run.mcap";
-/// File name of the page of a run or a suite.
-pub const REPORT: &str = "report.html";
-/// File name of a run's summary.
-pub const SUMMARY: &str = "summary.json";
 
 /// Log of a run that is about to begin.
 #[derive(Debug)]

@@ -3,14 +3,15 @@
 use crate::codes::Code;
 use crate::evaluate::results::{MEASURES, Measure};
 use crate::extensions::Extensions;
-use crate::files::grid::{Grid, GridMode, GridPoint};
+use crate::files::controller_kind::ControllerKind;
 use crate::files::origin::{Files, Kind, beside};
-use crate::files::seeds;
 use crate::files::source::{FileError, Source, parse};
 use crate::files::toml_path::dotted;
 use crate::run::coupled_experiment::CoupledExperiment;
-use crate::run::experiment::{ControllerKind, Experiment, RunOptions};
+use crate::run::experiment::{Experiment, RunOptions};
 use crate::run::physics::OWN_PLANT;
+use crate::suites::grid::{Grid, GridMode, GridPoint};
+use crate::suites::seeds;
 use opspace_backend::CommandKind;
 use opspace_sim::PhysicsEngine;
 use opspace_transformer::TransformerKind;

@@ -2,6 +2,7 @@
 
 use crate::console::{Console, Exit};
 use indicatif::{ProgressBar, ProgressStyle};
+use opspace_experiment::evaluate::coupled_summary::CoupledSummary;
 use opspace_experiment::{Progress, Summary};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -17,6 +18,18 @@ pub fn exit_code(summary: &Summary) -> Exit {
         Exit::DataLost
     } else {
         Exit::Done
+    }
+}
+
+/// Exit code of a run: the worst of its robots, and 1 if an expectation was missed.
+pub fn coupled_exit_code(summary: &CoupledSummary) -> Exit {
+    if summary.has_failed() {
+        return Exit::Failed;
+    }
+    let of_robots = summary.robots.values().map(exit_code);
+    match of_robots.into_iter().find(|exit| *exit != Exit::Done) {
+        None if !summary.not_saved.is_empty() => Exit::DataLost,
+        exit => exit.unwrap_or(Exit::Done),
     }
 }
 

@@ -1,9 +1,9 @@
 //! Summary of an experiment with several robots.
 
 use crate::evaluate::coupling::CouplingEvaluator;
-use crate::evaluate::coupling_metrics::{CouplingMetrics, missed};
+use crate::evaluate::summary::Summary;
+use crate::metrics::coupling_metrics::{CouplingMetrics, missed};
 use crate::run::coupled_experiment::CoupledExperiment;
-use crate::run::summary::Summary;
 use opspace_backend::signal_names::{TARGET_HOLD, TICK_CHANNEL};
 use opspace_control::HoldCause;
 use opspace_log::Recording;

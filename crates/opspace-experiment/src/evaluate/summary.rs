@@ -2,13 +2,15 @@
 
 use crate::codes::AllowedRefusal;
 use crate::evaluate::escape_record::EscapeRecord;
-use crate::evaluate::expectations;
 use crate::evaluate::limited_reference::LimitedReference;
 use crate::evaluate::metrics::{Evaluated, Evaluator, JointMetrics, Metrics, TaskMetrics, Timing};
 use crate::evaluate::unreached::UnreachedGoal;
+use crate::files::controller_kind::ControllerKind;
+use crate::metrics::expectations;
 use crate::run::compliance::compliance;
 use crate::run::error::RunError;
-use crate::run::experiment::{ControllerKind, Experiment};
+use crate::run::execute::Progress;
+use crate::run::experiment::Experiment;
 use crate::run::log_header::is_real;
 use opspace_control::TaskParameters;
 use opspace_log::{LogFile, OutcomeRecord, Recording};
@@ -128,6 +130,17 @@ impl Experiment {
         Ok(self.summary_of(log.recording(), evaluator.finish(), outcome, realtime_factor))
     }
 
+    /// Runs the experiment in simulation without a log, and returns its summary.
+    ///
+    /// # Errors
+    /// A robot that cannot be simulated.
+    pub fn run_without_log(&self, progress: &Progress) -> Result<Summary, RunError> {
+        let mut evaluator = Evaluator::new(self);
+        let (record, realtime_factor) =
+            self.run_in_segments(progress, |segment, is_last| evaluator.add(segment, is_last))?;
+        Ok(self.summary_of(&Recording::default(), evaluator.finish(), &record, Some(realtime_factor)))
+    }
+
     /// Describes the tasks of the run whose compliance the controller ignores.
     fn ignored_compliance(&self) -> Vec<String> {
         let controller = self.options().controller;
@@ -144,7 +157,7 @@ impl Experiment {
     }
 
     /// Summary of a run from its metrics; `recording` needs no rows.
-    pub(super) fn summary_of(
+    pub(crate) fn summary_of(
         &self,
         recording: &Recording,
         evaluated: Evaluated,

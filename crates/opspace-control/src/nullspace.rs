@@ -10,7 +10,7 @@
 //! J. Humanoid Robotics 2(4), 2005). Torques J_pᵀ F then cause no acceleration of the tasks above. The same recursion
 //! with the identity instead of M is used for inverse kinematics.
 
-use crate::hierarchy::products::{add_transposed, product};
+use crate::algebra::{add_transposed, product};
 use nalgebra::{Matrix6, Matrix6xX, Vector6};
 use opspace_model::{Inversion, MassMatrixFactor, OperationalSpace};
 

@@ -1,0 +1,29 @@
+//! Motion of a real robot to the start position of a task, with a folder of results.
+
+use crate::evaluate::summary::Summary;
+use crate::extensions::Extensions;
+use crate::run::error::RunError;
+use crate::run::execute::Progress;
+use crate::run::experiment::Experiment;
+use crate::run::real_robot::positions;
+use std::path::Path;
+
+impl Experiment {
+    /// Opens the robot of `[driver]` and moves it slowly to the start position of the task
+    /// ([`motion_to_start`](Self::motion_to_start)). Writes log, summary and report of the motion to `folder`. `None`
+    /// if the robot is already there.
+    ///
+    /// # Errors
+    /// As [`run_on_driver`](Self::run_on_driver).
+    pub fn move_to_start(
+        &self,
+        extensions: &Extensions,
+        folder: &Path,
+        progress: &Progress,
+    ) -> Result<Option<Summary>, RunError> {
+        self.with_driver(extensions, |backend| {
+            let Some(motion) = self.motion_to_start(&positions(backend)?)? else { return Ok(None) };
+            motion.in_folder(folder, |log| motion.run_on(backend, log, progress)).map(Some)
+        })
+    }
+}
