@@ -1,6 +1,7 @@
 //! The [`Controller`] trait and its input.
 
 use crate::measurement::Measurement;
+use crate::qp::quadratic_program::QpError;
 use crate::targets::Targets;
 use opspace_backend::{CommandKind, Observable};
 use opspace_model::{Data, Model};
@@ -53,6 +54,12 @@ pub trait Controller: Observable + Send {
     /// Returns the row of this controller's streamed targets, with all values "as configured".
     fn targets(&self) -> Targets {
         Targets::none()
+    }
+
+    /// Returns the error of a program of the limits in the last [`update`](Self::update) that no solver could correct:
+    /// the command does not keep the limits.
+    fn unsolved_limits(&self) -> Option<QpError> {
+        None
     }
 
     /// Returns a stale streamed target whose task requires the robot to stop, if any.

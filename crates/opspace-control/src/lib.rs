@@ -109,6 +109,7 @@ pub use limits::viable_speed::ViableSpeeds;
 pub use measurement::Measurement;
 pub use osc::OperationalSpaceController;
 pub use per_joint::PerJoint;
+pub use qp::quadratic_program::QpError;
 pub use references::acceleration_bound::AccelerationBound;
 pub use references::goal::{OrientationGoal, PositionGoal};
 pub use references::joint_reference::JointReference;

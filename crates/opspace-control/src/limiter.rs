@@ -98,6 +98,7 @@ impl Limiter {
         hierarchy: &TaskHierarchy,
     ) {
         self.push.observe(&data.dq);
+        self.cascade.clear_unsolved();
         if compensation == Compensation::Gravity {
             for (bias_acceleration, (gravity, bias)) in
                 self.bias_acceleration.iter_mut().zip(data.gravity.iter().zip(&data.bias))
@@ -251,6 +252,7 @@ impl Limiter {
             let _ = cascade.relax_level(data, &hierarchy.nullspace, &mut limits);
         }
         cascade.replace_shortcut(shortcut);
+        cascade.clear_unsolved();
     }
 
     fn limits<'a>(
@@ -331,6 +333,16 @@ impl Limiter {
     /// Solves the QPs even if no limit is active: tests and benchmarks compare both ways.
     pub(crate) fn always_solve(&mut self) {
         self.cascade.replace_shortcut(false);
+    }
+
+    /// Error of a program in the last cycle that no solver could correct, because the second one is not built in.
+    pub(crate) fn unsolved(&self) -> Option<QpError> {
+        self.cascade.unsolved()
+    }
+
+    /// Makes the active-set method fail, with or without a second solver: for tests.
+    pub(crate) fn fail_active_sets(&mut self, with_second_solver: bool) {
+        self.cascade.fail_active_sets(with_second_solver);
     }
 
     /// Writes the torques computed by [`solve`](Self::solve) and the joint accelerations that they cause (n each).

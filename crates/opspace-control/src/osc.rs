@@ -26,6 +26,7 @@ use crate::limiter::Limiter;
 use crate::limits::joint_limits::LimitParameters;
 use crate::prediction::Prediction;
 use crate::qp::lexicographic::Solver;
+use crate::qp::quadratic_program::QpError;
 use crate::targets::Targets;
 use nalgebra::DVector;
 use opspace_backend::CommandKind;
@@ -191,6 +192,14 @@ impl OperationalSpaceController {
         }
     }
 
+    /// Makes the active-set method fail, with or without a second solver: for tests.
+    #[doc(hidden)]
+    pub fn fail_active_sets(&mut self, with_second_solver: bool) {
+        if let Some(limiter) = &mut self.limiter {
+            limiter.fail_active_sets(with_second_solver);
+        }
+    }
+
     /// Computes the task torques without limits.
     fn unlimited(&mut self, input: &ControlInput<'_>) {
         let data = input.data;
@@ -335,6 +344,10 @@ impl Controller for OperationalSpaceController {
 
     fn targets(&self) -> Targets {
         self.schedule.targets().clone()
+    }
+
+    fn unsolved_limits(&self) -> Option<QpError> {
+        self.limiter.as_ref().and_then(Limiter::unsolved)
     }
 
     fn stale_target(&self) -> Option<StaleTarget> {

@@ -380,6 +380,9 @@ impl ControlLoop {
             self.compensate_friction();
         }
         self.update_command(targets);
+        if let Some(error) = self.controller.unsolved_limits() {
+            return Err(Fault::UnsolvedLimits { error });
+        }
         if let Some(stale) = self.controller.stale_target() {
             return Err(Fault::StaleTarget { task: stale.task, age_s: stale.age_s });
         }

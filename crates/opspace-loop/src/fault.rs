@@ -1,6 +1,7 @@
 //! Faults: causes of a stop. A run latches the first one.
 
 use opspace_backend::DeviceFault;
+use opspace_control::QpError;
 use opspace_model::{JointKind, Model};
 use std::fmt;
 use thiserror::Error;
@@ -48,6 +49,14 @@ pub enum Fault {
     CommandNotFinite {
         /// Joint index.
         joint: usize,
+    },
+    /// No solver found a command within the limits, and there is no second one.
+    #[error(
+        "the command within the limits was not found: {error}; build opspace-control with its feature `clarabel`"
+    )]
+    UnsolvedLimits {
+        /// Error of the solver.
+        error: QpError,
     },
     /// The robot's clock did not advance.
     #[error("the robot's clock went from {before_s} s to {now_s} s")]
@@ -188,6 +197,7 @@ impl Fault {
             Self::StaleTarget { .. } => 18,
             Self::Panicked => 19,
             Self::Collision { .. } => 20,
+            Self::UnsolvedLimits { .. } => 21,
         }
     }
 

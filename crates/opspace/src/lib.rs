@@ -91,6 +91,9 @@ pub use opspace_model as model;
 pub use opspace_sim as sim;
 pub use opspace_transformer as transformer;
 
+#[cfg(feature = "urdf-rs")]
+pub mod urdf;
+
 /// Code examples of the README, compiled and run as doctests.
 #[cfg(doctest)]
 #[doc = include_str!("../README.md")]

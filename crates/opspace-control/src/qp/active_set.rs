@@ -185,6 +185,8 @@ pub struct ActiveSet {
     /// True if the optimality conditions of the active rows hold up to rounding.
     refined: bool,
     iterations: usize,
+    /// Maximum number of iterations per variable and constraint.
+    pub(crate) most_iterations: usize,
     /// Active rows of the last solution, or of the last contradiction, and their signs, in the order of their activation.
     last: Vec<(usize, f64)>,
     x: Vec<f64>,
@@ -210,6 +212,7 @@ impl ActiveSet {
             size: 0.0,
             refined: false,
             iterations: 0,
+            most_iterations: ITERATIONS,
             last: Vec::with_capacity(max_variables + 1),
             x: Vec::with_capacity(max_variables),
             multipliers: Vec::with_capacity(max_constraints),
@@ -526,7 +529,7 @@ impl ActiveSet {
     }
 
     fn count(&mut self, program: &QuadraticProgram) -> Result<(), QpError> {
-        if self.iterations == ITERATIONS * (1 + program.variables() + program.constraints()) {
+        if self.iterations >= self.most_iterations * (1 + program.variables() + program.constraints()) {
             return Err(QpError::Iterations);
         }
         self.iterations += 1;

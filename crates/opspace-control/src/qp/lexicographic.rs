@@ -121,7 +121,10 @@ pub(crate) struct HierarchicalQp {
     program: QuadraticProgram,
     /// One solver for each [`Problem`], which starts with the rows that were active in the last one.
     active_sets: [ActiveSet; 4],
+    /// Second solver; `None` without the feature `clarabel`.
     interior_point: Option<InteriorPoint>,
+    /// Error of the active-set method since [`clear_unsolved`](Self::clear_unsolved) that no second solver could correct.
+    unsolved: Option<QpError>,
     /// Joint acceleration α of the levels solved so far, rad/s² or m/s² (n).
     alpha: DVector<f64>,
     /// Square roots of M's diagonal, which scale joint accelerations and torques (n).
@@ -223,8 +226,10 @@ impl HierarchicalQp {
         Self {
             program: QuadraticProgram::new(variables, constraints),
             active_sets: [n, n, variables, n + 1].map(|variables| ActiveSet::new(variables, constraints)),
-            // Without this solver, torques are clipped if the active-set method fails.
+            // Clarabel solves what the active-set method cannot: it has another algorithm, so that one error does not
+            // stop both. No program of a robot has needed it yet.
             interior_point: InteriorPoint::new(variables, constraints).ok(),
+            unsolved: None,
             alpha: zero.clone(),
             scale: vec![1.0; n],
             inverse_scale: vec![1.0; n],
@@ -245,6 +250,22 @@ impl HierarchicalQp {
             lateral_weight,
             reduction: None,
         }
+    }
+
+    /// Error of the active-set method in this cycle that no second solver could correct, because there is none.
+    pub(crate) fn unsolved(&self) -> Option<QpError> {
+        self.unsolved
+    }
+
+    /// Forgets such an error.
+    pub(crate) fn clear_unsolved(&mut self) {
+        self.unsolved = None;
+    }
+
+    /// Makes the active-set method fail at its first step, with or without a second solver: for tests.
+    pub(crate) fn fail_active_sets(&mut self, with_second_solver: bool) {
+        self.active_sets.iter_mut().for_each(|solver| solver.most_iterations = 0);
+        self.interior_point = self.interior_point.take().filter(|_| with_second_solver);
     }
 
     /// Enables or disables the shortcut, and returns true if it was enabled. Without it, every level is solved.
@@ -504,7 +525,11 @@ impl HierarchicalQp {
         }
         match (active_set.solve(&self.program), &mut self.interior_point) {
             (Ok(()), _) => Ok(Solver::ActiveSet),
-            (Err(error @ QpError::Infeasible { .. }), _) | (Err(error), None) => Err(error),
+            (Err(error @ QpError::Infeasible { .. }), _) => Err(error),
+            (Err(error), None) => {
+                self.unsolved = Some(error);
+                Err(error)
+            }
             (Err(_), Some(interior_point)) => {
                 interior_point.solve(&self.program).map(|()| Solver::InteriorPoint)
             }

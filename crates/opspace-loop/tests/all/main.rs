@@ -19,6 +19,7 @@ mod supervision;
 mod together;
 mod torques;
 mod units;
+mod unsolved_limits;
 mod velocity;
 mod watchdog;
 
