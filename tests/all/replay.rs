@@ -3,7 +3,7 @@
 
 #![expect(clippy::unwrap_used, clippy::expect_used, reason = "a test")]
 
-use crate::cli_common::{Ran, opspace, project, run, scratch};
+use crate::cli_common::{Ran, opspace, project, read_json, run, scratch};
 use crate::coupled;
 use opspace_log::header::{GAPS, LOG};
 use opspace_log::{Channel, ChannelData, Header, Pace, Recording, record};
@@ -271,8 +271,90 @@ fn what_if_states_its_end_and_plots_torques() {
     let strict = "robot.safety.watchdog.torque_deviation_share=1e-4";
     let end = what_if(&["--set", strict, "--json", "-"]).exits(0).json()["end"].as_str().unwrap().to_owned();
     assert!(end.contains("it would have been stopped at ") && end.contains("s of control: "), "{end}");
-    what_if(&["--report", "a.html"]).exits(2).says(&["add --task or --set"]);
+    what_if(&["--report", "a.html"]).exits(2).says(&["add --task, --controller, --transformer or --set"]);
     what_if(&["--set", "task.hand.cartesian.gains.damping_rato=0.5"]).exits(2).says(&["damping_ratio"]);
+}
+
+/// Text without the line breaks of notes.
+fn folded(text: &str) -> String {
+    text.split_whitespace().collect::<Vec<_>>().join(" ")
+}
+
+/// Compared: the commands of a run on a log, and those in the log. With the same task all are equal, targets included: those
+/// of the follower are what its leader sent. The new log replays bit for bit.
+#[test]
+fn run_on_a_log_repeats_its_commands() {
+    let folder = scratch();
+    run(folder.path(), "out", "compliant-x", &[]);
+    let teleop =
+        ["run", &project("experiments/teleop-free.toml"), "--duration-s", "2", "--out", "both", "--quiet"];
+    opspace(folder.path(), &teleop).exits(0);
+    for (log, task) in [("out", "compliant-x"), ("both/follower", "follow-wall")] {
+        let task = project(&format!("tasks/{task}.toml"));
+        let repeated = ["run", &task, "--backend", "replay", "--log", log, "--out", "repeated", "--force"];
+        let said = folded(&opspace(folder.path(), &repeated).exits(0).stdout);
+        assert!(said.contains("All commands are those of the log, bit for bit."), "{said}");
+        let summary = read_json(folder.path().join("repeated/summary.json"));
+        assert_eq!(summary["replay"]["commands_part_after_s"], serde_json::Value::Null, "{log}");
+        assert_eq!(summary["plant"], format!("log {log}/run.mcap"));
+        let said = opspace(folder.path(), &["replay", "repeated"]).exits(0).stdout;
+        assert!(said.contains("are equal, bit for bit"), "{said}");
+    }
+}
+
+/// Compared: `run --backend replay` and `replay --task`, which are one run; and the time from which on the commands differ,
+/// with the first cycle of control, as this task desires other torques from the start.
+#[test]
+fn run_on_a_log_says_from_when_on_it_is_a_what_if() {
+    let folder = scratch();
+    run(folder.path(), "out", "compliant-x", &[]);
+    let task = project("tasks/gravity-compensation.toml");
+    let wide = ["--set", "robot.safety.watchdog.torque_deviation_share=100"];
+    let runs: [&[&str]; 2] =
+        [&["run", &task, "--backend", "replay", "--log", "out"], &["replay", "out", "--task", &task]];
+    let summaries = runs.map(|start| {
+        let name = start[0];
+        let ran = opspace(folder.path(), &[start, &wide[..], &["--out", name]].concat());
+        assert!(folded(&ran.stdout).contains("only a what-if"), "{}{}", ran.stdout, ran.stderr);
+        assert!(folder.path().join(name).join("report.html").exists());
+        let mut summary = read_json(folder.path().join(name).join("summary.json"));
+        summary["timing"].take();
+        summary
+    });
+    assert_eq!(summaries[0], summaries[1]);
+    let part_s = summaries[0]["replay"]["commands_part_after_s"].as_f64().unwrap();
+    let tare_s = 0.2;
+    assert!((tare_s..tare_s + 0.01).contains(&part_s), "{part_s}");
+    let report = opspace(folder.path(), &["report", "run", "--json", "-"]).exits(0).stdout;
+    assert!(report.contains("commands_part_after_s"), "{report}");
+}
+
+/// A stop that was requested in the log stops a run on it.
+#[test]
+fn run_on_a_log_gets_its_stop_requests() {
+    let folder = scratch();
+    run(folder.path(), "out", "compliant-x", &[]);
+    let recording = Recording::read(folder.path().join("out/run.mcap")).unwrap();
+    rewritten(&recording, folder.path().join("stopped.mcap"), |tick| {
+        if tick.layout.channel == "tick" {
+            let at = place(tick, "stop_requested", "value");
+            let width = tick.layout.width();
+            tick.rows[1000 * width + at] = 1.0;
+        }
+    });
+    let task = project("tasks/compliant-x.toml");
+    opspace(folder.path(), &["run", &task, "--backend", "replay", "--log", "stopped.mcap", "--out", "again"]);
+    let summary = read_json(folder.path().join("again/summary.json"));
+    assert_eq!(summary["interrupted"], true);
+    assert!((summary["interrupted_time_s"].as_f64().unwrap() - 0.8).abs() < 0.01, "{summary}");
+}
+
+#[test]
+fn run_on_a_log_needs_a_log() {
+    let folder = scratch();
+    let task = project("tasks/compliant-x.toml");
+    opspace(folder.path(), &["run", &task, "--backend", "replay"]).exits(2).says(&["add --log LOG"]);
+    opspace(folder.path(), &["run", &task, "--log", "out"]).exits(2).says(&["--log is for --backend replay"]);
 }
 
 #[test]

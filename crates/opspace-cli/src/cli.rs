@@ -66,6 +66,7 @@ Examples:
   opspace run tasks/compliant-x.toml --set robot.simulated.true_over_nominal.kp=1.02
   opspace run tasks/panda-reach.toml --plant mujoco
   opspace run tasks/panda-reach.toml --open
+  opspace run tasks/cartesian-tracking.toml --backend replay --log runs/compliant-x-asimo-arm-position
   opspace run experiments/teleop-wall.toml --set leader.task.hand.coupled.damping_ns_per_m=8
 
 Writes run.mcap (all signals; opens in Foxglove and PlotJuggler), report.html and summary.json into \
@@ -348,6 +349,15 @@ pub struct OutputArgs {
     pub force: bool,
 }
 
+/// Robot of a run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum BackendChoice {
+    /// A robot with this interface, simulated unless robot.toml names a driver.
+    Interface(CommandKind),
+    /// The robot of a log.
+    Replay,
+}
+
 /// Interface and controller of the robot of a task.
 #[derive(Debug, Args)]
 pub struct ControlArgs {
@@ -369,8 +379,18 @@ pub struct RunArgs {
     #[arg(long)]
     pub robot: Option<PathBuf>,
 
-    #[command(flatten)]
-    pub control: ControlArgs,
+    /// Robot interface to simulate, or the robot of a log [default: the interface stated in robot.toml].
+    #[arg(long, value_parser = backends())]
+    pub backend: Option<BackendChoice>,
+
+    /// With `--backend replay`: the log (run.mcap) or the folder of a run. The task gets its measurements, and the robot and
+    /// its interface are those of the log.
+    #[arg(long, value_name = "LOG", conflicts_with_all = ["plant", "simulate", "move_to_start"])]
+    pub log: Option<PathBuf>,
+
+    /// Controller of the robot.
+    #[arg(long, value_parser = controllers(), default_value = ControllerKind::Osc.name())]
+    pub controller: ControllerKind,
 
     /// Transformer, which converts desired torques into setpoints [default: that of the profile, otherwise the best one
     /// for the declared interface].
@@ -420,8 +440,11 @@ pub struct RunArgs {
 impl RunArgs {
     pub fn options(&self, default: CommandKind) -> RunOptions {
         RunOptions {
-            backend: self.control.backend.unwrap_or(default),
-            controller: self.control.controller,
+            backend: match self.backend {
+                Some(BackendChoice::Interface(kind)) => kind,
+                Some(BackendChoice::Replay) | None => default,
+            },
+            controller: self.controller,
             transformer: self.transformer,
             profile: self.profile.clone(),
             seed: self.seed,
@@ -497,20 +520,31 @@ pub struct ReplayArgs {
     /// A log (run.mcap) or the folder of a run, or that of an experiment with several robots.
     pub log: PathBuf,
 
-    /// Another task, computed from the same measurements.
+    /// Another task, run on the same measurements: a run with log, summary and page.
     #[arg(long, value_name = "FILE")]
     pub task: Option<PathBuf>,
+
+    /// Another controller, run on the same measurements.
+    #[arg(long, value_parser = controllers())]
+    pub controller: Option<ControllerKind>,
+
+    /// Another transformer, run on the same measurements.
+    #[arg(long, value_parser = transformers())]
+    pub transformer: Option<TransformerKind>,
 
     /// Override a value of the task file, or, with the prefix `robot.`, of the robot file. Can be repeated.
     #[arg(long, value_name = "KEY=VALUE")]
     pub set: Vec<String>,
 
-    /// With --task or --set: write a page with the logged and the recomputed torques and their difference.
+    /// With one of these: also write a page with the logged and the recomputed torques and their difference.
     #[arg(long, value_name = "FILE.html")]
     pub report: Option<PathBuf>,
 
     #[command(flatten)]
-    pub json: JsonArgs,
+    pub open: OpenArgs,
+
+    #[command(flatten)]
+    pub output: OutputArgs,
 }
 
 #[derive(Debug, Args)]
@@ -708,9 +742,9 @@ fn transformers() -> impl TypedValueParser<Value = TransformerKind> {
     PossibleValuesParser::new(values).try_map(|name| TransformerKind::named(&name).ok_or("unknown"))
 }
 
-/// Parser of command interfaces.
-fn commands() -> impl TypedValueParser<Value = CommandKind> {
-    let values = CommandKind::ALL.map(|kind| {
+/// Command interfaces with their descriptions.
+fn interfaces() -> impl Iterator<Item = PossibleValue> {
+    CommandKind::ALL.into_iter().map(|kind| {
         PossibleValue::new(kind.name()).help(match kind {
             CommandKind::Position => {
                 "Robot that accepts joint positions; the transformer converts torques into them"
@@ -720,9 +754,28 @@ fn commands() -> impl TypedValueParser<Value = CommandKind> {
             }
             CommandKind::Torque => "Robot that accepts joint torques",
         })
-    });
-    let named = |name: String| CommandKind::ALL.into_iter().find(|kind| kind.name() == name).ok_or("unknown");
-    PossibleValuesParser::new(values).try_map(named)
+    })
+}
+
+fn interface(name: &str) -> Option<CommandKind> {
+    CommandKind::ALL.into_iter().find(|kind| kind.name() == name)
+}
+
+/// Parser of command interfaces.
+fn commands() -> impl TypedValueParser<Value = CommandKind> {
+    PossibleValuesParser::new(interfaces()).try_map(|name| interface(&name).ok_or("unknown"))
+}
+
+/// Parser of the robot of a run.
+fn backends() -> impl TypedValueParser<Value = BackendChoice> {
+    const REPLAY: &str = "replay";
+    let replay = PossibleValue::new(REPLAY).help("Robot of a log (--log): its measurements are given");
+    let named = |name: String| match interface(&name) {
+        Some(kind) => Ok(BackendChoice::Interface(kind)),
+        None if name == REPLAY => Ok(BackendChoice::Replay),
+        None => Err("unknown"),
+    };
+    PossibleValuesParser::new(interfaces().chain([replay])).try_map(named)
 }
 
 /// Parser of controller names.

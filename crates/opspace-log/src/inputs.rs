@@ -89,6 +89,21 @@ impl<'a> LoggedInputs<'a> {
         })
     }
 
+    /// Fills `sample` with that of the next cycle, or returns the device fault that prevented it; `None` at the end of
+    /// the log. It allocates only for a fault.
+    pub(crate) fn read_next(&mut self, sample: &mut Sample) -> Option<Result<(), DeviceFault>> {
+        let k = self.next;
+        if k >= self.columns.tick.len() {
+            return None;
+        }
+        self.next += 1;
+        if self.columns.device_failed.row(k)[0] != 0.0 {
+            return Some(Err(self.device_fault.clone()));
+        }
+        self.columns.read(k, sample);
+        Some(Ok(()))
+    }
+
     /// Returns the inputs of the next cycle; `None` at the end of the log.
     pub fn next_input(&mut self) -> Option<LoggedInput<'_>> {
         let k = self.next;

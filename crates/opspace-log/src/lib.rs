@@ -58,6 +58,7 @@ pub mod recorder;
 pub mod recording;
 mod records;
 pub mod recover;
+pub mod replay_backend;
 mod schema;
 pub mod segments;
 mod viewer;
@@ -73,10 +74,11 @@ pub use header::{
 pub use inputs::{LoggedInput, LoggedInputs};
 pub use log_file::{ChannelContents, LogFile};
 pub use mcap::MAGIC;
-pub use outcome::OutcomeRecord;
+pub use outcome::{OutcomeRecord, ReplayedCommands};
 pub use recorder::{Pace, Recorder, WriteStats, Writer, record};
 pub use recording::{ChannelData, Column, Recording};
 pub use recover::{RECOVERED, Recovery, recover};
+pub use replay_backend::{LoggedTargets, ReplayBackend};
 pub use segments::SegmentRecorder;
 
 /// Code examples of the README, compiled and run as doctests.

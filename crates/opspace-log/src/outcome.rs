@@ -7,6 +7,9 @@ use std::collections::BTreeMap;
 
 /// Name of the metadata record of the outcome.
 pub const OUTCOME: &str = "opspace.outcome";
+/// Entry with the time from which on the commands of a run on a log differ from those of the log, or [`EQUAL`].
+const REPLAY: &str = "replay_commands_part_after_s";
+const EQUAL: &str = "never";
 
 /// Outcome of a run as a record of text entries.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -19,6 +22,17 @@ pub struct OutcomeRecord {
     pub time_s: Option<f64>,
     /// Fault as the robot reported it.
     pub device_fault: Option<DeviceFault>,
+    /// Commands of a run on a log, compared with those of the log; `None` for any other robot.
+    pub replay: Option<ReplayedCommands>,
+}
+
+/// Commands of a run on a log, compared with those of the log.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum ReplayedCommands {
+    /// All commands are those of the log, bit for bit.
+    Equal,
+    /// They differ from this time on, s after the first sample of the log.
+    PartAfter(f64),
 }
 
 impl OutcomeRecord {
@@ -38,6 +52,10 @@ impl OutcomeRecord {
             interrupted: entry("outcome").is_some_and(|outcome| outcome == "interrupted"),
             time_s: entry("time_s").and_then(|time| time.parse().ok()),
             device_fault,
+            replay: entry(REPLAY).and_then(|text| match text.as_str() {
+                EQUAL => Some(ReplayedCommands::Equal),
+                after_s => after_s.parse().ok().map(ReplayedCommands::PartAfter),
+            }),
         }
     }
 
@@ -64,6 +82,13 @@ impl OutcomeRecord {
         put("time_s", self.time_s.map(|time| time.to_string()));
         put("device_code", self.device_fault.as_ref().map(|fault| fault.code.to_string()));
         put("device_words", self.device_fault.as_ref().map(|fault| fault.words.to_string()));
+        put(
+            REPLAY,
+            self.replay.map(|commands| match commands {
+                ReplayedCommands::Equal => EQUAL.to_owned(),
+                ReplayedCommands::PartAfter(after_s) => after_s.to_string(),
+            }),
+        );
         entries
     }
 }

@@ -9,9 +9,19 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 /// Reads the robot, computes the run's cycle and writes its command, until the run is over. The robot always ends in
 /// its safe state: a panic in a task, a controller or the backend also stops it and becomes the run's outcome.
 pub fn drive(backend: &mut dyn Backend, run: &mut Run<'_>) {
+    drive_with(backend, run, &mut |_| true);
+}
+
+/// Drives a robot as [`drive`] does. `before` is called before each cycle; it may write the targets of the cycle, and
+/// returns false if there are no further cycles.
+pub fn drive_with(
+    backend: &mut dyn Backend,
+    run: &mut Run<'_>,
+    before: &mut dyn FnMut(&mut Run<'_>) -> bool,
+) {
     let mut sample = prepare(backend, run);
     let cycles = || {
-        while !run.is_over() {
+        while !run.is_over() && before(run) {
             cycle(backend, run, &mut sample, &mut |_, _| {});
         }
     };

@@ -77,7 +77,7 @@ pub use collision_detector::{
     CollisionDetectionParameters, CollisionDetector, CollisionReaction, ExpectedContact,
 };
 pub use control_loop::{ControlLoop, Step};
-pub use drive::{Driven, drive, drive_together};
+pub use drive::{Driven, drive, drive_together, drive_with};
 pub use estimated_force::{EstimatedForce, EstimatedForceParameters};
 pub use fault::Fault;
 pub use link::{ChannelParameters, Link, LinkError};

@@ -17,6 +17,7 @@ pub mod report;
 pub mod report_coupled;
 pub mod run;
 pub mod run_coupled;
+pub mod run_on_log;
 pub mod schema;
 
 use opspace_backend::CommandKind;

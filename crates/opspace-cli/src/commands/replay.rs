@@ -1,15 +1,15 @@
 //! `opspace replay`: recomputation of every command of a log.
 
 use crate::cli::ReplayArgs;
+use crate::commands::run_on_log::{Changes, experiment_on_log, record_on_log, say_files};
 use crate::console::{Console, Exit, Failure, Outcome};
 use crate::output::{Format, log_path, logs_of_experiment, pretty, read_log, write_named};
 use crate::outputs::check_outputs;
 use opspace_backend::signal_names::TICK_CHANNEL;
-use opspace_experiment::files::overrides::split;
 use opspace_experiment::report::html::Page;
 use opspace_experiment::report::what_if::torque_difference;
-use opspace_experiment::run::replay::{ReplayReport, replay as recompute};
-use opspace_experiment::{Experiment, Extensions, Files, RunError, TaskDefinition};
+use opspace_experiment::run::replay::{ReplayReport, compare_run_on_log, replay as recompute};
+use opspace_experiment::{Experiment, Extensions, RunError, Summary};
 use opspace_log::Recording;
 use serde_json::{Map, Value, json};
 use std::path::{Path, PathBuf};
@@ -19,49 +19,81 @@ pub fn replay(args: &ReplayArgs, extensions: &Extensions, console: Console) -> O
     if !robots.is_empty() {
         return replay_robots(args, &robots, extensions, console);
     }
-    let inputs: Vec<_> = args.task.iter().cloned().chain([log_path(&args.log)]).collect();
-    let outputs = [args.json.path(), args.report.as_deref()].into_iter().flatten().map(Path::to_owned);
-    check_outputs(&inputs, &outputs.collect::<Vec<_>>())?;
-    if args.report.is_some() && args.task.is_none() && args.set.is_empty() {
-        let text = "--report shows other torques than those of the log: add --task or --set, or use `opspace report`";
-        return Err(Failure::Other(text.to_owned(), Exit::Bad));
+    let changes = Changes {
+        task: args.task.as_deref(),
+        controller: args.controller,
+        transformer: args.transformer,
+        set: &args.set,
+        ..Changes::default()
+    };
+    if !changes.are_none() {
+        return what_if(args, &changes, extensions, console);
+    }
+    check_outputs(&[log_path(&args.log)], &Vec::from_iter(args.output.json.path().map(Path::to_owned)))?;
+    if let Some(option) = option_of_a_run(args) {
+        let text = format!(
+            "{option} is for a run on the log: add --task, --controller, --transformer or --set, or use `opspace report`"
+        );
+        return Err(Failure::Other(text, Exit::Bad));
     }
     let (log, recording) = read_log(&args.log)?;
     let bad = |error: RunError| Failure::Other(format!("{}: {error}", log.display()), Exit::Bad);
     if let Some(damage) = &recording.damage {
         console.note(&format!("{}: damaged: {damage}", log.display()));
     }
-    let logged = Experiment::of_log_with(extensions, &recording).map_err(bad)?;
-    let other = other_files(args, extensions, &recording, &logged)?;
-    let experiment = other.as_ref().unwrap_or(&logged);
-    let replayed = recompute(experiment, &recording).map_err(bad)?;
-    let open_loop = other.is_some();
+    let experiment = Experiment::of_log_with(extensions, &recording).map_err(bad)?;
+    let replayed = recompute(&experiment, &recording).map_err(bad)?;
+    let json = || pretty(&as_json(&log, &experiment, &recording, &replayed, false));
+    args.output.json.print(json, || verdict(&log, &replayed))?;
+    Ok(exit_code(&recording, &replayed))
+}
+
+/// An option that was given although nothing is run.
+fn option_of_a_run(args: &ReplayArgs) -> Option<&'static str> {
+    let given = [
+        ("--report", args.report.is_some()),
+        ("--out", args.output.out.is_some()),
+        ("--force", args.output.force),
+        ("--open", args.open.open),
+    ];
+    given.into_iter().find_map(|(option, is_given)| is_given.then_some(option))
+}
+
+/// Runs the changed experiment on the log, and compares its commands with the logged ones.
+fn what_if(args: &ReplayArgs, changes: &Changes<'_>, extensions: &Extensions, console: Console) -> Outcome {
+    let inputs: Vec<_> = args.task.iter().cloned().chain([log_path(&args.log)]).collect();
+    check_outputs(&inputs, &Vec::from_iter(args.report.clone()))?;
+    let (log, recording) = read_log(&args.log)?;
+    let experiment = experiment_on_log(changes, extensions, &log, &recording)?;
+    let (summary, folder) = record_on_log(&experiment, &log, &recording, &args.output, console)?;
+    let (_, run) = read_log(&folder)?;
+    let bad = |error: RunError| Failure::Other(format!("{}: {error}", log.display()), Exit::Bad);
+    let replayed = compare_run_on_log(&recording, &run).map_err(bad)?;
     if let Some(page) = &args.report {
-        write_report(page, &log, experiment, &recording, &replayed)?;
+        write_report(page, &log, &experiment, (&recording, &run), &replayed)?;
     }
-    args.json.print(
-        || pretty(&as_json(&log, experiment, &recording, &replayed, open_loop)),
-        || match open_loop {
-            true => what_if(experiment, &recording, &replayed),
-            false => verdict(&log, &replayed),
-        },
-    )?;
-    Ok(match exit_code(&recording, &replayed) {
-        Exit::Failed if open_loop => lost(&recording),
-        exit => exit,
-    })
+    let json = || {
+        let mut json = as_json(&log, &experiment, &recording, &replayed, true);
+        json["commands_part_after_s"] = json!(summary.replay.and_then(|replay| replay.commands_part_after_s));
+        json["folder"] = json!(folder);
+        pretty(&json)
+    };
+    args.output.json.print(json, || what_if_text(&experiment, &recording, &replayed, &summary))?;
+    say_files(&summary, &folder, &args.open, console);
+    Ok(lost(&recording))
 }
 
 /// Replays the log of each robot of an experiment alone.
 fn replay_robots(args: &ReplayArgs, logs: &[PathBuf], extensions: &Extensions, console: Console) -> Outcome {
-    if args.task.is_some() || !args.set.is_empty() || args.report.is_some() {
+    let chosen = args.task.is_some() || args.controller.is_some() || args.transformer.is_some();
+    if chosen || !args.set.is_empty() || option_of_a_run(args).is_some() {
         let text = format!(
-            "{}: --task, --set and --report are for the log of one robot: give the folder of a robot in it",
+            "{}: only --json is for several robots: give the folder of a robot in it",
             args.log.display()
         );
         return Err(Failure::Other(text, Exit::Bad));
     }
-    check_outputs(logs, &Vec::from_iter(args.json.path().map(Path::to_owned)))?;
+    check_outputs(logs, &Vec::from_iter(args.output.json.path().map(Path::to_owned)))?;
     let (mut text, mut robots, mut exit) = (String::new(), Map::new(), Exit::Done);
     for log in logs {
         let (log, recording) = read_log(log)?;
@@ -82,7 +114,7 @@ fn replay_robots(args: &ReplayArgs, logs: &[PathBuf], extensions: &Extensions, c
     }
     let json =
         || pretty(&json!({ "schema": "opspace.replay-robots/1", "folder": args.log, "robots": robots }));
-    args.json.print(json, || text)?;
+    args.output.json.print(json, || text)?;
     Ok(exit)
 }
 
@@ -99,38 +131,17 @@ fn lost(recording: &Recording) -> Exit {
     if recording.damage.is_some() || recording.dropped() > 0 { Exit::DataLost } else { Exit::Done }
 }
 
-/// Experiment of a replay with another task or with changed files; `None` for that of the log itself.
-fn other_files(
-    args: &ReplayArgs,
-    extensions: &Extensions,
-    recording: &Recording,
-    logged: &Experiment,
-) -> Result<Option<Experiment>, Failure> {
-    let Some(path) = &args.task else {
-        let changed =
-            (!args.set.is_empty()).then(|| Experiment::of_log_changed(extensions, recording, &args.set));
-        return Ok(changed.transpose()?);
-    };
-    let (robot_settings, task_settings) = split(&args.set, "robot");
-    let robot = match robot_settings.as_slice() {
-        [] => logged.robot().clone(),
-        _ => Experiment::of_log_changed(extensions, recording, &robot_settings)?.robot().clone(),
-    };
-    let task = TaskDefinition::load_with(&extensions.tasks, Files::Disk, path, &task_settings)?;
-    Ok(Some(Experiment::new(robot, task, logged.options().clone(), Vec::new())?))
-}
-
 fn write_report(
     page: &Path,
     log: &Path,
     experiment: &Experiment,
-    recording: &Recording,
+    (recording, run): (&Recording, &Recording),
     replayed: &ReplayReport,
 ) -> Result<(), Failure> {
     let title = format!("{}: replay with '{}'", log.display(), experiment.task().name());
     let lead = "Open loop: torques computed from the logged measurements. The motion is the logged one.";
     let mut report = Page::new(title).lead(lead).paragraph(&end(experiment, replayed));
-    if let Some(figure) = torque_difference(experiment, recording)? {
+    if let Some(figure) = torque_difference(recording, run)? {
         report = report.figure(&figure);
     }
     write_named(page, &report.render(), Format::Html)
@@ -171,12 +182,20 @@ fn verdict(log: &Path, replayed: &ReplayReport) -> String {
 }
 
 /// Describes the commands that another task would have computed.
-fn what_if(experiment: &Experiment, recording: &Recording, replayed: &ReplayReport) -> String {
+fn what_if_text(
+    experiment: &Experiment,
+    recording: &Recording,
+    replayed: &ReplayReport,
+    summary: &Summary,
+) -> String {
     let (name, compared) = (experiment.task().name(), replayed.compared);
     let mut text = format!(
         "open loop: commands of '{name}' computed from the logged measurements, over {compared} ticks\n"
     );
     text += &format!("{}\n", end(experiment, replayed));
+    if let Some(replay) = &summary.replay {
+        text += &format!("{}\n", replay.text());
+    }
     let tick = recording.channel(TICK_CHANNEL);
     for (signal, elements) in &replayed.rms {
         let units = tick.and_then(|tick| tick.signal(signal)).map_or(&[][..], |column| column.units());

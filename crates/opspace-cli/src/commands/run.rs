@@ -1,8 +1,9 @@
 //! `opspace run`: executes one task on one robot.
 
-use crate::cli::RunArgs;
+use crate::cli::{BackendChoice, RunArgs};
 use crate::commands::own_backend;
 use crate::commands::run_coupled::run_coupled;
+use crate::commands::run_on_log::run_on_log;
 use crate::console::{Console, Exit, Failure, Outcome, results as table};
 use crate::interrupt;
 use crate::output::pretty;
@@ -19,6 +20,13 @@ use std::path::PathBuf;
 pub fn run(args: &RunArgs, extensions: &Extensions, console: Console) -> Outcome {
     if Files::Disk.kind(&args.task) == Some(Kind::Experiment) {
         return run_coupled(args, extensions, console);
+    }
+    if args.backend == Some(BackendChoice::Replay) {
+        return run_on_log(args, extensions, console);
+    }
+    if args.log.is_some() {
+        let text = "--log is for --backend replay".to_owned();
+        return Err(Failure::Other(text, Exit::Bad));
     }
     let robot = args.robot.as_deref();
     let options = args.options(own_backend(&args.task, robot, &args.set, extensions));

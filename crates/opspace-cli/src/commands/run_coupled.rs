@@ -81,8 +81,8 @@ pub fn run_coupled(args: &RunArgs, extensions: &Extensions, console: Console) ->
 fn refuse_options_of_one_robot(args: &RunArgs) -> Result<(), Failure> {
     let given = [
         ("--robot", args.robot.is_some(), "robot"),
-        ("--backend", args.control.backend.is_some(), "backend"),
-        ("--controller", args.control.controller != ControllerKind::Osc, "controller"),
+        ("--backend", args.backend.is_some(), "backend"),
+        ("--controller", args.controller != ControllerKind::Osc, "controller"),
         ("--transformer", args.transformer.is_some(), "transformer"),
         ("--profile", args.profile.is_some(), "profile"),
     ];

@@ -95,6 +95,11 @@ pub fn notes(summaries: &[Summary], measures: &[Measure]) -> Vec<String> {
     add(groups.iter().any(|group| group.runs.len() > 1), OF_SEEDS);
     let times = shows_one(&[Measure::TickTime, Measure::RealTime]);
     add(times, OF_TIMES);
+    for summary in summaries {
+        if let (Some(replay), Some(plant)) = (&summary.replay, &summary.plant) {
+            add(true, &format!("'{}' on {plant}: {}", summary.task, replay.text()));
+        }
+    }
     let simulated = summaries.iter().any(|summary| summary.simulated);
     add(simulated, &format!("{} {OF_SIMULATION}", if times { "All other" } else { "All" }));
     add(simulated && groups.len() > 1, OF_ONE_PLANT);

@@ -553,6 +553,7 @@ pub(crate) mod tests {
             duration_s: 1.0,
             overrides: Vec::new(),
             label: None,
+            replay: None,
             faulted: None,
             fault_time_s: None,
             interrupted: false,

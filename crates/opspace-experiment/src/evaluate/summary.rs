@@ -13,7 +13,7 @@ use crate::run::execute::Progress;
 use crate::run::experiment::Experiment;
 use crate::run::log_header::is_real;
 use opspace_control::TaskParameters;
-use opspace_log::{LogFile, OutcomeRecord, Recording};
+use opspace_log::{LogFile, OutcomeRecord, Recording, ReplayedCommands};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -57,6 +57,9 @@ pub struct Summary {
     pub overrides: Vec<String>,
     /// Name of the settings in the table of a suite.
     pub label: Option<String>,
+    /// Comparison of the commands with those of the log on which the experiment ran; `None` for any other robot.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub replay: Option<Replay>,
     /// Fault that stopped the run; `None` if there was none.
     pub faulted: Option<String>,
     /// Time of the fault, s.
@@ -99,6 +102,39 @@ pub struct Summary {
     pub joints: BTreeMap<String, JointMetrics>,
     /// Computing times of the run; they are not reproducible.
     pub timing: Timing,
+}
+
+/// Commands of a run on a log, compared with those of the log.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[non_exhaustive]
+pub struct Replay {
+    /// Time of the first command that differs from the log in any bit, s after the first sample of the log; `None` if
+    /// all are equal. From then on the measurements are not those that the commands would have caused.
+    pub commands_part_after_s: Option<f64>,
+}
+
+impl Replay {
+    /// States what the comparison means, in one sentence.
+    #[must_use]
+    pub fn text(&self) -> String {
+        match self.commands_part_after_s {
+            None => "All commands are those of the log, bit for bit.".to_owned(),
+            Some(after_s) => format!(
+                "Commands differ from those of the log after {after_s:.3} s: from then on this is only a what-if, \
+                 because the measurements are those of the log."
+            ),
+        }
+    }
+}
+
+impl From<ReplayedCommands> for Replay {
+    fn from(commands: ReplayedCommands) -> Self {
+        let commands_part_after_s = match commands {
+            ReplayedCommands::Equal => None,
+            ReplayedCommands::PartAfter(after_s) => Some(after_s),
+        };
+        Self { commands_part_after_s }
+    }
 }
 
 impl Experiment {
@@ -176,12 +212,13 @@ impl Experiment {
             ratio: self.profile().1.servo_ticks_per_cycle.get(),
             seed: self.seed(),
             simulated: !is_real(recording),
-            plant: (!is_real(recording)).then(|| self.plant()),
+            plant: (self.is_on_log() || !is_real(recording)).then(|| self.plant()),
             assumed: self.robot().file.assumed.clone(),
             allowed: self.allowed().to_vec(),
             duration_s: self.duration_s(),
             overrides: self.settings().to_vec(),
             label: self.options().label.clone(),
+            replay: outcome.replay.map(Replay::from),
             faulted: outcome.fault.clone(),
             fault_time_s: outcome.time_s.filter(|_| outcome.fault.is_some()),
             interrupted: outcome.interrupted,

@@ -2,47 +2,24 @@
 
 use crate::report::figure::{Figure, Panel, Series, Style};
 use crate::run::error::RunError;
-use crate::run::experiment::Experiment;
-use crate::run::replay::replay_into;
 use opspace_backend::signal_names::TORQUE_DESIRED;
-use opspace_backend::{Sink, TICK};
 use opspace_log::Recording;
-use opspace_loop::Run;
-use std::ops::Range;
 
-/// Desired torques of a replay, cycle by cycle.
-struct Torques {
-    columns: Range<usize>,
-    rows: Vec<Vec<f64>>,
-}
-
-impl Sink for Torques {
-    fn row(&mut self, channel: usize, _time_s: f64, row: &[f64]) {
-        if channel == TICK {
-            self.rows.push(row[self.columns.clone()].to_vec());
-        }
-    }
-}
-
-/// Replays a log with an experiment, and returns the figure of logged torques, recomputed torques and their difference,
-/// with a panel for each joint. `None` if the log or the experiment has no desired torques of the same joints.
+/// Returns the figure of logged torques, torques of a run on the log, and their difference, with a panel for each joint.
+/// `None` if one of the two has no desired torques of the same joints.
 ///
 /// # Errors
-/// A log without one of the inputs.
-pub fn torque_difference(experiment: &Experiment, recording: &Recording) -> Result<Option<Figure>, RunError> {
-    let layouts = Run::layouts(&experiment.control_loop()?, None);
-    let tick = recording.tick()?;
-    let (Some(columns), Some(logged)) = (layouts[TICK].columns(TORQUE_DESIRED), tick.signal(TORQUE_DESIRED))
-    else {
+/// A log without control cycles.
+pub fn torque_difference(logged: &Recording, run: &Recording) -> Result<Option<Figure>, RunError> {
+    let (tick, rerun) = (logged.tick()?, run.tick()?);
+    let (Some(logged), Some(recomputed)) = (tick.signal(TORQUE_DESIRED), rerun.signal(TORQUE_DESIRED)) else {
         return Ok(None);
     };
-    if columns.len() != logged.elements().len() {
+    if recomputed.elements() != logged.elements() {
         return Ok(None);
     }
-    let mut recomputed = Torques { columns, rows: Vec::new() };
-    replay_into(experiment, recording, &mut recomputed)?;
     let panel = |(j, joint): (usize, &String)| {
-        let both = || logged.rows().map(|row| row[j]).zip(recomputed.rows.iter().map(|row| row[j]));
+        let both = || logged.rows().map(|row| row[j]).zip(recomputed.rows().map(|row| row[j]));
         let series = |label: &str, y: Vec<f64>, style| {
             Series::new(label, tick.time_s[..y.len()].to_vec(), y).style(style)
         };

@@ -4,9 +4,10 @@ use crate::run::error::RunError;
 use crate::run::experiment::Experiment;
 use opspace_backend::{Backend, Capabilities, GroundTruth, Layout, SERVO, Sink, TruthLayouts, World};
 use opspace_log::{
-    Channel, OutcomeRecord, Pace, Recorder, Recording, SegmentRecorder, WriteStats, Writer, record,
+    Channel, LoggedTargets, OutcomeRecord, Pace, Recorder, Recording, ReplayBackend, ReplayedCommands,
+    SegmentRecorder, WriteStats, Writer, record,
 };
-use opspace_loop::{ControlLoop, Fault, Run, RunOutcome, drive};
+use opspace_loop::{ControlLoop, Fault, Run, RunOutcome, drive, drive_with};
 use std::io::Write;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -81,10 +82,20 @@ impl<W> OpenLog<'_, W> {
     /// # Errors
     /// If the log cannot be written.
     pub fn close(self, experiment: &Experiment, outcome: RunOutcome) -> Result<RunResult<W>, RunError> {
+        let record = experiment.outcome_record(&outcome);
+        self.close_with(experiment, outcome, record)
+    }
+
+    /// Closes the log with `record`, which describes `outcome`.
+    fn close_with(
+        self,
+        experiment: &Experiment,
+        outcome: RunOutcome,
+        record: OutcomeRecord,
+    ) -> Result<RunResult<W>, RunError> {
         let robot_s = self.ticks as f64 * experiment.profile().1.period_s();
         let realtime_factor = robot_s / self.began.elapsed().as_secs_f64();
         drop(self.recorder);
-        let record = experiment.outcome_record(&outcome);
         match self.writer.finish_with(record.clone()) {
             Ok((written, sink)) => Ok(RunResult { outcome, record, written, sink, realtime_factor }),
             Err(source) => Err(RunError::LogCutShort { record: Box::new(record), rows: self.rows, source }),
@@ -124,6 +135,36 @@ impl Experiment {
         }
         let truth = backend.ground_truth().map(GroundTruth::layouts);
         self.run_with(&capabilities, truth, sink, progress, |run| drive(backend, run))
+    }
+
+    /// Runs the experiment on a log in place of a robot: the control loop gets its samples, targets and stop requests.
+    /// Targets that the log does not have keep their first values. The run ends with the log at the latest.
+    ///
+    /// # Errors
+    /// A log without a quantity that robot.toml declares as measured; a log that cannot be written.
+    pub fn run_on_log<W: Write + Send + 'static>(
+        &self,
+        recording: &Recording,
+        sink: W,
+        progress: &Progress,
+    ) -> Result<RunResult<W>, RunError> {
+        let mut robot = ReplayBackend::new(recording, self.capabilities().simulated())?;
+        let (control, mut log) = self.open(&robot.capabilities().clone(), None, sink, progress)?;
+        let mut run = Run::new(control, self.duration_s(), &mut log).with_stop_request(&progress.interrupt);
+        let targets = run.targets();
+        let mut logged = LoggedTargets::new(recording, &targets.layout(), targets.row())?;
+        drive_with(&mut robot, &mut run, &mut |run| {
+            let Some((row, stop_requested)) = logged.next_row() else { return false };
+            run.targets().set_row(row);
+            if stop_requested {
+                progress.interrupt.store(true, Ordering::Relaxed);
+            }
+            true
+        });
+        let outcome = run.finish();
+        let commands = robot.parted_s().map_or(ReplayedCommands::Equal, ReplayedCommands::PartAfter);
+        let record = OutcomeRecord { replay: Some(commands), ..self.outcome_record(&outcome) };
+        log.close_with(self, outcome, record)
     }
 
     /// Runs the experiment with a loop of the caller: `body` calls [`Run::cycle`] once per interface cycle until
@@ -244,6 +285,7 @@ impl Experiment {
                     Fault::Device(fault) => Some(fault.clone()),
                     _ => None,
                 },
+                replay: None,
             },
         }
     }

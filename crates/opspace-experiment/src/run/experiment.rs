@@ -10,10 +10,11 @@ use crate::files::source::FileError;
 use crate::files::task::TaskDefinition;
 use crate::metrics::expectations;
 use crate::run::collision::{KeptDistances, kept_distances};
+use crate::run::log_header::is_real;
 use crate::run::membership::Membership;
 use crate::run::path_bounds::{PASSES, bounds, path_of, time_optimal_paths};
 use crate::run::path_dynamics::JointBounds;
-use crate::run::physics::Physics;
+use crate::run::physics::{Physics, ReplayedLog};
 use crate::run::rollout::{Rollout, RolloutCase};
 use crate::run::start_positions::{IN_DEGREES, are_degrees, check_start, others_outside};
 use crate::suggest::choices;
@@ -24,6 +25,7 @@ use opspace_control::{
     ControlContext, ControlError, Controller, InverseKinematicsController, LimitParameters,
     OperationalSpaceController, Reason, ServoLead, TaskParameters, TaskSet, TaskSetParameters, ViableSpeeds,
 };
+use opspace_log::Recording;
 use opspace_loop::{
     CollisionDetector, ControlLoop, EstimatedForce, LoopConfig, LoopError, SensorCompensation,
 };
@@ -447,7 +449,7 @@ impl Experiment {
         let arm = match &self.physics {
             Physics::Own => SimulatedArm::new(config),
             Physics::Engine(engine) => SimulatedArm::on_engine(config, &**engine),
-            Physics::Logged(_) => return Err(self.missing_engine()),
+            Physics::Logged(_) | Physics::Replay(_) => return Err(self.missing_engine()),
         };
         arm.map_err(|e| self.simulation_error(&e))
     }
@@ -456,7 +458,7 @@ impl Experiment {
     pub(crate) fn simulation_of(&self, config: SimulationConfig) -> Result<Simulation, SimulationError> {
         match &self.physics {
             Physics::Engine(engine) => Simulation::with_plant(config, |plant| engine.build(plant)),
-            Physics::Own | Physics::Logged(_) => Simulation::new(config),
+            Physics::Own | Physics::Logged(_) | Physics::Replay(_) => Simulation::new(config),
         }
     }
 
@@ -470,12 +472,27 @@ impl Experiment {
         Ok(self)
     }
 
+    /// Returns the experiment on a log in place of a robot; `path` is that of the log. Run it by
+    /// [`run_on_log`](Self::run_on_log).
+    #[must_use]
+    pub fn on_log(mut self, path: impl Into<String>, recording: &Recording) -> Self {
+        let real = is_real(recording);
+        self.physics = Physics::Replay(ReplayedLog { path: path.into(), real });
+        self
+    }
+
+    /// True if the experiment runs on a log in place of a robot.
+    pub(crate) fn is_on_log(&self) -> bool {
+        matches!(self.physics, Physics::Replay(_))
+    }
+
     /// Scene of the physics engine, if it has one.
     pub(crate) fn scene(&self) -> Option<&Scene> {
         self.physics.scene()
     }
 
-    /// Name of the plant of the simulation: `own`, or name and version of another engine and the file name of its scene.
+    /// Name of the plant of the simulation: `own`, or name and version of another engine and the file name of its scene; of
+    /// a run on a log, `log` and its path.
     #[must_use]
     pub fn plant(&self) -> String {
         self.physics.label()

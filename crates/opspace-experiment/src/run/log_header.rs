@@ -57,11 +57,12 @@ impl Experiment {
     /// Builds the header of a log of this experiment: files, settings and versions.
     pub(crate) fn header(&self, world: World) -> Header {
         let options = self.options();
+        let is_real = world == World::Real || matches!(&self.physics, Physics::Replay(log) if log.real);
         let mut entries = BTreeMap::from([
             ("opspace_version".to_owned(), env!("CARGO_PKG_VERSION").to_owned()),
             ("task".to_owned(), self.task().source.name().to_owned()),
             ("robot".to_owned(), self.robot().source.name().to_owned()),
-            (WORLD.to_owned(), if world == World::Real { REAL } else { "simulated" }.to_owned()),
+            (WORLD.to_owned(), if is_real { REAL } else { "simulated" }.to_owned()),
             ("backend".to_owned(), options.backend.name().to_owned()),
             ("controller".to_owned(), options.controller.name().to_owned()),
             ("profile".to_owned(), self.profile().0.to_owned()),
@@ -203,7 +204,8 @@ impl Experiment {
         let settings: Vec<String> =
             entry("overrides")?.lines().map(str::to_owned).chain(changes.iter().cloned()).collect();
         let mut chosen = Self::new(robot.clone(), task.clone(), options.clone(), settings.clone())?;
-        let (physics, membership) = (Physics::of_entries(entries), Membership::of_log(recording)?);
+        let (physics, membership) =
+            (Physics::of_entries(entries, is_real(recording)), Membership::of_log(recording)?);
         chosen.physics = physics.clone();
         chosen.membership = membership.clone();
         chosen.allowed = allowed.clone();

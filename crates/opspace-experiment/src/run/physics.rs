@@ -12,6 +12,9 @@ pub const OWN_PLANT: &str = "own";
 const PLANT: &str = "plant";
 const VERSION: &str = "plant_version";
 const SCENE: &str = "plant_scene";
+/// Name of a log in place of a plant, and entry with its path.
+const LOG_PLANT: &str = "log";
+const LOG_PATH: &str = "plant_log";
 
 /// Plant of an experiment's simulation.
 #[derive(Clone, Debug, Default)]
@@ -23,11 +26,16 @@ pub(crate) enum Physics {
     Engine(Arc<dyn PhysicsEngine>),
     /// Physics engine of a log, which is not available.
     Logged(EngineName),
+    /// A log in place of a plant: its measurements are given, and commands do not change them.
+    Replay(ReplayedLog),
 }
 
 impl Physics {
-    /// Name in results: `own`, or `mujoco 3.2.7` with the file name of the scene.
+    /// Name in results: `own`, `mujoco 3.2.7` with the file name of the scene, or `log` with its path.
     pub fn label(&self) -> String {
+        if let Self::Replay(log) = self {
+            return format!("{LOG_PLANT} {}", log.path);
+        }
         self.engine_name().map_or_else(|| OWN_PLANT.to_owned(), |name| name.label())
     }
 
@@ -35,31 +43,47 @@ impl Physics {
     pub fn scene(&self) -> Option<&Scene> {
         match self {
             Self::Engine(engine) => engine.scene(),
-            Self::Own | Self::Logged(_) => None,
+            Self::Own | Self::Logged(_) | Self::Replay(_) => None,
         }
     }
 
     /// Entries of a log's metadata.
     pub fn entries(&self) -> Vec<(String, String)> {
+        if let Self::Replay(log) = self {
+            return vec![(PLANT.to_owned(), LOG_PLANT.to_owned()), (LOG_PATH.to_owned(), log.path.clone())];
+        }
         let Some(name) = self.engine_name() else { return vec![(PLANT.to_owned(), OWN_PLANT.to_owned())] };
         let scene = name.scene.map(|scene| (SCENE.to_owned(), scene));
         [(PLANT.to_owned(), name.name), (VERSION.to_owned(), name.version)].into_iter().chain(scene).collect()
     }
 
-    /// Plant of a log with these entries.
-    pub fn of_entries(entries: &BTreeMap<String, String>) -> Self {
+    /// Plant of a log with these entries, which was recorded on a real robot or not.
+    pub fn of_entries(entries: &BTreeMap<String, String>, real: bool) -> Self {
         let Some(name) = entries.get(PLANT).filter(|name| *name != OWN_PLANT) else { return Self::Own };
+        if name == LOG_PLANT {
+            let path = entries.get(LOG_PATH).cloned().unwrap_or_default();
+            return Self::Replay(ReplayedLog { path, real });
+        }
         let version = entries.get(VERSION).cloned().unwrap_or_default();
         Self::Logged(EngineName { name: name.clone(), version, scene: entries.get(SCENE).cloned() })
     }
 
     fn engine_name(&self) -> Option<EngineName> {
         match self {
-            Self::Own => None,
+            Self::Own | Self::Replay(_) => None,
             Self::Engine(engine) => Some(EngineName::of(&**engine)),
             Self::Logged(name) => Some(name.clone()),
         }
     }
+}
+
+/// Log in place of a plant.
+#[derive(Clone, Debug)]
+pub(crate) struct ReplayedLog {
+    /// Path of the log.
+    pub path: String,
+    /// True if it was recorded on a real robot.
+    pub real: bool,
 }
 
 /// Name, version and scene of a physics engine.

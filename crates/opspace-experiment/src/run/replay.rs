@@ -2,8 +2,8 @@
 
 use crate::run::error::RunError;
 use crate::run::experiment::Experiment;
-use opspace_backend::Sink;
 use opspace_backend::signal_names::{COMMAND, DQ_DESIRED, Q_DESIRED, TORQUE_DESIRED};
+use opspace_backend::{Sink, TICK};
 use opspace_log::{Comparer, Difference, LoggedInputs, OutcomeRecord, Recording};
 use opspace_loop::{Run, RunOutcome};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -37,18 +37,35 @@ const COMMANDS: [&str; 4] = [COMMAND, TORQUE_DESIRED, Q_DESIRED, DQ_DESIRED];
 /// A log without one of the inputs.
 pub fn replay(experiment: &Experiment, recording: &Recording) -> Result<ReplayReport, RunError> {
     let control = experiment.control_loop()?;
-    let mut comparer = Comparer::new(recording, &Run::layouts(&control, None)[opspace_backend::TICK])?;
+    let mut comparer = Comparer::new(recording, &Run::layouts(&control, None)[TICK])?;
     let outcome = replay_into(experiment, recording, &mut comparer)?;
+    Ok(report(&comparer, experiment.outcome_record(&outcome)))
+}
+
+fn report(comparer: &Comparer<'_>, outcome: OutcomeRecord) -> ReplayReport {
     let rms = COMMANDS.map(|signal| (signal.to_owned(), comparer.rms_difference(signal)));
-    Ok(ReplayReport {
+    ReplayReport {
         compared: comparer.compared(),
         logged: comparer.logged(),
         differing: comparer.differing(),
         first_difference: comparer.first_difference(),
         unmatched: comparer.unmatched().to_vec(),
-        outcome: experiment.outcome_record(&outcome),
+        outcome,
         rms: rms.into_iter().filter(|(_, elements)| !elements.is_empty()).collect(),
-    })
+    }
+}
+
+/// Compares the rows of a run on a log ([`Experiment::run_on_log`]) with those of the log.
+///
+/// # Errors
+/// A log without control cycles.
+pub fn compare_run_on_log(logged: &Recording, run: &Recording) -> Result<ReplayReport, RunError> {
+    let tick = run.tick()?;
+    let mut comparer = Comparer::new(logged, &tick.layout)?;
+    for (k, time_s) in tick.time_s.iter().enumerate() {
+        comparer.row(TICK, *time_s, tick.row(k));
+    }
+    Ok(report(&comparer, OutcomeRecord::of(run)))
 }
 
 /// Feeds the inputs of a log to the experiment's control loop and writes its rows to `sink`.
