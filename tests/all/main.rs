@@ -34,6 +34,7 @@ mod result_files;
 mod robot_layers;
 mod robots;
 mod safety;
+mod samples;
 mod singular_start;
 mod suites;
 

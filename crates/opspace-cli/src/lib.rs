@@ -24,6 +24,7 @@ mod outputs;
 mod plant;
 mod result_folder;
 mod run_progress;
+pub mod samples;
 mod shard;
 mod suite_results;
 mod sweep;

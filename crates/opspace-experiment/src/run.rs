@@ -9,6 +9,7 @@ pub mod error;
 pub mod execute;
 pub mod experiment;
 pub mod log_header;
+mod logged_capsules;
 pub mod membership;
 mod on_driver;
 mod path_bounds;

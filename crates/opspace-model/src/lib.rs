@@ -24,8 +24,8 @@
 //!
 //! A [`Model`] describes the robot. [`Data`] holds the results and intermediate values for that model and is allocated
 //! once. The algorithms are functions of both, one per file, with the names of the textbook (Featherstone, *Rigid Body
-//! Dynamics Algorithms*, "RBDA"). No algorithm allocates; reading a URDF, building a model or its collision
-//! geometry, and [`samples`] do.
+//! Dynamics Algorithms*, "RBDA"). No algorithm allocates; reading a URDF, and building a model or its
+//! collision geometry do.
 //!
 //! | wanted | here | in Pinocchio |
 //! |---|---|---|
@@ -76,7 +76,6 @@ pub mod real;
 pub mod reduce;
 pub mod regressor;
 pub mod rnea;
-pub mod samples;
 pub mod spatial;
 pub mod urdf;
 pub mod warnings;

@@ -6,11 +6,11 @@ use crate::commands::posture::Posture;
 use crate::console::{Console, Exit, Failure, Outcome, print_exactly, render};
 use crate::output::{Format, pretty, write_named};
 use crate::outputs::check_outputs;
+use crate::samples::{Sample, evaluate};
 use opspace_experiment::evaluate::table::{Cell, Table};
 use opspace_experiment::files::collision::{capsule_warning_texts, capsules_as_toml, generated_capsules};
 use opspace_experiment::files::robot::load_urdf;
 use opspace_experiment::{Files, RobotDefinition, Source};
-use opspace_model::samples::{Sample, evaluate};
 use opspace_model::{
     Body, Frame, JointKind, Model, ParsedUrdf, UrdfOptions, UrdfWarning, model_warnings, principal_moments,
 };

@@ -9,6 +9,7 @@ use crate::files::source::Source;
 use crate::files::task::TaskDefinition;
 use crate::run::error::RunError;
 use crate::run::experiment::{Experiment, RunOptions};
+use crate::run::logged_capsules::{read_capsules, write_capsules};
 use crate::run::membership::Membership;
 use crate::run::physics::Physics;
 use opspace_backend::quantity::Positive;
@@ -103,7 +104,7 @@ impl Experiment {
         let attached = |(name, media, source): (String, &str, &Source)| {
             Attachment::new(name, media, source.text().as_bytes())
         };
-        let capsules = self.robot().capsules.as_ref().and_then(|c| serde_json::to_vec(&c.generated).ok());
+        let capsules = self.robot().capsules.as_ref().and_then(|c| write_capsules(&c.generated).ok());
         let capsules = capsules.map(|text| Attachment::new(CAPSULES_FILE, "application/json", text));
         Header {
             metadata: vec![(RUN.to_owned(), entries)],
@@ -155,7 +156,7 @@ impl Experiment {
         };
         let generated = match recording.attachment(CAPSULES_FILE) {
             Some(file) => Some(
-                serde_json::from_slice(&file.data)
+                read_capsules(&file.data)
                     .map_err(|_| RunError::Incomplete { what: format!("a readable {CAPSULES_FILE}") })?,
             ),
             None => None,

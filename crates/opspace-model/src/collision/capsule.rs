@@ -3,7 +3,6 @@
 use super::segment::Segment;
 use crate::spatial::Placement;
 use nalgebra::Vector3;
-use serde::{Deserialize, Serialize};
 
 /// Set of all points within a radius of a line segment. If its ends coincide, it is a sphere.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -82,8 +81,7 @@ pub enum CollisionShape {
 }
 
 /// Origin of a capsule.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum CapsuleSource {
     /// `<sphere>` of the URDF.
     Sphere,
@@ -103,8 +101,7 @@ pub enum CapsuleSource {
 }
 
 /// Capsule that is fixed to a link, in the form in which it is listed, corrected and read from a file.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct LinkCapsule {
     /// Name of the capsule, which is unique: the link, with a number if the link has several capsules.
     pub name: String,

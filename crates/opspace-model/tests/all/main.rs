@@ -9,7 +9,6 @@ mod identities;
 mod mujoco;
 mod oracle;
 mod pinocchio;
-mod samples;
 mod states;
 
 mod trees;

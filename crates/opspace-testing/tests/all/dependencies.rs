@@ -32,6 +32,34 @@ fn every_dependency_has_a_row_in_the_table_of_reasons() {
     }
 }
 
+/// Compared: the crates that each crate depends on, and the order of the crates in the table of ARCHITECTURE.md. What only
+/// tests depend on may be below.
+#[test]
+fn crates_depend_on_crates_above_them() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
+    let read = |name: &str| fs::read_to_string(root.join(name)).expect("a file of the project");
+    let architecture = read("ARCHITECTURE.md");
+    let row = |line: &str| Some(line.strip_prefix("| `crates/")?.split_once('`')?.0.to_owned());
+    let order: Vec<String> = architecture.lines().filter_map(row).collect();
+    let mut depends = 0;
+    for entry in fs::read_dir(root.join("crates")).expect("the folder of the crates") {
+        let name = entry.expect("a folder").file_name().to_string_lossy().into_owned();
+        let manifest: toml::Table =
+            toml::from_str(&read(&format!("crates/{name}/Cargo.toml"))).expect("a manifest");
+        let place =
+            order.iter().position(|other| *other == name).unwrap_or_else(|| panic!("no row of {name}"));
+        let dependencies = manifest.get("dependencies").and_then(toml::Value::as_table).into_iter().flatten();
+        for (dependency, _) in dependencies.filter(|(dependency, _)| dependency.starts_with("opspace")) {
+            depends += 1;
+            assert!(
+                order[..place].contains(dependency),
+                "{name} depends on {dependency}, which is not above it"
+            );
+        }
+    }
+    assert!(depends > 30, "only {depends} dependencies between crates");
+}
+
 /// Compared: the optimisation of dependencies in tests/own-driver and in this workspace. If they differed, .ci/run would
 /// compile the dependencies twice.
 #[test]

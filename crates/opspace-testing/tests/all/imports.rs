@@ -1,7 +1,7 @@
 //! Imports between the files of a crate, read from its sources.
 //!
 //! A path is followed through re-exports to the file that defines its item, wherever it stands: in a `use` or in the
-//! code. Tests, comments and strings are left out.
+//! code. Tests, comments and strings are left out. A method that a file calls is no import.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;

@@ -19,6 +19,9 @@ mod recorded;
 mod results;
 mod robot;
 mod samples;
+// Compiled here, so that these tests need not wait for the command line.
+#[path = "../../../opspace-cli/src/samples.rs"]
+mod states;
 mod suite;
 mod task;
 mod urdf;

@@ -3,8 +3,8 @@
 use crate::edits::{apply_to_text, edited};
 use crate::inputs::for_each_input;
 use crate::limits::Target;
+use crate::states::{Quantities, Sample, evaluate};
 use crate::{CORPUS, text};
-use opspace_model::samples::{Quantities, Sample, evaluate};
 use opspace_model::{Model, UrdfOptions};
 
 /// Most memory for one file, bytes.

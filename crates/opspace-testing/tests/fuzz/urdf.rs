@@ -4,6 +4,7 @@ use crate::edits::{apply_to_text, edited};
 use crate::inputs::for_each_input;
 use crate::limits::Target;
 use crate::messages::{check_error, check_model};
+use crate::states::{Sample, evaluate};
 use crate::{CORPUS, text, texts};
 use opspace_experiment::Source;
 use opspace_experiment::files::robot::load_urdf;
@@ -11,7 +12,6 @@ use opspace_experiment::setup::robot_template::{NewRobot, robot_toml};
 use opspace_model::collision::{
     CollisionData, CollisionError, CollisionModel, collision_distances, generate_capsules,
 };
-use opspace_model::samples::{Sample, evaluate};
 use opspace_model::urdf::link_shapes;
 use opspace_model::{Data, Model, UrdfOptions, forward_kinematics, model_warnings, neutral};
 

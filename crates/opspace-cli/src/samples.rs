@@ -5,28 +5,31 @@
 //! origin of the tip. Not for control loops: it allocates.
 //!
 //! ```
-//! # let urdf = include_str!("../urdf/ur5e.urdf");
-//! use opspace_model::{Model, samples::{Sample, evaluate}};
+//! use opspace_cli::samples::{Sample, evaluate};
+//! use opspace_model::Model;
 //!
+//! // A rod of 2 kg that turns about the y axis, its centre of mass 0.5 m from the hinge.
+//! let urdf = r#"<robot name="pendulum">
+//!   <link name="base"/>
+//!   <joint name="hinge" type="continuous"><parent link="base"/><child link="rod"/><axis xyz="0 1 0"/></joint>
+//!   <link name="rod"><inertial><origin xyz="0.5 0 0"/><mass value="2"/>
+//!     <inertia ixx="0.1" ixy="0" ixz="0" iyy="0.1" iyz="0" izz="0.1"/></inertial></link>
+//! </robot>"#;
 //! let model = Model::from_urdf(urdf)?.model;
-//! let line = r#"{"q":[0.1,0.2,0.3,0.4,0.5,0.6],"dq":[0,0,0,0,0,0],"ddq":[0,0,0,0,0,0],
-//!   "tau_in":[0,0,0,0,0,0],"f_tip":[0,0,0,0,0,0]}"#;
+//! let line = r#"{"q":[0.1],"dq":[0],"ddq":[0],"tau_in":[0],"f_tip":[0,0,0,0,0,0],"task_rows":[2]}"#;
 //! let sample: Sample = serde_json::from_str(line).expect("a state");
-//! let tool = model.frame_id("flange").expect("a link of the file");
-//! let all = evaluate(&model, tool, &sample).expect("a good state");
-//! assert_eq!(all.mass_matrix.len(), 36);
+//! let rod = model.frame_id("rod").expect("a link of the file");
+//! let all = evaluate(&model, rod, &sample).expect("a good state");
+//! assert!((all.mass_matrix[0] - (2.0 * 0.5 * 0.5 + 0.1)).abs() < 1e-12);
 //! # Ok::<(), opspace_model::UrdfError>(())
 //! ```
 
-use crate::data::Data;
-use crate::model::{FrameId, JointKind, Model};
-use crate::operational_space::OperationalSpace;
-use crate::spatial::Force;
-use crate::{
-    aba, aba_external, center_of_mass, coriolis, frame_bias_acceleration, frame_jacobian, frame_placement,
-    frame_velocity, kinetic_energy, potential_energy, rnea, rnea_external, update,
-};
 use nalgebra::{DMatrix, Matrix6xX, Vector3};
+use opspace_model::{
+    Data, Force, FrameId, JointKind, Model, Motion, OperationalSpace, aba, aba_external, center_of_mass,
+    coriolis, frame_bias_acceleration, frame_jacobian, frame_placement, frame_velocity, kinetic_energy,
+    potential_energy, rnea, rnea_external, update,
+};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
@@ -34,7 +37,7 @@ use thiserror::Error;
 /// full rank. Λ depends on the square of the ratio: below this value it has fewer than four accurate digits.
 const RANK_TOLERANCE: f64 = 1e-6;
 
-/// Largest angle for which sine and cosine are accurate: see [`forward_kinematics`](crate::forward_kinematics).
+/// Largest angle for which sine and cosine are accurate: see [`forward_kinematics`](opspace_model::forward_kinematics).
 const MOST_TURNED_RAD: f64 = 1e6;
 
 /// Largest deviation of a quaternion's length from 1; files contain at least six digits.
@@ -361,7 +364,7 @@ fn has_full_rank(data: &Data, jacobian: &Matrix6xX<f64>, rows: usize) -> bool {
     singular_values.min() > RANK_TOLERANCE * singular_values.max()
 }
 
-fn linear_first(m: &crate::Motion) -> Vec<f64> {
+fn linear_first(m: &Motion) -> Vec<f64> {
     m.linear.iter().chain(m.angular.iter()).copied().collect()
 }
 

@@ -1,7 +1,7 @@
 //! Tests of `samples`: refused inputs, tasks without a result, and JSON keys.
 #![expect(clippy::unwrap_used, reason = "a test")]
 
-use opspace_model::samples::{Quantities, Sample, SampleError, evaluate};
+use opspace_cli::samples::{Quantities, Sample, SampleError, evaluate};
 use opspace_model::{FrameId, Model, UrdfOptions};
 use opspace_testing::oracle::urdf;
 
