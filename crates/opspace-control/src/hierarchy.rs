@@ -3,6 +3,7 @@
 pub mod contact_condition;
 pub(crate) mod displaced_task;
 pub(crate) mod escape;
+pub(crate) mod held_back;
 pub(crate) mod joint_standstill;
 pub(crate) mod mobility_spectrum;
 pub(crate) mod preview;

@@ -107,8 +107,10 @@ impl Limiter {
             }
             data.mass_matrix_factor.solve(self.bias_acceleration.as_mut_slice());
         }
-        self.resists =
-            hierarchy.levels.iter().any(|level| !level.resistance.is_negligible() || level.standstill.acts());
+        self.resists = hierarchy
+            .levels
+            .iter()
+            .any(|level| !level.held_back.does_not_resist() || level.held_back.standstill().acts());
         if let Some(collision) = &mut self.collision {
             collision.update(model, data, &self.bias_acceleration, self.push.acceleration());
         }
@@ -198,8 +200,7 @@ impl Limiter {
             let metric = level.metric();
             let residual = level.residual(data, cascade.alpha(), &metric, horizon_s);
             level.limited = cascade.solve_level(data, &hierarchy.nullspace, &residual, &mut limits)?;
-            let standstill = level.standstill.share();
-            level.resistance.follow(cascade.held(), level.typical.dynamic, standstill, period_s);
+            level.held_back.follow_resistance(cascade.held(), level.typical.dynamic, period_s);
             hierarchy.nullspace.truncate(place + 1);
         }
         scratch.copy_from(joint_torque);

@@ -306,7 +306,7 @@ impl OperationalSpaceController {
         if limiter.is_strictly_feasible(input, &self.commanded, alpha, torque, compensation_torque) {
             for level in &mut hierarchy.levels {
                 level.limited = false;
-                level.resistance.release();
+                level.held_back.release_resistance();
             }
             hierarchy.clear_slack(limiter.is_limited());
             limiter.record_status(Solver::Unlimited, alpha, torque, compensation_torque);

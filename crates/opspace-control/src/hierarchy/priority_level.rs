@@ -3,20 +3,18 @@
 use crate::algebra::{add_transposed, product};
 use crate::context::ControlContext;
 use crate::controller::ControlInput;
-use crate::hierarchy::escape::{Effect, Escape, EscapeInput};
+use crate::hierarchy::escape::{Effect, EscapeInput};
+use crate::hierarchy::held_back::HeldBack;
 use crate::hierarchy::rank::TypicalMobility;
-use crate::hierarchy::standstill::{Outcome, Standstill};
-use crate::limits::resistance::Resistance;
+use crate::hierarchy::standstill::Outcome;
 use crate::nullspace::{Nullspace, ProjectedTask};
 use crate::qp::level_cost::Reducible;
 use crate::qp::lexicographic::Residual;
 use crate::targets::TargetPlace;
-use crate::tasks::singular_escape::SingularEscape;
 use crate::tasks::task::{SpeedLimit, Task, TaskInput, clear_free_rows};
 use crate::tasks::when_limited::WhenLimited;
 use nalgebra::{DMatrix, Matrix6, Matrix6xX, Vector6};
 use opspace_backend::SignalRecorder;
-use opspace_backend::signal_names::{ESCAPE, MIN_SINGULAR_GAIN, STANDSTILL};
 use opspace_model::{Data, Inversion, MassMatrixFactor, Model, OperationalSpace};
 
 /// Gain of a damped inverse above which it differs from the exact one by rounding.
@@ -30,8 +28,6 @@ pub(crate) struct PriorityLevel {
     pub task: Box<dyn Task>,
     pub projected: ProjectedTask,
     bounded: Option<BoundedInertia>,
-    /// Escape from singular poses, if the task has this option.
-    escape: Option<Box<Escape>>,
     /// Typical mobility of the task; the damping thresholds are relative to it.
     pub typical: TypicalMobility,
     /// Task Jacobian J (6 × n); unused rows are zero.
@@ -51,10 +47,8 @@ pub(crate) struct PriorityLevel {
     slack: Vec<f64>,
     /// True if a limit prevents the desired acceleration; the integrators of the task then stop.
     pub limited: bool,
-    /// Resistance while limits hold the task back.
-    pub resistance: Resistance,
-    /// Standstill at a goal that the task cannot reach.
-    pub standstill: Standstill,
+    /// Escape, resistance and standstill of the task.
+    pub held_back: HeldBack,
     /// Positions of the task's streamed inputs in the row of targets.
     pub target: TargetPlace,
 }
@@ -81,8 +75,7 @@ impl PriorityLevel {
         Self {
             weights: task.weights(),
             when_limited: task.when_limited(),
-            escape: (task.escape() != SingularEscape::None)
-                .then(|| Box::new(Escape::new(model, context, above.len()))),
+            held_back: HeldBack::new(&*task, model, context, above.len()),
             slack: vec![0.0; task.slack_signal().len()],
             typical: TypicalMobility::new(model, above.iter().map(|level| &*level.task), &*task),
             task,
@@ -94,8 +87,6 @@ impl PriorityLevel {
             reference_above: zero,
             force: zero,
             limited: false,
-            resistance: Resistance::new(n),
-            standstill: Standstill::new(),
             target: TargetPlace::default(),
         }
     }
@@ -149,11 +140,7 @@ impl PriorityLevel {
     /// Forgets the cycles before.
     fn reset(&mut self) {
         self.limited = false;
-        self.resistance.release();
-        self.standstill = Standstill::new();
-        if let Some(escape) = &mut self.escape {
-            escape.reset();
-        }
+        self.held_back.reset();
     }
 
     /// Computes J at the state of `data`, and Λ in the null space of the tasks above, for any demand. The thresholds
@@ -169,11 +156,11 @@ impl PriorityLevel {
     /// `levels_above` are the levels above, and `above` their null space.
     pub(crate) fn update(&mut self, input: &ControlInput<'_>, levels_above: &[Self], above: &Nullspace) {
         let ControlInput { model, data, .. } = *input;
-        self.task.update(&self.task_input(input, self.limited || self.standstill.acts()));
+        self.task.update(&self.task_input(input, self.limited || self.held_back.standstill().acts()));
         let (rows, inversion, typical) = (self.task.rows(), self.task.inversion(), self.typical.dynamic);
         self.task.jacobian(model, data, &mut self.jacobian);
         self.bias = self.task.bias(model, data);
-        self.desired = self.task.acceleration() - self.bias - self.standstill.taken();
+        self.desired = self.task.acceleration() - self.bias - self.held_back.standstill().taken();
         self.projected.project(above, &self.jacobian);
         self.projected.update(&data.mass_matrix_factor, rows, inversion, typical, Some(&self.desired));
         let effect = self.escape(input, levels_above, above);
@@ -191,7 +178,9 @@ impl PriorityLevel {
 
     /// Updates the escape from a singular pose; returns its effect.
     fn escape(&mut self, input: &ControlInput<'_>, levels_above: &[Self], above: &Nullspace) -> Effect {
-        let Some(escape) = &mut self.escape else { return Effect::None };
+        if !self.held_back.can_escape() {
+            return Effect::None;
+        }
         // Also what a standstill takes.
         let desired = self.task.acceleration() - self.bias;
         let input = EscapeInput {
@@ -204,11 +193,7 @@ impl PriorityLevel {
             typical: self.typical.dynamic,
         };
         let tasks_above = levels_above.iter().map(|level| (&*level.task, level.typical.dynamic));
-        let effect = escape.update(&input, tasks_above, &mut self.projected);
-        if escape.acts() {
-            self.standstill = Standstill::new();
-        }
-        effect
+        self.held_back.update_escape(&input, tasks_above, &mut self.projected)
     }
 
     /// Acceleration that the rows demand, given the joint accelerations `above` (n; `None` for zero) that the levels above
@@ -225,9 +210,7 @@ impl PriorityLevel {
             }
             demand -= caused;
         }
-        if let Some(escape) = &self.escape {
-            escape.replace_demand(&mut demand);
-        }
+        self.held_back.replace_demand(&mut demand);
         demand
     }
 
@@ -241,9 +224,7 @@ impl PriorityLevel {
     /// J̄ is that of this cycle.
     pub(crate) fn add_reference_acceleration(&self, above: &mut [f64]) {
         let mut intended = self.task.reference_acceleration() - self.bias - self.reference_above;
-        if let Some(escape) = &self.escape {
-            escape.replace_demand(&mut intended);
-        }
+        self.held_back.replace_demand(&mut intended);
         add_transposed(&self.projected.space.jbar_transpose, &intended, above);
     }
 
@@ -284,9 +265,7 @@ impl PriorityLevel {
         let applied: &Matrix6<f64> = self.bounded.as_ref().map_or(inertia, |b| &b.space.task_inertia);
         let mut force = applied * desired;
         if let Some(mut added) = self.task.force(inertia) {
-            if let Some(escape) = &self.escape {
-                escape.remove_force(&mut added);
-            }
+            self.held_back.remove_force(&mut added);
             self.task.set_added_force(&added);
             force += added;
         }
@@ -344,7 +323,7 @@ impl PriorityLevel {
         let jacobian = &self.projected.jacobian;
         let mut velocity = self.predicted_velocity(data, ddq, horizon_s);
         if self.when_limited != WhenLimited::Scaled {
-            let resistance = (!self.resistance.is_negligible()).then(|| self.resistance.of_joints());
+            let resistance = self.held_back.resistance();
             return Residual::Rows { jacobian, inertia: metric, heading: velocity, resistance };
         }
         // The force on a compliant axis is no motion that could be slowed down.
@@ -354,12 +333,11 @@ impl PriorityLevel {
 
     /// Computes the passive arm that resists, given the joint accelerations `above` (n) that the levels above cause.
     pub(crate) fn update_resistance(&mut self, data: &Data, above: &[f64], period_s: f64) {
-        if self.resistance.is_negligible() {
+        if self.held_back.does_not_resist() {
             return;
         }
-        // At a standstill, the passive arm is only braked.
-        let demand = self.demand(Some(above)) * (1.0 - self.standstill.share());
-        self.resistance.update(data, &self.projected, &demand, self.typical.dynamic, period_s);
+        let (demand, typical) = (self.demand(Some(above)), self.typical.dynamic);
+        self.held_back.update_resistance(data, &self.projected, demand, typical, period_s);
     }
 
     /// Returns true if the reference of the task does not move.
@@ -372,8 +350,8 @@ impl PriorityLevel {
     /// before.
     pub(crate) fn is_observed(&self) -> bool {
         self.task.inversion().is_for_control()
-            && !self.escape.as_ref().is_some_and(|escape| escape.acts())
-            && (self.limited || self.is_damped() || !self.standstill.is_idle())
+            && !self.held_back.is_escaping()
+            && (self.limited || self.is_damped() || !self.held_back.standstill().is_idle())
     }
 
     /// Lets the standstill follow a cycle, given the commanded joint accelerations `alpha` (n). Progress is a decrease of the
@@ -402,14 +380,14 @@ impl PriorityLevel {
         };
         let rows = [&mut error, &mut outcome.demand, &mut outcome.commanded, &mut outcome.velocity];
         rows.into_iter().for_each(|values| clear_free_rows(&*self.task, values));
-        self.standstill.follow(&error, &outcome, least_m_per_s, period_s);
+        self.held_back.follow_standstill(&error, &outcome, least_m_per_s, period_s);
     }
 
     /// Stores what limits took from the rows, given the joint accelerations (n) that they took.
     pub(crate) fn set_slack(&mut self, taken: &[f64]) {
         let by_limits = product(&self.jacobian, taken);
         self.task.set_force_taken(&(self.projected.space.task_inertia * by_limits));
-        let rows = by_limits + self.standstill.taken();
+        let rows = by_limits + self.held_back.standstill().taken();
         self.task.spread_slack(&rows, &mut self.slack);
     }
 
@@ -434,8 +412,8 @@ impl PriorityLevel {
     /// Resets what limits took from the rows to what the standstill takes.
     pub(crate) fn clear_slack(&mut self) {
         self.slack.fill(0.0);
-        if self.standstill.acts() {
-            self.task.spread_slack(&self.standstill.taken(), &mut self.slack);
+        if self.held_back.standstill().acts() {
+            self.task.spread_slack(&self.held_back.standstill().taken(), &mut self.slack);
         }
     }
 
@@ -446,9 +424,7 @@ impl PriorityLevel {
 
     /// Records the acceleration of an escape from a singular pose, if the task has this option.
     pub(crate) fn record_escape(&self, out: &mut SignalRecorder<'_>) {
-        if let Some(escape) = &self.escape {
-            out.scalar((self.name(), ESCAPE), "rad/s²", escape.acceleration());
-        }
+        self.held_back.record_escape(self.name(), out);
     }
 
     /// Records the task force, if the task has this signal, the lowest gain of its damped inverse, and its standstill.
@@ -456,10 +432,7 @@ impl PriorityLevel {
         let before = out.recorded();
         self.task.record_force(&self.force, out);
         if out.recorded() > before {
-            let gain = self.projected.space.min_singular_gain;
-            let gain = self.escape.as_ref().map_or(gain, |escape| escape.min_singular_gain);
-            out.scalar((self.name(), MIN_SINGULAR_GAIN), "1", gain);
-            out.scalar((self.name(), STANDSTILL), "1", self.standstill.share());
+            self.held_back.record(self.name(), self.projected.space.min_singular_gain, out);
         }
     }
 }

@@ -79,7 +79,7 @@ impl TaskHierarchy {
         torque: &mut [f64],
         scratch: &mut [f64],
     ) {
-        let standstills = self.levels.iter().map(|level| &level.standstill);
+        let standstills = self.levels.iter().map(|level| level.held_back.standstill());
         if self.joint_standstill.take(standstills, acceleration, period_s) {
             multiply(&data.mass_matrix, acceleration, torque);
         }
@@ -149,7 +149,7 @@ impl TaskHierarchy {
 
     /// Resets what limits took from the levels if `was_limited`.
     pub(crate) fn clear_slack(&mut self, was_limited: bool) {
-        if was_limited || self.levels.iter().any(|level| level.standstill.acts()) {
+        if was_limited || self.levels.iter().any(|level| level.held_back.standstill().acts()) {
             self.levels.iter_mut().for_each(PriorityLevel::clear_slack);
             self.joint_slack.fill(0.0);
         }
