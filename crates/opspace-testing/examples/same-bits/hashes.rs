@@ -1,5 +1,6 @@
 //! Hashes of all signals of a run.
 
+use crate::entries::{Entry, Kind};
 use opspace_log::{ChannelData, Recording};
 
 /// Signal that contains wall-clock time, which is not a result.
@@ -8,54 +9,25 @@ const WALL_CLOCK: &str = "tick_time";
 /// Name under which the time stamps of a channel are listed as a signal.
 pub const TIME: &str = "(time)";
 
-/// Hash of a signal over a run.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Hash {
-    /// Name of the channel.
-    pub channel: String,
-    /// Name of the signal.
-    pub signal: String,
-    /// Number of elements in a row.
-    pub elements: usize,
-    /// Number of rows.
-    pub rows: usize,
-    /// First 64 bits of the SHA-256 of all numbers, row by row; for facts that are not signals, a text.
-    pub hash: String,
-}
-
-impl Hash {
-    /// Creates an entry for a fact of a run that is not a signal.
-    #[must_use]
-    pub fn fact(name: &str, text: &str) -> Self {
-        let hash = text.split_whitespace().collect::<Vec<_>>().join(" ");
-        Self { channel: FACT.to_owned(), signal: name.to_owned(), elements: 0, rows: 0, hash }
-    }
-}
-
-/// Channel name of facts that are not signals.
-pub const FACT: &str = "-";
-
-/// Returns the hashes of all signals of a log.
+/// Returns an entry for each signal of a log: the number of rows and of elements, and the first 64 bits of the SHA-256 of all
+/// numbers, row by row.
 #[must_use]
-pub fn of(recording: &Recording) -> Vec<Hash> {
+pub fn of(recording: &Recording) -> Vec<Entry> {
     recording.channels.iter().flat_map(channel).collect()
 }
 
-fn channel(data: &ChannelData) -> Vec<Hash> {
-    let hash = |signal: &str, elements, hash| Hash {
-        channel: data.layout.channel.clone(),
-        signal: signal.to_owned(),
-        elements,
-        rows: data.len(),
-        hash,
+fn channel(data: &ChannelData) -> Vec<Entry> {
+    let entry = |signal: &str, elements: usize, hash: &str| {
+        let (name, rows) = (format!("{}/{signal}", data.layout.channel), data.len());
+        Entry::new(Kind::Signal, &name, &format!("{rows}x{elements} {hash}"))
     };
-    let mut hashes = vec![hash(TIME, 1, of_numbers(&data.time_s))];
+    let mut entries = vec![entry(TIME, 1, &of_numbers(&data.time_s))];
     for name in signals(data) {
         if let Some(column) = data.signal(name) {
-            hashes.push(hash(name, column.elements().len(), of_numbers(column.rows().flatten())));
+            entries.push(entry(name, column.elements().len(), &of_numbers(column.rows().flatten())));
         }
     }
-    hashes
+    entries
 }
 
 /// Names of the signals of a channel that are results.
@@ -79,7 +51,7 @@ fn of_numbers<'a>(numbers: impl IntoIterator<Item = &'a f64>) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::{Hash, TIME, of};
+    use super::{TIME, of};
     use opspace_backend::{Layout, Signal};
     use opspace_log::{ChannelData, Recording};
 
@@ -98,14 +70,15 @@ mod tests {
     fn each_bit_changes_the_hash() {
         let rows = vec![0.5, -0.0, 7.0, 1.5, 2.5, 8.0];
         let whole = of(&recording(rows.clone()));
-        assert_eq!(whole.iter().map(|h| (h.elements, h.rows)).collect::<Vec<_>>(), [(1, 2), (2, 2)]);
+        let shapes: Vec<_> = whole.iter().map(|entry| entry.value.split(' ').next()).collect();
+        assert_eq!(shapes, [Some("2x1"), Some("2x2")]);
         for place in [0, 1, 3, 4] {
             for bit in [0, 31, 51, 63] {
                 let mut rows = rows.clone();
                 rows[place] = flipped(rows[place], bit);
                 let changed = of(&recording(rows));
                 assert_eq!(changed[0], whole[0], "the times");
-                assert_ne!(changed[1].hash, whole[1].hash, "bit {bit} of number {place}");
+                assert_ne!(changed[1], whole[1], "bit {bit} of number {place}");
             }
         }
     }
@@ -120,8 +93,8 @@ mod tests {
         later.channels[0].time_s[1] = flipped(0.1, 0);
         let later = of(&later);
         assert_eq!(
-            (later[0].signal.as_str(), later[0] == first[0], later[1] == first[1]),
-            (TIME, false, true)
+            (later[0].name == format!("tick/{TIME}"), later[0] == first[0], later[1] == first[1]),
+            (true, false, true)
         );
     }
 
@@ -130,10 +103,5 @@ mod tests {
         let other = f64::from_bits(f64::NAN.to_bits() ^ (1 << 63) ^ 5);
         let hash = |x: f64| of(&recording(vec![x, 2.0, 7.0, 3.0, 4.0, 8.0]));
         assert!(other.is_nan() && hash(other) == hash(f64::NAN) && hash(f64::NAN) != hash(0.0));
-    }
-
-    #[test]
-    fn fact_is_one_field_of_one_line() {
-        assert_eq!(Hash::fact("faulted", "a\tb\n c").hash, "a b c");
     }
 }

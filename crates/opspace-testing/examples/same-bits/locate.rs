@@ -1,7 +1,8 @@
 //! First differences between two logs of the same run.
 
+use crate::accepted::{Fate, Table};
+use crate::entries::Kind;
 use crate::hashes::{TIME, bits, signals};
-use crate::signals::{Fate, Table};
 use opspace_log::{ChannelData, Recording};
 
 /// First difference of a signal.
@@ -35,7 +36,7 @@ fn channel_differences(old: &ChannelData, new: &Recording, table: &Table) -> Vec
 
 fn signal_difference(old: &ChannelData, signal: &str, new: &Recording, table: &Table) -> Option<Difference> {
     let name = format!("{}/{signal}", old.layout.channel);
-    let Fate::Called(called) = table.fate(&name) else { return None };
+    let Fate::Called(called) = table.fate(Kind::Signal, &name) else { return None };
     let (channel, new_signal) = called.split_once('/')?;
     let new = new.channel(channel)?;
     let (old_rows, new_rows) = (rows(old, signal)?, rows(new, new_signal)?);
@@ -62,7 +63,7 @@ fn rows<'a>(channel: &'a ChannelData, signal: &str) -> Option<Vec<&'a [f64]>> {
 #[cfg(test)]
 mod tests {
     use super::{Difference, differences};
-    use crate::signals::Table;
+    use crate::accepted::Table;
     use opspace_backend::{Layout, Signal};
     use opspace_log::{ChannelData, Recording};
 
@@ -77,7 +78,7 @@ mod tests {
     fn first_differing_row_and_element_are_located() {
         let old = recording("q", [1.0, 2.0, 3.0, 0.0, 5.0, 6.0]);
         let new = recording("p", [1.0, 2.0, 3.0, -0.0, 5.5, 6.0]);
-        let table = Table::parse("tick/q -> tick/p").unwrap_or_default();
+        let table = Table::parse("signal tick/q -> tick/p # another name").unwrap_or_default();
         let name = "tick/q[b]".to_owned();
         let first = Difference { row: 1, time_s: 0.1, name, old: 0.0, new: -0.0 };
         assert_eq!(differences(&old, &new, &table), [first]);

@@ -1,55 +1,60 @@
-//! Comparison of the numbers that two builds of opspace compute, bit by bit. `tests/same-bits/run` performs all steps.
+//! Comparison of the results of two builds of opspace, bit by bit. `tests/same-bits/run` performs all steps.
 //!
-//! It executes all runs of the suites with each build ([`suites`], [`side`]), computes a hash of every signal of
-//! every run ([`hashes`]), and compares two lists of hashes ([`compare`](mod@compare)) with a table of renamed
-//! signals ([`signals`]).
+//! The results of a build have parts: each suite is one, with a run for each of its entries ([`suites`]); `files` are the runs
+//! of every task and experiment alone, and `check` is what `opspace check` prints about every file ([`shipped`]). Of each
+//! run, a hash of every signal ([`hashes`]) and the values of its summary ([`keys`]) are listed, of each suite also the
+//! direction of its metrics ([`baseline`]). Two lists are compared ([`compare`](mod@compare)) with a table of accepted
+//! differences ([`accepted`]).
 
 #![forbid(unsafe_code)]
 #![expect(clippy::print_stdout, clippy::print_stderr, reason = "a program for the terminal")]
 
+mod accepted;
+mod baseline;
+mod collect;
 mod compare;
+mod entries;
 mod hashes;
+mod keys;
 mod locate;
+mod shipped;
 mod side;
-mod signals;
 mod suites;
 
-use crate::compare::{compare, lines};
+use crate::accepted::Table;
+use crate::collect::{collect, is_default, units};
+use crate::compare::{Results, compare};
 use crate::locate::differences;
-use crate::side::Side;
-use crate::signals::Table;
-use crate::suites::{Run, SUITES};
+use crate::side::{Log, Side, with_signals};
 use clap::{Args, Parser};
-use opspace_log::Recording;
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use std::sync::Mutex;
-use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// Compare the numbers that two builds of opspace compute, bit by bit.
+/// Compare the results of two builds of opspace, bit by bit.
 #[derive(Parser)]
 enum Cli {
-    /// Execute all runs of the suites, with one seed each, and write a hash of every signal.
-    Hash(HashArgs),
-    /// Compare the hashes of an old build with those of a new build; exit code 1 if a difference is not explained.
+    /// Execute all runs and checks with one build, and list their results in a folder, with a file for each part.
+    Collect(CollectArgs),
+    /// Compare the results of an old build with those of a new build; exit code 1 if a difference is not explained.
     Compare(CompareArgs),
     /// Execute one run with both builds and print the first differences; exit code 1 if any is not explained.
     Locate(LocateArgs),
 }
 
 #[derive(Args)]
-struct HashArgs {
+struct CollectArgs {
     /// The `opspace` program.
     #[arg(long)]
     program: PathBuf,
 
-    /// The checkout with the suites, tasks and robots to run.
+    /// The checkout with the files to run.
     #[arg(long)]
     checkout: PathBuf,
 
-    /// Only this suite. Can be repeated.
-    #[arg(long = "suite", default_values = SUITES)]
-    suites: Vec<String>,
+    /// Only this part: the name of a suite, `files` or `check`. Can be repeated.
+    #[arg(long = "part")]
+    parts: Vec<String>,
 
     /// Number of simultaneous runs.
     #[arg(long, default_value_t = 2)]
@@ -59,34 +64,34 @@ struct HashArgs {
     #[arg(long, value_name = "S")]
     duration_s: Option<f64>,
 
-    /// Keep the folders of the runs in this folder, which must not contain them yet.
+    /// Write the results into this folder; parts that it contains are not repeated.
     #[arg(long, value_name = "DIR")]
-    keep: Option<PathBuf>,
-
-    /// Write the hashes to this file.
-    #[arg(long, value_name = "FILE")]
     out: PathBuf,
 }
 
 #[derive(Args)]
 struct CompareArgs {
-    /// The hashes of the old build.
+    /// The folder with the results of the old build.
     old: PathBuf,
 
-    /// The hashes of the new build.
+    /// The folder with the results of the new build.
     new: PathBuf,
 
-    /// The table of renamed signals.
+    /// Only this part. Can be repeated.
+    #[arg(long = "part")]
+    parts: Vec<String>,
+
+    /// The table of accepted differences.
     #[arg(long, value_name = "FILE")]
-    signals: Option<PathBuf>,
+    accepted: Option<PathBuf>,
 }
 
 #[derive(Args)]
 struct LocateArgs {
-    /// The suite.
-    suite: String,
+    /// The suite, or `files`.
+    part: String,
 
-    /// The place of the run in the suite, for example 3.1.2.1.
+    /// The place of the run in the suite, for example 3.1.2.1.1.1, or the name of the file.
     run: String,
 
     /// The `opspace` program of the old build.
@@ -109,15 +114,15 @@ struct LocateArgs {
     #[arg(long, value_name = "S")]
     duration_s: Option<f64>,
 
-    /// The table of renamed signals.
+    /// The table of accepted differences.
     #[arg(long, value_name = "FILE")]
-    signals: Option<PathBuf>,
+    accepted: Option<PathBuf>,
 }
 
 fn main() -> ExitCode {
     let same = match Cli::parse() {
-        Cli::Hash(args) => hash(&args),
-        Cli::Compare(args) => compare_files(&args),
+        Cli::Collect(args) => collect_all(&args).map(|()| true),
+        Cli::Compare(args) => compare_folders(&args),
         Cli::Locate(args) => locate(&args),
     };
     match same {
@@ -130,91 +135,86 @@ fn main() -> ExitCode {
     }
 }
 
-/// Hashes all runs; returns true if every run produced a complete log.
-fn hash(args: &HashArgs) -> Result<bool, String> {
+fn collect_all(args: &CollectArgs) -> Result<(), String> {
     let side = Side::new(&args.program, &args.checkout, args.duration_s)?;
-    let runs = side.runs(&args.suites)?;
-    let scratch = tempfile::tempdir().map_err(|e| e.to_string())?;
-    let folder = match &args.keep {
-        Some(folder) => std::path::absolute(folder).map_err(|e| e.to_string())?,
-        None => scratch.path().to_owned(),
-    };
-    let texts = hash_all(&side, &runs, &folder, args)?;
-    std::fs::write(&args.out, texts.concat()).map_err(|e| format!("{}: {e}", args.out.display()))?;
-    let signals: usize = texts.iter().map(|text| text.lines().filter(|l| !l.contains("\t-\t")).count()).sum();
-    let without = texts.iter().filter(|text| text.lines().all(|l| l.contains("\t-\t"))).count();
-    eprintln!("{} runs, {signals} signals hashed, {without} runs without a log", runs.len());
-    Ok(without == 0)
+    std::fs::create_dir_all(&args.out).map_err(|e| format!("{}: {e}", args.out.display()))?;
+    let mut units = units(&side, &args.parts)?;
+    units.retain(|unit| !file_of(&args.out, &unit.part).exists());
+    collect(&side, &units, args.jobs, &|part, text| {
+        // Written aside and renamed, so that a part is there as a whole or not at all.
+        let (file, aside) = (file_of(&args.out, part), args.out.join(format!("{part}.partial")));
+        std::fs::write(&aside, text)
+            .and_then(|()| std::fs::rename(&aside, &file))
+            .map_err(|e| format!("{}: {e}", file.display()))
+    })
 }
 
-/// Hash lines of every run, in the order of the runs.
-fn hash_all(side: &Side, runs: &[Run], folder: &Path, args: &HashArgs) -> Result<Vec<String>, String> {
-    let next = AtomicUsize::new(0);
-    let done = Mutex::new(vec![Ok(String::new()); runs.len()]);
-    std::thread::scope(|scope| {
-        for _ in 0..args.jobs.clamp(1, runs.len().max(1)) {
-            scope.spawn(|| {
-                loop {
-                    let index = next.fetch_add(1, Ordering::Relaxed);
-                    let Some(run) = runs.get(index) else { return };
-                    let text = hash_one(side, run, folder, args.keep.is_some());
-                    eprintln!("{}/{}\t{} {} {}", index + 1, runs.len(), run.suite, run.place, run.spelling);
-                    if let Ok(mut done) = done.lock() {
-                        done[index] = text;
-                    }
-                }
-            });
+fn file_of(folder: &Path, part: &str) -> PathBuf {
+    folder.join(format!("{part}.txt"))
+}
+
+/// Compares the results in two folders; returns true if all are equal or explained.
+fn compare_folders(args: &CompareArgs) -> Result<bool, String> {
+    let read = |folder: &Path| -> Result<Results, String> {
+        let mut results = Results::default();
+        let parts =
+            if args.parts.is_empty() { parts_in(folder)? } else { args.parts.iter().cloned().collect() };
+        for part in parts {
+            results.add(&part, &text(&file_of(folder, &part))?)?;
         }
-    });
-    done.into_inner().map_err(|e| e.to_string())?.into_iter().collect()
-}
-
-fn hash_one(side: &Side, run: &Run, folder: &Path, keep: bool) -> Result<String, String> {
-    let made = side.make(run, &folder.join(format!("{}-{}", run.suite, run.place)), keep)?;
-    if let Err(why) = &made.recording {
-        eprintln!(
-            "no log of {} {} {}: opspace run {:?}: {why}",
-            run.suite, run.place, run.spelling, run.arguments
-        );
-    }
-    Ok(lines(run, &made.hashes()))
-}
-
-/// Compares two lists of hashes; returns true if all are equal or explained.
-fn compare_files(args: &CompareArgs) -> Result<bool, String> {
-    let report = compare(&text(&args.old)?, &text(&args.new)?, &table(args.signals.as_deref())?)?;
+        Ok(results)
+    };
+    let report = compare(&read(&args.old)?, &read(&args.new)?, &table(args.accepted.as_deref())?);
     println!("{report}");
     Ok(report.is_clean())
 }
 
+/// Names of the parts whose results are in a folder, without those that are only compared if they are named.
+fn parts_in(folder: &Path) -> Result<BTreeSet<String>, String> {
+    let wrong = |e: std::io::Error| format!("{}: {e}", folder.display());
+    let files: Vec<PathBuf> = std::fs::read_dir(folder)
+        .map_err(wrong)?
+        .map(|entry| entry.map(|entry| entry.path()))
+        .collect::<Result<_, _>>()
+        .map_err(wrong)?;
+    let parts = files.iter().filter(|path| path.extension().is_some_and(|end| end == "txt"));
+    let names = parts.filter_map(|path| Some(path.file_stem()?.to_string_lossy().into_owned()));
+    Ok(names.filter(|part| is_default(part)).collect())
+}
+
 /// Compares one run of both builds; returns true if it is equal or its differences are explained.
 fn locate(args: &LocateArgs) -> Result<bool, String> {
-    let table = table(args.signals.as_deref())?;
-    let (old_lines, old) = record(args, "old", &args.old_program, &args.old_checkout)?;
-    let (new_lines, new) = record(args, "new", &args.new_program, &args.new_checkout)?;
-    for d in differences(&old, &new, &table) {
-        println!("{}: row {}, {} s: {:?} -> {:?}", d.name, d.row, d.time_s, d.old, d.new);
+    let table = table(args.accepted.as_deref())?;
+    let (old_results, old) = record(args, &args.old_program, &args.old_checkout)?;
+    let (new_results, new) = record(args, &args.new_program, &args.new_checkout)?;
+    for old in &old {
+        let Some(new) = new.iter().find(|new| new.robot == old.robot) else { continue };
+        if let (Ok(old_rows), Ok(new_rows)) = (&old.recording, &new.recording) {
+            let robot = old.robot.as_ref().map(|robot| format!("{robot}: ")).unwrap_or_default();
+            for d in differences(old_rows, new_rows, &table) {
+                println!("{robot}{}: row {}, {} s: {:?} -> {:?}", d.name, d.row, d.time_s, d.old, d.new);
+            }
+        }
     }
-    let report = compare(&old_lines, &new_lines, &table)?;
+    let report = compare(&old_results, &new_results, &table);
     println!("{report}");
     Ok(report.is_clean())
 }
 
 /// Executes the run with one of the builds.
-fn record(
-    args: &LocateArgs,
-    name: &str,
-    program: &Path,
-    checkout: &Path,
-) -> Result<(String, Recording), String> {
+fn record(args: &LocateArgs, program: &Path, checkout: &Path) -> Result<(Results, Vec<Log>), String> {
     let scratch = tempfile::tempdir().map_err(|e| e.to_string())?;
     let side = Side::new(program, checkout, args.duration_s)?;
-    let runs = side.runs(std::slice::from_ref(&args.suite))?;
-    let run = runs.iter().find(|run| run.place == args.run);
-    let run = run.ok_or_else(|| format!("{} has no run {}", args.suite, args.run))?;
-    println!("{name}: opspace run {}", run.arguments.join(" "));
-    let made = side.make(run, &scratch.path().join(name), false)?;
-    Ok((lines(run, &made.hashes()), made.recording?))
+    let units = units(&side, std::slice::from_ref(&args.part))?;
+    let mut found = Vec::new();
+    for unit in &units {
+        found.extend(unit.run_alone(&side, &args.run, scratch.path())?);
+    }
+    let [(item, logs)] = <[_; 1]>::try_from(found)
+        .map_err(|found| format!("{} has {} runs {}", args.part, found.len(), args.run))?;
+    let mut results = Results::default();
+    results.add(&args.part, &entries::text(&with_signals(item, &logs)))?;
+    Ok((results, logs))
 }
 
 fn text(path: &Path) -> Result<String, String> {
