@@ -1,39 +1,40 @@
 //! Number types for values in files. A value out of range is refused when the file is read, at its position in the
 //! file.
 //!
-//! The feature `serde` adds their deserialization, the feature `schema` also their JSON Schemas (schemars).
+//! The feature `serde` adds their serialization and deserialization, the feature `schema` also their JSON Schemas with the
+//! ranges (schemars).
 
 #[cfg(feature = "schema")]
 use schemars::JsonSchema;
 #[cfg(feature = "serde")]
 use serde::{
-    Deserialize, Deserializer,
+    Deserialize, Deserializer, Serialize,
     de::{Error, IgnoredAny, SeqAccess, Visitor},
 };
 
 /// A number above zero.
 #[derive(Clone, Copy, Debug, PartialEq, PartialOrd)]
-#[cfg_attr(feature = "serde", derive(Deserialize), serde(try_from = "f64"))]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
-pub struct Positive(#[cfg_attr(feature = "schema", schemars(range(min = 0.0)))] f64);
+#[cfg_attr(feature = "serde", derive(Deserialize, Serialize), serde(try_from = "f64"))]
+#[cfg_attr(feature = "schema", derive(JsonSchema), schemars(extend("exclusiveMinimum" = 0)))]
+pub struct Positive(f64);
 
 /// A number that is zero or above.
 #[derive(Clone, Copy, Debug, Default, PartialEq, PartialOrd)]
-#[cfg_attr(feature = "serde", derive(Deserialize), serde(try_from = "f64"))]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
-pub struct NonNegative(#[cfg_attr(feature = "schema", schemars(range(min = 0.0)))] f64);
+#[cfg_attr(feature = "serde", derive(Deserialize, Serialize), serde(try_from = "f64"))]
+#[cfg_attr(feature = "schema", derive(JsonSchema), schemars(extend("minimum" = 0)))]
+pub struct NonNegative(f64);
 
 /// A number from 0 to 1.
 #[derive(Clone, Copy, Debug, Default, PartialEq, PartialOrd)]
-#[cfg_attr(feature = "serde", derive(Deserialize), serde(try_from = "f64"))]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
-pub struct Fraction(#[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 1.0)))] f64);
+#[cfg_attr(feature = "serde", derive(Deserialize, Serialize), serde(try_from = "f64"))]
+#[cfg_attr(feature = "schema", derive(JsonSchema), schemars(extend("minimum" = 0, "maximum" = 1)))]
+pub struct Fraction(f64);
 
 /// An integer above zero.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-#[cfg_attr(feature = "serde", derive(Deserialize), serde(try_from = "u32"))]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
-pub struct Count(#[cfg_attr(feature = "schema", schemars(range(min = 1)))] u32);
+#[cfg_attr(feature = "serde", derive(Deserialize, Serialize), serde(try_from = "u32"))]
+#[cfg_attr(feature = "schema", derive(JsonSchema), schemars(extend("minimum" = 1)))]
+pub struct Count(u32);
 
 impl TryFrom<f64> for Positive {
     type Error = String;

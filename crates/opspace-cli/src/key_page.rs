@@ -1,5 +1,6 @@
 //! Markdown page with every key of a kind of file, from its JSON Schema.
 
+use crate::schema_defaults::IN_WORDS;
 use serde_json::{Map, Value};
 use std::fmt::Write as _;
 
@@ -8,8 +9,9 @@ pub fn key_page(schema: &Value, title: &str, command: &str) -> String {
     let mut page = Page { schema, sections: Vec::new() };
     page.collect(schema, "");
     let mut text = format!(
-        "# {title}\n\nGenerated from the JSON Schema by `{command}`. A key without a default that is not required may be absent; its \
-         description says what then applies. `NAME` and `JOINT` are names of your choice, or of the robot's joints.\n"
+        "# {title}\n\nGenerated from the JSON Schema by `{command}`. A key may be absent unless it is required. A default in words depends \
+         on other values, `{{}}` stands for a table whose keys have their defaults, and without a default nothing takes the place \
+         of the key. `NAME` and `JOINT` are names of your choice, or of the robot's joints.\n"
     );
     page.add_table(&mut text, schema);
     for section in &page.sections {
@@ -76,12 +78,11 @@ impl<'a> Page<'a> {
         let required: Vec<&str> =
             schema["required"].as_array().into_iter().flatten().filter_map(Value::as_str).collect();
         for (key, of) in members(schema) {
-            let default = match &of["default"] {
+            let default = match (&of[IN_WORDS], &of["default"]) {
                 _ if required.contains(&key.as_str()) => "required".to_owned(),
-                Value::Null => String::new(),
-                Value::Object(all) if all.is_empty() => String::new(),
-                Value::Array(all) if all.is_empty() => String::new(),
-                default => format!("`{default}`"),
+                (Value::String(words), _) => words.clone(),
+                (_, Value::Null) => String::new(),
+                (_, default) => constant(default),
             };
             let about = match prose(&of["description"]) {
                 about if about.is_empty() => prose(&self.resolved(of)["description"]),
@@ -96,8 +97,15 @@ impl<'a> Page<'a> {
         reference(schema).map_or(schema, |name| &self.schema["$defs"][name])
     }
 
-    /// Value of a key, in words. A link has the last part of its path: whole paths make columns wide.
+    /// Value of a key with its range, in words.
     fn value(&self, schema: &Value) -> String {
+        let bounds = [("minimum", "at least"), ("maximum", "at most"), ("exclusiveMaximum", "below")];
+        let bounds = bounds.into_iter().filter(|(key, _)| schema[key].is_number());
+        bounds.fold(self.kind(schema), |text, (key, words)| format!("{text}, {words} {}", schema[key]))
+    }
+
+    /// Kind of a value, in words. A link has the last part of its path: whole paths make columns wide.
+    fn kind(&self, schema: &Value) -> String {
         if let Some(section) =
             reference(schema).and_then(|name| self.sections.iter().find(|section| section.name == name))
         {

@@ -25,6 +25,7 @@ mod plant;
 mod result_folder;
 mod run_progress;
 pub mod samples;
+mod schema_defaults;
 mod shard;
 mod suite_results;
 mod sweep;

@@ -4,8 +4,8 @@ use crate::error::{ControlError, Reason};
 use opspace_model::Model;
 #[cfg(feature = "schema")]
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
-use serde::Deserialize;
 use serde::de::{Deserializer, Error, IntoDeserializer, MapAccess, Visitor};
+use serde::{Deserialize, Serialize};
 #[cfg(feature = "schema")]
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -14,7 +14,8 @@ use std::marker::PhantomData;
 
 /// One value for all joints, or one value per joint name: in a file, a number or a table `{ shoulder = 1.0, elbow = 2.0
 /// }`.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[serde(untagged)]
 pub enum PerJoint<T> {
     /// One value for all joints.
     All(T),

@@ -15,6 +15,7 @@ pub(crate) mod renamed;
 pub mod robot;
 pub mod robot_part;
 pub mod source;
+pub(crate) mod strict;
 pub mod task;
 pub mod task_kinds;
 pub(crate) mod toml_path;

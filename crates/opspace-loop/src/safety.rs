@@ -11,11 +11,12 @@ use serde::Deserialize;
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct SafetyParameters {
-    /// Time over which torques ramp in, from the torques that hold the arm at rest, s; 0.2 if absent.
+    /// Time over which torques ramp in, from the torques that hold the arm at rest, s.
     #[serde(default = "default_ramp")]
     pub torque_ramp_s: NonNegative,
-    /// Time at rest before the start during which force sensors are tared, s; 0.2 if absent.
+    /// Time at rest before the start during which force sensors are tared, s.
     #[serde(default = "default_ramp")]
+    #[cfg_attr(feature = "schema", schemars(extend("maximum" = 60)))]
     pub tare_s: NonNegative,
     /// Margin beyond the URDF's position limits; a measured position beyond it is a fault, rad (m).
     #[serde(default)]

@@ -6,7 +6,7 @@ use opspace_backend::quantity::{Count, Fraction, NonNegative, Positive, exactly}
 use opspace_transformer::{FrictionParameters, ServoParameters, VelocityServo};
 #[cfg(feature = "schema")]
 use schemars::JsonSchema;
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
 /// Parameters of the simulated plant, drives, sensors and bus.
@@ -14,8 +14,8 @@ use std::collections::BTreeMap;
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct SimulatedParameters {
-    /// Rate of the rigid-body integrator, Hz: a whole multiple of every profile's `servo_hz`; if absent, the smallest from
-    /// 10 kHz.
+    /// Rate of the rigid-body integrator, Hz: a whole multiple of every profile's `servo_hz`.
+    #[cfg_attr(feature = "schema", schemars(with = "Option<Positive>", extend("x-default" = "the smallest from 10 kHz")))]
     pub physics_hz: Positive,
     /// Bandwidth of the motors' first-order current loop, Hz; no lag if absent.
     pub current_loop_hz: Option<Positive>,
@@ -28,17 +28,17 @@ pub struct SimulatedParameters {
     /// True if the drives' torque limits are active.
     #[serde(default = "yes")]
     pub torque_saturation: bool,
-    /// Bristles of the friction model. If absent, those of each joint have the stiffness static_nm/presliding_rad of its
+    /// Bristles of the friction model. By default those of each joint have the stiffness static_nm/presliding_rad of its
     /// friction, and this stiffness times 5 ms as damping, which decreases over 0.1 rad/s (m/s).
-    #[serde(default)]
+    #[cfg_attr(feature = "schema", schemars(extend("x-default" = "computed")))]
     pub bristle: Option<BristleParameters>,
-    /// End stops at the joints' position limits. If absent, the torque limit of a joint compresses its stop by 0.01 rad (m);
-    /// the damping is the stiffness times 10 ms.
-    #[serde(default)]
+    /// End stops at the joints' position limits. By default the torque limit of a joint compresses its stop by 0.01 rad
+    /// (m); the damping is the stiffness times 10 ms.
+    #[cfg_attr(feature = "schema", schemars(extend("x-default" = "computed")))]
     pub end_stop: Option<EndStopParameters>,
-    /// Brakes of the joints. If absent, a brake slips at 1.5 times the torque limit of its joint, after 0.01 rad (m); the
+    /// Brakes of the joints. By default a brake slips at 1.5 times the torque limit of its joint, after 0.01 rad (m); the
     /// damping is the stiffness times 5 ms.
-    #[serde(default)]
+    #[cfg_attr(feature = "schema", schemars(extend("x-default" = "computed")))]
     pub brake: Option<BrakeParameters>,
     /// Measurement errors of each force sensor, by sensor name.
     #[serde(default)]
@@ -46,7 +46,7 @@ pub struct SimulatedParameters {
     /// Ratios of true to nominal values.
     #[serde(default)]
     pub true_over_nominal: ScaleParameters,
-    /// Losses and delays of the field bus; none if absent.
+    /// Losses and delays of the field bus.
     #[serde(default)]
     pub bus: BusParameters,
     /// True position servos, by joint name, if they differ from the nominal ones; `true_over_nominal` applies to them.
@@ -62,10 +62,8 @@ pub struct SimulatedParameters {
     #[serde(default)]
     pub gear: BTreeMap<String, GearParameters>,
     /// Cogging of all motors; none if absent.
-    #[serde(default)]
     pub cogging: Option<CoggingParameters>,
     /// Ripple of the torque of all motors; none if absent.
-    #[serde(default)]
     pub torque_ripple: Option<TorqueRippleParameters>,
     /// Errors of the measured motor torques in addition to `torque_noise_nm`.
     #[serde(default)]
@@ -79,9 +77,8 @@ pub struct SimulatedParameters {
     /// Encoders that drives and interface read.
     #[serde(default)]
     pub encoder: EncoderParameters,
-    /// True delay of setpoints in servo ticks, at most `servo_ticks_per_cycle`, if it differs from the nominal one; 0
-    /// if neither is given.
-    #[serde(default)]
+    /// True delay of setpoints in servo ticks, at most `servo_ticks_per_cycle`.
+    #[cfg_attr(feature = "schema", schemars(extend("x-default" = "the nominal one")))]
     pub delay_servo_ticks: Option<u32>,
 }
 
@@ -195,9 +192,9 @@ pub struct BrakeParameters {
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct GearParameters {
-    /// Stiffness, Nm/rad (N/m); that of the joint, `gear_stiffness_nm_per_rad`, if absent.
-    /// `true_over_nominal.gear_stiffness` multiplies both.
-    #[serde(default)]
+    /// Stiffness, Nm/rad (N/m). That of the joint is `gear_stiffness_nm_per_rad`; `true_over_nominal.gear_stiffness`
+    /// multiplies both.
+    #[cfg_attr(feature = "schema", schemars(extend("x-default" = "that of the joint")))]
     pub stiffness_nm_per_rad: Option<Positive>,
     /// Damping of the twist, Nms/rad (Ns/m).
     #[serde(default)]
@@ -290,7 +287,7 @@ pub struct PayloadParameters {
     pub frame: String,
     /// Mass, kg.
     pub mass_kg: NonNegative,
-    /// Position in the axes of the frame, m; its origin if absent.
+    /// Position in the axes of the frame, m.
     #[serde(default, deserialize_with = "exactly")]
     pub centre_m: [f64; 3],
 }
@@ -306,13 +303,13 @@ pub struct EncoderParameters {
     /// Encoder that the interface reports.
     #[serde(default)]
     pub interface: EncoderSide,
-    /// Counts per turn of the encoders on the links; those at the rotors, times the gear ratio, if absent.
-    #[serde(default)]
+    /// Counts per turn of the encoders on the links.
+    #[cfg_attr(feature = "schema", schemars(extend("x-default" = "those at the rotors, times the gear ratio")))]
     pub link_counts_per_turn: Option<Count>,
 }
 
 /// Side of the gear on which an encoder is.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum EncoderSide {
@@ -346,7 +343,6 @@ pub struct ForceSensorParameters {
     pub drift_nm_per_s: NonNegative,
     /// Part of the arm beyond the sensor, whose weight and inertia it reads; none if absent. The part is one that the
     /// model or a payload has there: this table adds no mass to the arm.
-    #[serde(default)]
     pub load: Option<SensorLoadParameters>,
 }
 

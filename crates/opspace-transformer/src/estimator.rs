@@ -31,14 +31,14 @@ pub struct EstimatorParameters {
     /// Estimate of the velocities that the controller uses: `observer` or `filter`. By default robots that take
     /// velocities, torque robots whose gears are declared rigid, and the transformers `emulation` and `interpolating`, use
     /// the observer, and all others the filter, as the paper does. A torque robot that measures velocities uses these.
-    #[serde(default)]
+    #[cfg_attr(feature = "schema", schemars(extend("x-default" = "depends on the robot and the transformer")))]
     pub velocity: Option<VelocitySource>,
-    /// Cut-off frequency of the low-pass filter on the finite difference, Hz; 150 if absent.
+    /// Cut-off frequency of the low-pass filter on the finite difference, Hz.
     #[serde(default = "default_filter")]
     pub velocity_filter_hz: Positive,
     /// Rms noise of measured positions at the joints, rad (m), for `extrapolation` where drives limit the acceleration of
-    /// setpoints. That of the encoders' resolution if absent.
-    #[serde(default)]
+    /// setpoints.
+    #[cfg_attr(feature = "schema", schemars(extend("x-default" = "that of the encoders' resolution")))]
     pub position_noise_rad: Option<Positive>,
 }
 

@@ -30,21 +30,24 @@
 use opspace_backend::quantity::{NonNegative, Positive};
 #[cfg(feature = "schema")]
 use schemars::JsonSchema;
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 
 /// Friction of one joint: Coulomb and static friction with the Stribeck effect, and viscous friction.
 #[derive(Clone, Debug, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema), schemars(transform = crate::optional_keys::with_optional_keys))]
 #[serde(deny_unknown_fields)]
 pub struct FrictionParameters {
-    /// Coulomb friction Fc while moving, Nm (N); that of the URDF if absent.
+    /// Coulomb friction Fc while moving, Nm (N).
+    #[cfg_attr(feature = "schema", schemars(extend("x-default" = "that of the URDF")))]
     pub coulomb_nm: NonNegative,
-    /// Static (breakaway) friction Fs, Nm (N); equal to `coulomb_nm` if absent.
+    /// Static (breakaway) friction Fs, Nm (N).
+    #[cfg_attr(feature = "schema", schemars(extend("x-default" = "`coulomb_nm`")))]
     pub static_nm: NonNegative,
-    /// Stribeck velocity, over which static friction decreases to Coulomb friction, rad/s (m/s); 0.06 if absent.
+    /// Stribeck velocity, over which static friction decreases to Coulomb friction, rad/s (m/s).
     #[serde(default = "default_stribeck")]
     pub stribeck_rad_per_s: Positive,
-    /// Viscous friction Fv, Nms/rad (Ns/m); damping of the URDF if absent.
+    /// Viscous friction Fv, Nms/rad (Ns/m).
+    #[cfg_attr(feature = "schema", schemars(extend("x-default" = "damping of the URDF")))]
     pub viscous_nms_per_rad: NonNegative,
     /// Presliding displacement δ, over which static friction builds up from zero like a spring, rad (m). Too small a
     /// value makes the joint oscillate at rest when its friction is compensated.
@@ -57,11 +60,11 @@ pub struct FrictionParameters {
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct FrictionCompensationParameters {
-    /// Fraction of the modelled friction that is compensated. Compensation above the true friction makes the joint move
-    /// by itself; 0.65 if absent, which is safe for true friction down to two thirds of the model.
+    /// Fraction of the modelled friction that is compensated. Compensation above the true friction makes the joint move by
+    /// itself; 0.65 is safe for true friction down to two thirds of the model.
     #[serde(default = "default_gain")]
     pub gain: NonNegative,
-    /// Quantity that the compensation of Coulomb friction follows; `reference` if absent.
+    /// Quantity that the compensation of Coulomb friction follows.
     #[serde(default)]
     pub follows: FrictionLaw,
     /// Speed v₀ over which the compensation of Coulomb friction changes sign if it follows the reference or the velocity,
@@ -71,7 +74,6 @@ pub struct FrictionCompensationParameters {
     /// Corner frequency of the friction observer, rad/s; none if absent. It adds the friction that the compensation leaves,
     /// and errors of the model, as far as the motion shows them. It needs a force sensor. 60 rad/s is a good value; below
     /// 20 rad/s, arms at rest may hunt.
-    #[serde(default)]
     pub observer_rad_per_s: Option<Positive>,
     /// Largest torque of the friction observer at each joint, Nm (N).
     #[serde(default = "default_observer_limit")]
@@ -79,7 +81,7 @@ pub struct FrictionCompensationParameters {
 }
 
 /// Quantity that the compensation of Coulomb friction follows.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum FrictionLaw {

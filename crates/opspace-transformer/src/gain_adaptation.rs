@@ -46,9 +46,9 @@ impl GainAdaptationParameters {
 
 /// Fraction above 0 and below 1.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[cfg_attr(feature = "schema", derive(JsonSchema), schemars(extend("exclusiveMinimum" = 0, "exclusiveMaximum" = 1)))]
 #[serde(try_from = "f64")]
-pub struct Share(#[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 1.0)))] f64);
+pub struct Share(f64);
 
 impl TryFrom<f64> for Share {
     type Error = String;

@@ -21,21 +21,21 @@ use std::f64::consts::TAU;
 #[cfg_attr(feature = "schema", derive(JsonSchema), schemars(transform = with_optional_keys))]
 #[serde(deny_unknown_fields)]
 pub struct JointParameters {
-    /// Largest torque of the drive at the joint, Nm (N for a prismatic joint); effort of the URDF if absent.
+    /// Largest torque of the drive at the joint, Nm (N for a prismatic joint).
+    #[cfg_attr(feature = "schema", schemars(extend("x-default" = "effort of the URDF")))]
     pub torque_limit_nm: Positive,
-    /// Largest rate of the commanded torque, Nm/s (N/s); if absent, the torque limit is reached in 10 ms.
-    #[serde(default)]
+    /// Largest rate of the commanded torque, Nm/s (N/s).
+    #[cfg_attr(feature = "schema", schemars(extend("x-default" = "the torque limit in 10 ms")))]
     pub torque_rate_limit_nm_per_s: Option<Positive>,
-    /// Largest acceleration, also for braking, rad/s² (m/s²). If absent, joints brake before their position limits with
+    /// Largest acceleration, also for braking, rad/s² (m/s²). By default joints brake before their position limits with
     /// half of the torque that gravity leaves in the worst of many postures.
-    #[serde(default)]
+    #[cfg_attr(feature = "schema", schemars(extend("x-default" = "computed")))]
     pub acceleration_limit_rad_per_s2: Option<Positive>,
-    /// Largest speed, rad/s (m/s); that of the URDF if absent.
-    #[serde(default)]
+    /// Largest speed, rad/s (m/s).
+    #[cfg_attr(feature = "schema", schemars(extend("x-default" = "that of the URDF")))]
     pub velocity_limit_rad_per_s: Option<Positive>,
     /// Stiffness of the gear between rotor and link, Nm/rad (N/m); rigid, or unknown, if absent. The simulated gear has
     /// it, unless `simulated.gear` has another.
-    #[serde(default)]
     pub gear_stiffness_nm_per_rad: Option<Positive>,
     /// Rotor and encoder of the motor.
     pub rotor: RotorParameters,
@@ -52,7 +52,7 @@ pub struct RotorParameters {
     pub inertia_kg_m2: NonNegative,
     /// Motor turns per joint turn.
     pub gear_ratio: Positive,
-    /// Encoder counts per motor turn; 16384 (14 bits) if absent.
+    /// Encoder counts per motor turn.
     #[serde(default = "default_counts")]
     pub encoder_counts_per_turn: Count,
 }
@@ -81,20 +81,20 @@ impl RotorParameters {
 #[serde(deny_unknown_fields)]
 pub struct ProfileParameters {
     /// Rate at which the drives close their loops, Hz.
+    #[cfg_attr(feature = "schema", schemars(extend("minimum" = 1e-3, "maximum" = 1e9)))]
     pub servo_hz: Positive,
     /// Servo ticks per interface cycle: setpoints are accepted and positions measured at
     /// `servo_hz / servo_ticks_per_cycle`.
+    #[cfg_attr(feature = "schema", schemars(extend("maximum" = 10_000)))]
     pub servo_ticks_per_cycle: Count,
     /// Delay from the interface cycle at which a command is written until it acts, in servo ticks; at most
-    /// `servo_ticks_per_cycle`. Absent if unknown.
-    #[serde(default)]
+    /// `servo_ticks_per_cycle`.
+    #[cfg_attr(feature = "schema", schemars(extend("x-default" = "unknown")))]
     pub delay_servo_ticks: Option<u32>,
-    /// Transformer that converts torques to positions or velocities; if absent, the best one for the robot's declared
-    /// properties.
-    #[serde(default)]
+    /// Transformer that converts torques to positions or velocities.
+    #[cfg_attr(feature = "schema", schemars(extend("x-default" = "the best one for the robot's declared properties")))]
     pub transformer: Option<TransformerKind>,
     /// Adaptation of the servo gains from measured motor current during a run; none if absent.
-    #[serde(default)]
     pub adapt_gains: Option<GainAdaptationParameters>,
     /// Estimator of joint velocity at the interface.
     #[serde(default)]
@@ -107,7 +107,6 @@ pub struct ProfileParameters {
     #[serde(default)]
     pub velocity_servo: BTreeMap<String, VelocityServo>,
     /// Limits of the drives on the sequence of setpoints, and their reaction; none if absent.
-    #[serde(default)]
     pub setpoint_limits: Option<SetpointLimitParameters>,
     /// Measured closed loop of each joint, by joint name, for the `identified` transformers.
     #[serde(default)]

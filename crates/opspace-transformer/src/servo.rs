@@ -8,7 +8,7 @@ use opspace_backend::CommandKind;
 use opspace_backend::quantity::{Fraction, NonNegative, Positive};
 #[cfg(feature = "schema")]
 use schemars::JsonSchema;
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
 
 /// Servo of a joint.
@@ -39,7 +39,6 @@ pub struct CascadedServo {
     /// Cut-off frequency of the servo's low-pass filter on its finite-difference velocity, Hz.
     pub velocity_filter_hz: Positive,
     /// Integral time of the velocity loop, s; no integral if absent.
-    #[serde(default)]
     pub velocity_integral_time_s: Option<Positive>,
     /// Fraction of the setpoint's velocity that is fed forward to the velocity loop: `velocity_feed_forward (q_desired −
     /// q_desired₋)/Ts` is added to its setpoint, with q_desired₋ of the servo tick before.
@@ -49,7 +48,6 @@ pub struct CascadedServo {
     #[serde(default)]
     pub acceleration_feed_forward_kg_m2: NonNegative,
     /// Filter of the setpoint at servo rate, before the loop and the feed-forward; none if absent.
-    #[serde(default)]
     pub setpoint_filter: Option<SetpointFilter>,
 }
 
@@ -78,7 +76,6 @@ pub struct PidServo {
     #[serde(default)]
     pub acceleration_feed_forward_kg_m2: NonNegative,
     /// Filter of the setpoint at servo rate, before the loop and the feed-forward; none if absent.
-    #[serde(default)]
     pub setpoint_filter: Option<SetpointFilter>,
 }
 
@@ -108,7 +105,6 @@ pub enum SetpointFilter {
         /// Time over which setpoints are averaged, s.
         time_s: Positive,
         /// Time over which the averages are averaged again, s; once only if absent.
-        #[serde(default)]
         second_time_s: Option<Positive>,
     },
 }
@@ -148,7 +144,7 @@ pub struct VelocityServo {
 }
 
 /// Differentiated quantity of a PID servo.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum DerivativeOf {

@@ -55,13 +55,10 @@ pub enum SetpointReaction {
 #[non_exhaustive]
 pub struct JointSetpointLimits {
     /// Largest velocity, rad/s (m/s).
-    #[serde(default)]
     pub velocity_rad_per_s: Option<Positive>,
     /// Largest acceleration, rad/s² (m/s²).
-    #[serde(default)]
     pub acceleration_rad_per_s2: Option<Positive>,
     /// Largest jerk, rad/s³ (m/s³).
-    #[serde(default)]
     pub jerk_rad_per_s3: Option<Positive>,
 }
 

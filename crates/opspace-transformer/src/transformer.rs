@@ -9,7 +9,7 @@ use opspace_model::Data;
 #[cfg(feature = "schema")]
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::de::Error;
-use serde::{Deserialize, Deserializer};
+use serde::{Deserialize, Deserializer, Serialize};
 #[cfg(feature = "schema")]
 use std::borrow::Cow;
 
@@ -193,7 +193,7 @@ impl TransformerKind {
 }
 
 /// Gears between the motors and the links of a robot.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum Gears {

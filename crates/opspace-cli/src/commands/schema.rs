@@ -4,11 +4,13 @@ use crate::cli::{SchemaArgs, SchemaKind};
 use crate::console::{Exit, Outcome, print_exactly};
 use crate::key_page::key_page;
 use crate::output::pretty;
+use crate::schema_defaults::add_empty_defaults;
 use opspace_experiment::files::experiment_file::ExperimentFile;
 use opspace_experiment::files::robot::RobotFile;
 use opspace_experiment::files::task::TaskFile;
 use opspace_experiment::suites::suite::SuiteFile;
-use schemars::{Schema, schema_for};
+use schemars::schema_for;
+use serde_json::Value;
 
 pub fn schema(args: &SchemaArgs) -> Outcome {
     let text = if args.markdown { markdown(args.kind) } else { text(args.kind) };
@@ -21,13 +23,16 @@ pub fn text(kind: SchemaKind) -> String {
     pretty(&of(kind))
 }
 
-fn of(kind: SchemaKind) -> Schema {
-    match kind {
+fn of(kind: SchemaKind) -> Value {
+    let schema = match kind {
         SchemaKind::Robot => schema_for!(RobotFile),
         SchemaKind::Task => schema_for!(TaskFile),
         SchemaKind::Suite => schema_for!(SuiteFile),
         SchemaKind::Experiment => schema_for!(ExperimentFile),
-    }
+    };
+    let mut schema = schema.to_value();
+    add_empty_defaults(&mut schema);
+    schema
 }
 
 /// Returns the page of all keys of a kind of file.
@@ -38,5 +43,5 @@ fn markdown(kind: SchemaKind) -> String {
         SchemaKind::Suite => ("Keys of a suite file", "suite"),
         SchemaKind::Experiment => ("Keys of an experiment file", "experiment"),
     };
-    key_page(of(kind).as_value(), title, &format!("opspace schema {name} --markdown"))
+    key_page(&of(kind), title, &format!("opspace schema {name} --markdown"))
 }

@@ -83,19 +83,19 @@ use serde::Deserialize;
 #[serde(default, deny_unknown_fields)]
 #[non_exhaustive]
 pub struct PortPassivityParameters {
-    /// Energy that both ports together may deliver beyond what has flowed in, J; 0.05 if absent. Each port may spend half.
+    /// Energy that both ports together may deliver beyond what has flowed in, J. Each port may spend half.
     pub store_j: NonNegative,
-    /// Change of the energy of a port that is not counted as flow, J; 0.002 if absent.
+    /// Change of the energy of a port that is not counted as flow, J.
     pub hysteresis_j: NonNegative,
-    /// Largest acceleration of a port along linear axes, m/s²; 25 if absent.
+    /// Largest acceleration of a port along linear axes, m/s².
     pub acceleration_at_most_m_per_s2: Positive,
-    /// Largest acceleration of a port about angular axes, rad/s²; 125 if absent.
+    /// Largest acceleration of a port about angular axes, rad/s².
     pub acceleration_at_most_rad_per_s2: Positive,
-    /// Time constant with which a gap of the reference is closed, s; 0.2 if absent.
+    /// Time constant with which a gap of the reference is closed, s.
     pub repair_s: Positive,
-    /// Largest speed with which a gap is closed along linear axes, m/s; 0.1 if absent.
+    /// Largest speed with which a gap is closed along linear axes, m/s.
     pub repair_at_most_m_per_s: Positive,
-    /// Largest speed with which a gap is closed about angular axes, rad/s; 0.5 if absent.
+    /// Largest speed with which a gap is closed about angular axes, rad/s.
     pub repair_at_most_rad_per_s: Positive,
 }
 

@@ -37,28 +37,29 @@ pub struct LimitParameters {
     /// stops when a joint reaches its limit.
     #[serde(default = "yes")]
     pub enforce: bool,
-    /// Margin between joints and their position limits, rad (m); 0.01 if absent.
+    /// Margin between joints and their position limits, rad (m).
     #[serde(default = "default_margin")]
     pub position_margin_rad: NonNegative,
-    /// Fraction of the velocity limits that is used, from 0 to 1; 0.9 if absent.
+    /// Fraction of the velocity limits that is used, from 0 to 1.
     #[serde(default = "default_velocity_fraction")]
     pub velocity_fraction: Positive,
-    /// Fraction of the torque limits that is used, from 0 to 1; 1 if absent.
+    /// Fraction of the torque limits that is used, from 0 to 1.
     #[serde(default = "whole")]
     pub torque_fraction: Positive,
-    /// Horizon at which velocities and positions must be within their limits, s, from five control periods to 0.5. If
-    /// absent, it is 0.02, or five control periods if these are longer. A longer horizon makes the arm approach its limits
-    /// earlier and more smoothly; a shorter one passes more of the noise of velocities on to the torques, and below five
-    /// control periods a torque that acts a period late would exceed the limits.
-    #[serde(default)]
+    /// Horizon at which velocities and positions must be within their limits, s, from five control periods to 0.5. A longer
+    /// horizon makes the arm approach its limits earlier and more smoothly; a shorter one passes more of the noise of
+    /// velocities on to the torques, and below five control periods a torque that acts a period late would exceed the
+    /// limits.
+    #[cfg_attr(feature = "schema", schemars(extend("x-default" = format!("{}, or {HORIZON_PERIODS} control periods if that is more", crate::limits::horizon::HORIZON_S))))]
     pub horizon_s: Option<Positive>,
-    /// Weight of a task's deviations perpendicular to its direction of motion, relative to those along it, from 1 to 100;
-    /// 10 if absent: a task that limits slow down stays within a few degrees of its path. With 1, no direction is
-    /// preferred. `when_limited = "scaled"` of a task keeps its direction more strictly.
+    /// Weight of a task's deviations perpendicular to its direction of motion, relative to those along it, from 1 to 100.
+    /// With 10, a task that limits slow down stays within a few degrees of its path; with 1, no direction is preferred.
+    /// `when_limited = "scaled"` of a task keeps its direction more strictly.
     #[serde(default = "default_lateral_weight")]
+    #[cfg_attr(feature = "schema", schemars(extend("minimum" = 1, "maximum" = LARGEST_LATERAL_WEIGHT)))]
     pub lateral_weight: Positive,
     /// A task that cannot reach its goal comes to a standstill when its error decreases by less than this, m/s (rotations
-    /// count with the length of the task); 0.001 if absent. With 0 it goes on trying, and the arm may not come to rest.
+    /// count with the length of the task). With 0 it goes on trying, and the arm may not come to rest.
     #[serde(default = "default_standstill")]
     pub standstill_below_m_per_s: NonNegative,
 }

@@ -31,7 +31,7 @@ pub enum JointReference {
     /// Oscillates about the start posture.
     Sinusoid(JointSinusoid),
     /// Moves from posture to posture and stops at each.
-    Waypoints(Vec<JointWaypoint>),
+    Waypoints(#[cfg_attr(feature = "schema", schemars(extend("minItems" = 1)))] Vec<JointWaypoint>),
     /// Moves to one posture as fast as its limits allow, from any state of motion.
     Goal(JointOnlineGoal),
     /// Follows streamed targets.
@@ -47,7 +47,7 @@ pub struct JointPointToPoint {
     pub goal: JointGoal,
     /// Duration of the motion, s.
     pub duration_s: Positive,
-    /// Start time of the motion, s after the start of the reference; 0 if absent.
+    /// Start time of the motion, s after the start of the reference.
     #[serde(default)]
     pub start_s: NonNegative,
 }
@@ -98,7 +98,7 @@ pub enum JointGoal {
 pub struct JointSinusoid {
     /// The sines of each joint, by its name.
     pub joints: BTreeMap<String, Vec<AngularWave>>,
-    /// Duration over which the sines are faded in by the minimum-jerk ramp, s; 1 if absent.
+    /// Duration over which the sines are faded in by the minimum-jerk ramp, s.
     #[serde(default = "default_ramp_s")]
     pub ramp_s: Positive,
 }

@@ -51,9 +51,11 @@ pub struct MotionLimits {
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 struct OnlineGoalFile {
-    /// Goal position; the frame keeps its position if absent.
+    /// Goal position.
+    #[cfg_attr(feature = "schema", schemars(extend("x-default" = "the present one")))]
     position: Option<PositionGoal>,
-    /// Goal orientation; the frame keeps its orientation if absent.
+    /// Goal orientation.
+    #[cfg_attr(feature = "schema", schemars(extend("x-default" = "the present one")))]
     orientation: Option<OrientationGoal>,
     /// Highest speed, m/s; required with `position`, not allowed without it.
     velocity_m_per_s: Option<Positive>,

@@ -17,11 +17,11 @@ use serde::Deserialize;
 #[serde(deny_unknown_fields)]
 pub struct PathReference {
     /// Segments, each from the end of the previous one.
+    #[cfg_attr(feature = "schema", schemars(extend("minItems" = 1)))]
     pub segments: Vec<PathSegment>,
     /// Start of a path in world coordinates, to which the frame first moves on a straight line. If absent, the path
     /// begins where the frame is, at [0, 0, 0]: then positions are offsets from there along the task's axes, and
     /// orientations are rotations from the orientation there, about the task's axes.
-    #[serde(default)]
     pub start: Option<PathStart>,
     /// Highest speed, m/s.
     pub speed_m_per_s: Positive,
@@ -29,22 +29,20 @@ pub struct PathReference {
     pub acceleration_m_per_s2: Positive,
     /// Highest jerk along the path, and in curves at constant speed, m/s³.
     pub jerk_m_per_s3: Positive,
-    /// Distance from a corner within which the path is rounded, m, for segments without one; 0 if absent: the path stops
-    /// in corners. At most half of the lines, arcs and spline intervals beside the corner.
+    /// Distance from a corner within which the path is rounded, m, for segments without one. With 0 the path stops in
+    /// corners. At most half of the lines, arcs and spline intervals beside the corner.
     #[serde(default)]
     pub corner_radius_m: NonNegative,
     /// Highest angular speed, rad/s; required for a path with orientations.
-    #[serde(default)]
     pub angular_speed_rad_per_s: Option<Positive>,
     /// Highest angular acceleration, rad/s²; required for a path with orientations.
-    #[serde(default)]
     pub angular_acceleration_rad_per_s2: Option<Positive>,
     /// False (the default) for a constant speed in each segment and in each rounded corner, the highest one for its
     /// sharpest place, where the length of the segment permits it; true for the highest speed at each place that the path's
     /// limits, the joints' limits of speed, torque and acceleration and the speed limits of the task permit.
     #[serde(default)]
     pub time_optimal: bool,
-    /// Number of times that the segments are passed; 1 if absent. The last segment is followed by the first one.
+    /// Number of times that the segments are passed. The last segment is followed by the first one.
     #[serde(default = "once")]
     pub repeat: Count,
     /// Bounds of the joints on the motion along the path, if it is time-optimal; not in a file, but computed for a robot.
@@ -65,7 +63,6 @@ pub struct PathStart {
     pub absolute_m: Triple,
     /// Orientation: roll, pitch and yaw about fixed axes, rad; required if segments have orientations. If absent, the
     /// frame keeps its orientation.
-    #[serde(default)]
     pub absolute_rpy_rad: Option<Triple>,
 }
 
@@ -97,15 +94,15 @@ pub enum PathSegment {
 pub struct PathLine {
     /// End, m.
     pub to_m: Triple,
-    /// Orientation at the end: roll, pitch and yaw about fixed axes, rad; that at the start of the segment if absent. The
-    /// frame rotates about one axis, by a minimum-jerk ramp over the length of the segment.
-    #[serde(default)]
+    /// Orientation at the end: roll, pitch and yaw about fixed axes, rad. The frame rotates about one axis, by a
+    /// minimum-jerk ramp over the length of the segment.
+    #[cfg_attr(feature = "schema", schemars(extend("x-default" = "that at the start of the segment")))]
     pub rpy_rad: Option<Triple>,
-    /// Distance from the end within which the corner to the next segment is rounded, m; that of the path if absent.
-    #[serde(default)]
+    /// Distance from the end within which the corner to the next segment is rounded, m.
+    #[cfg_attr(feature = "schema", schemars(extend("x-default" = "that of the path")))]
     pub corner_radius_m: Option<NonNegative>,
-    /// Highest speed in this segment, m/s; that of the path if absent or lower.
-    #[serde(default)]
+    /// Highest speed in this segment, m/s; at most that of the path.
+    #[cfg_attr(feature = "schema", schemars(extend("x-default" = "that of the path")))]
     pub speed_m_per_s: Option<Positive>,
 }
 
@@ -118,15 +115,15 @@ pub struct PathArc {
     pub via_m: Triple,
     /// End, m.
     pub to_m: Triple,
-    /// Orientation at the end: roll, pitch and yaw about fixed axes, rad; that at the start of the segment if absent. The
-    /// frame rotates about one axis, by a minimum-jerk ramp over the length of the segment.
-    #[serde(default)]
+    /// Orientation at the end: roll, pitch and yaw about fixed axes, rad. The frame rotates about one axis, by a
+    /// minimum-jerk ramp over the length of the segment.
+    #[cfg_attr(feature = "schema", schemars(extend("x-default" = "that at the start of the segment")))]
     pub rpy_rad: Option<Triple>,
-    /// Distance from the end within which the corner to the next segment is rounded, m; that of the path if absent.
-    #[serde(default)]
+    /// Distance from the end within which the corner to the next segment is rounded, m.
+    #[cfg_attr(feature = "schema", schemars(extend("x-default" = "that of the path")))]
     pub corner_radius_m: Option<NonNegative>,
-    /// Highest speed in this segment, m/s; that of the path if absent or lower.
-    #[serde(default)]
+    /// Highest speed in this segment, m/s; at most that of the path.
+    #[cfg_attr(feature = "schema", schemars(extend("x-default" = "that of the path")))]
     pub speed_m_per_s: Option<Positive>,
 }
 
@@ -141,15 +138,15 @@ pub struct PathCircle {
     pub normal: Triple,
     /// Number of turns, also a fraction; left-handed if negative.
     pub turns: f64,
-    /// Orientation at the end: roll, pitch and yaw about fixed axes, rad; that at the start of the segment if absent. The
-    /// frame rotates about one axis, by a minimum-jerk ramp over the length of the segment.
-    #[serde(default)]
+    /// Orientation at the end: roll, pitch and yaw about fixed axes, rad. The frame rotates about one axis, by a
+    /// minimum-jerk ramp over the length of the segment.
+    #[cfg_attr(feature = "schema", schemars(extend("x-default" = "that at the start of the segment")))]
     pub rpy_rad: Option<Triple>,
-    /// Distance from the end within which the corner to the next segment is rounded, m; that of the path if absent.
-    #[serde(default)]
+    /// Distance from the end within which the corner to the next segment is rounded, m.
+    #[cfg_attr(feature = "schema", schemars(extend("x-default" = "that of the path")))]
     pub corner_radius_m: Option<NonNegative>,
-    /// Highest speed in this segment, m/s; that of the path if absent or lower.
-    #[serde(default)]
+    /// Highest speed in this segment, m/s; at most that of the path.
+    #[cfg_attr(feature = "schema", schemars(extend("x-default" = "that of the path")))]
     pub speed_m_per_s: Option<Positive>,
 }
 
@@ -160,15 +157,15 @@ pub struct PathCircle {
 pub struct PathSpline {
     /// Points after the start, m.
     pub through_m: Vec<Triple>,
-    /// Orientation at the end: roll, pitch and yaw about fixed axes, rad; that at the start of the segment if absent. The
-    /// frame rotates about one axis, by a minimum-jerk ramp over the length of the segment.
-    #[serde(default)]
+    /// Orientation at the end: roll, pitch and yaw about fixed axes, rad. The frame rotates about one axis, by a
+    /// minimum-jerk ramp over the length of the segment.
+    #[cfg_attr(feature = "schema", schemars(extend("x-default" = "that at the start of the segment")))]
     pub rpy_rad: Option<Triple>,
-    /// Distance from the end within which the corner to the next segment is rounded, m; that of the path if absent.
-    #[serde(default)]
+    /// Distance from the end within which the corner to the next segment is rounded, m.
+    #[cfg_attr(feature = "schema", schemars(extend("x-default" = "that of the path")))]
     pub corner_radius_m: Option<NonNegative>,
-    /// Highest speed in this segment, m/s; that of the path if absent or lower.
-    #[serde(default)]
+    /// Highest speed in this segment, m/s; at most that of the path.
+    #[cfg_attr(feature = "schema", schemars(extend("x-default" = "that of the path")))]
     pub speed_m_per_s: Option<Positive>,
 }
 

@@ -33,8 +33,8 @@ pub struct RecordedPath {
     /// to the task's axes; false if it is followed in world coordinates, as recorded.
     #[serde(default = "yes")]
     pub relative: bool,
-    /// Duration over which the offset of the start pose from a path that is not relative is faded out by the
-    /// minimum-jerk ramp, s; 1 if absent.
+    /// Duration over which the offset of the start pose from a path that is not relative is faded out by the minimum-jerk
+    /// ramp, s.
     #[serde(default = "default_approach_s")]
     pub approach_s: Positive,
     /// Samples in the file.

@@ -36,7 +36,7 @@ pub enum CartesianReference {
     /// Oscillates about the start pose.
     Sinusoid(Sinusoid),
     /// Moves from pose to pose along straight lines and single-axis rotations, and stops at each.
-    Waypoints(Vec<Waypoint>),
+    Waypoints(#[cfg_attr(feature = "schema", schemars(extend("minItems" = 1)))] Vec<Waypoint>),
     /// Moves to one pose as fast as its limits allow, from any state of motion.
     Goal(OnlineGoal),
     /// Follows lines, arcs, circles and splines with rounded corners.
@@ -52,15 +52,15 @@ pub enum CartesianReference {
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct PointToPoint {
-    /// Goal position; the start position if absent.
-    #[serde(default)]
+    /// Goal position.
+    #[cfg_attr(feature = "schema", schemars(extend("x-default" = "the start position")))]
     pub position: Option<PositionGoal>,
-    /// Goal orientation; the start orientation if absent.
-    #[serde(default)]
+    /// Goal orientation.
+    #[cfg_attr(feature = "schema", schemars(extend("x-default" = "the start orientation")))]
     pub orientation: Option<OrientationGoal>,
     /// Duration of the motion, s.
     pub duration_s: Positive,
-    /// Start time of the motion, s after the start of the reference; 0 if absent.
+    /// Start time of the motion, s after the start of the reference.
     #[serde(default)]
     pub start_s: NonNegative,
 }
@@ -72,11 +72,11 @@ pub struct PointToPoint {
 pub struct Waypoint {
     /// Time of arrival, s after the start.
     pub time_s: Positive,
-    /// Position of the waypoint; that of the previous waypoint if absent.
-    #[serde(default)]
+    /// Position of the waypoint.
+    #[cfg_attr(feature = "schema", schemars(extend("x-default" = "that of the previous waypoint")))]
     pub position: Option<PositionGoal>,
-    /// Orientation of the waypoint; that of the previous waypoint if absent.
-    #[serde(default)]
+    /// Orientation of the waypoint.
+    #[cfg_attr(feature = "schema", schemars(extend("x-default" = "that of the previous waypoint")))]
     pub orientation: Option<OrientationGoal>,
 }
 
@@ -104,7 +104,7 @@ pub struct Sinusoid {
     /// Sines about the third task axis.
     #[serde(default)]
     pub rz: Vec<AngularWave>,
-    /// Duration over which the sines are faded in by the minimum-jerk ramp, s; 1 if absent.
+    /// Duration over which the sines are faded in by the minimum-jerk ramp, s.
     #[serde(default = "default_ramp_s")]
     pub ramp_s: Positive,
 }

@@ -37,7 +37,7 @@ pub struct ScalarPointToPoint {
     pub goal: ScalarGoal,
     /// Duration of the motion, s.
     pub duration_s: Positive,
-    /// Start time of the motion, s after the start of the reference; 0 if absent.
+    /// Start time of the motion, s after the start of the reference.
     #[serde(default)]
     pub start_s: NonNegative,
 }
@@ -61,7 +61,7 @@ pub enum ScalarGoal {
 pub struct ScalarSinusoid {
     /// The sines.
     pub waves: Vec<AngularWave>,
-    /// Duration over which the sines are faded in by the minimum-jerk ramp, s; 1 if absent.
+    /// Duration over which the sines are faded in by the minimum-jerk ramp, s.
     #[serde(default = "default_ramp_s")]
     pub ramp_s: Positive,
 }

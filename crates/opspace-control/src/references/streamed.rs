@@ -16,14 +16,14 @@ use opspace_backend::quantity::Positive;
 use opspace_backend::signal_names::{TARGET_AGE_S, TARGET_STALE};
 #[cfg(feature = "schema")]
 use schemars::JsonSchema;
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 
 /// Time in which an extrapolated reference comes to rest after its target becomes stale, s. From a constant velocity v,
 /// the stopping distance is 0.125 s · v and the highest deceleration 6 1/s · v.
 pub const STOP_S: f64 = 0.25;
 
 /// Reaction to a target that is not updated in time.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
@@ -36,7 +36,7 @@ pub enum OnTimeout {
 }
 
 /// Motion between targets.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]

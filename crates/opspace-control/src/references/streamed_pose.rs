@@ -64,16 +64,17 @@ impl Default for StreamedReference {
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 struct StreamedPoseFile {
-    /// Age above which a target is stale, s; 0.1 if absent.
+    /// Age above which a target is stale, s.
     #[serde(default = "default_timeout_s")]
     timeout_s: Positive,
-    /// Reaction to a stale target; `hold` if absent.
+    /// Reaction to a stale target.
     #[serde(default)]
     on_timeout: OnTimeout,
-    /// Motion between targets; `extrapolated` if absent.
+    /// Motion between targets.
     #[serde(default)]
     shape: StreamedShape,
-    /// Time in which the difference to a new target fades, s; 0.1 if absent. Only with `extrapolated`.
+    /// Time in which the difference to a new target fades, s. Only with `extrapolated`.
+    #[cfg_attr(feature = "schema", schemars(extend("default" = default_blend_s())))]
     blend_s: Option<Positive>,
     /// Highest speed, m/s; only with `generated`.
     velocity_m_per_s: Option<Positive>,

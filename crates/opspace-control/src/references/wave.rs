@@ -15,10 +15,10 @@ pub struct LinearWave {
     pub amplitude_m: f64,
     /// Frequency, Hz.
     pub frequency_hz: NonNegative,
-    /// Phase at the start, rad; 0 if absent.
+    /// Phase at the start, rad.
     #[serde(default)]
     pub phase_rad: f64,
-    /// Constant part, m; 0 if absent.
+    /// Constant part, m.
     #[serde(default)]
     pub offset_m: f64,
 }
@@ -32,10 +32,10 @@ pub struct AngularWave {
     pub amplitude_rad: f64,
     /// Frequency, Hz.
     pub frequency_hz: NonNegative,
-    /// Phase at the start, rad; 0 if absent.
+    /// Phase at the start, rad.
     #[serde(default)]
     pub phase_rad: f64,
-    /// Constant part, rad (m for a prismatic joint); 0 if absent.
+    /// Constant part, rad (m for a prismatic joint).
     #[serde(default)]
     pub offset_rad: f64,
 }

@@ -28,10 +28,12 @@ pub struct AdmittanceLimits {
     pub speed_m_per_s: Option<Positive>,
     /// Highest speed about an axis, rad/s; unlimited if absent.
     pub speed_rad_per_s: Option<Positive>,
-    /// Largest distance of the commanded position from the measured one along an axis, m; 0.02 if absent. It bounds the force
-    /// that builds up while the robot is blocked to this distance times the stiffness of its servos.
+    /// Largest distance of the commanded position from the measured one along an axis, m. It bounds the force that builds
+    /// up while the robot is blocked to this distance times the stiffness of its servos.
+    #[cfg_attr(feature = "schema", schemars(extend("default" = LEAD_M)))]
     pub lead_m: Option<Positive>,
-    /// Largest angle of the commanded orientation from the measured one about an axis, rad; 0.1 if absent.
+    /// Largest angle of the commanded orientation from the measured one about an axis, rad.
+    #[cfg_attr(feature = "schema", schemars(extend("default" = LEAD_RAD)))]
     pub lead_rad: Option<Positive>,
 }
 

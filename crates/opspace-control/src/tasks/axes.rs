@@ -9,8 +9,8 @@ use opspace_backend::quantity::{Positive, exactly};
 use opspace_model::{Data, FrameId, Model, UnknownFrame, frame_placement};
 #[cfg(feature = "schema")]
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
-use serde::Deserialize;
 use serde::de::{Deserializer, Error, IntoDeserializer, MapAccess, SeqAccess, Visitor};
+use serde::{Deserialize, Serialize, Serializer};
 #[cfg(feature = "schema")]
 use std::borrow::Cow;
 use std::fmt;
@@ -31,7 +31,7 @@ enum Axis {
     Rz,
 }
 
-/// Mode of each axis; `free` if absent.
+/// Mode of each axis.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
@@ -101,7 +101,7 @@ impl Axes {
 }
 
 /// Directions of a task's axes.
-#[derive(Clone, Debug, Default, PartialEq, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Deserialize, Serialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 pub enum AxesFrameParameter {
     /// The axes of the world.
@@ -126,7 +126,7 @@ pub enum AxesFrameParameter {
 }
 
 /// Axes of a task on a surface.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct SurfaceAxesParameters {
@@ -236,6 +236,20 @@ impl<T: Copy> PerAxis<T> {
     /// Indices of the axes that have an individual value.
     pub(crate) fn named(&self) -> impl Iterator<Item = usize> + '_ {
         (0..6).filter(|&axis| matches!(self, Self::Each(values) if values[axis].is_some()))
+    }
+}
+
+/// A value of all axes as such, values of single axes as a table.
+impl<T: Serialize> Serialize for PerAxis<T> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        match self {
+            Self::All(value) => value.serialize(serializer),
+            Self::Each(values) => {
+                let given =
+                    AXIS_NAMES.iter().zip(values).filter_map(|(axis, value)| Some((axis, value.as_ref()?)));
+                serializer.collect_map(given)
+            }
+        }
     }
 }
 

@@ -4,16 +4,13 @@ use crate::axis_mode::AxisMode;
 use crate::error::{ControlError, Reason};
 use crate::references::reference::CartesianReference;
 use crate::tasks::axes::required;
-use crate::tasks::cartesian_parameters::CartesianParameters;
+use crate::tasks::cartesian_parameters::{COMPLIANT_DAMPING_PER_S, CartesianParameters};
 use crate::tasks::cartesian_target::AxisSettings;
 use crate::tasks::force_parameters::default_force_damping;
 use crate::tasks::gains::AxisGains;
 use crate::tasks::impedance::Impedance;
 use nalgebra::Vector6;
 use opspace_backend::quantity::NonNegative;
-
-/// Damping of an axis that a streamed mode makes compliant and for which the file gives no damping, 1/s.
-const COMPLIANT_DAMPING_PER_S: f64 = 2.0;
 
 impl MotionGains {
     fn new(gains: &AxisGains, axis: usize, period_s: f64) -> Option<Self> {

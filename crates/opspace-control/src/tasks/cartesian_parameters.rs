@@ -19,7 +19,10 @@ use opspace_backend::quantity::{NonNegative, Positive};
 use opspace_model::{Inversion, Model};
 #[cfg(feature = "schema")]
 use schemars::JsonSchema;
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
+
+/// Damping of compliant axes for which the file gives none, 1/s.
+pub(crate) const COMPLIANT_DAMPING_PER_S: f64 = 2.0;
 
 /// A frame follows a reference on some axes and is compliant on others.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
@@ -29,10 +32,10 @@ use serde::Deserialize;
 pub struct CartesianParameters {
     /// The controlled frame: a link of the URDF.
     pub frame: String,
-    /// Frame in whose coordinates pose and reference are given; it can move too. The world if absent.
-    #[serde(default)]
+    /// Frame in whose coordinates pose and reference are given; it can move too.
+    #[cfg_attr(feature = "schema", schemars(extend("x-default" = "the world")))]
     pub relative_to: Option<String>,
-    /// Modes of the axes; `free` if absent.
+    /// Modes of the axes.
     pub axes: Axes,
     /// Directions of the axes: `"world"`, `"base"`, `"task-frame"`, `{ frame = "NAME" }`, or `{ rpy_rad = [...] }`
     /// relative to the world.
@@ -41,54 +44,46 @@ pub struct CartesianParameters {
     /// Reference of the frame.
     pub reference: CartesianReference,
     /// Gains of the motion axes, for unit mass.
-    #[serde(default)]
     pub gains: Option<AxisGains>,
     /// Impedance of the motion axes, as a spring and a damper; instead of `gains`.
-    #[serde(default)]
     pub impedance: Option<ImpedanceParameters>,
     /// Force feedback of the compliant and force axes. Without it, the force on compliant axes is zero, in open loop.
-    #[serde(default)]
     pub force: Option<ForceParameters>,
-    /// Damping of the compliant axes (acceleration per velocity), 1/s; 2 if absent. That of force axes is
-    /// `force.damping_per_s`.
-    #[serde(default)]
+    /// Damping of the compliant axes (acceleration per velocity), 1/s. That of force axes is `force.damping_per_s`.
+    #[cfg_attr(feature = "schema", schemars(extend("default" = COMPLIANT_DAMPING_PER_S)))]
     pub compliant_damping_per_s: Option<PerAxis<NonNegative>>,
-    /// Inertia that converts accelerations to forces; the arm's own if absent.
+    /// Inertia that converts accelerations to forces.
     #[serde(default)]
     pub decoupling: Decoupling,
     /// Highest speed along the motion axes, m/s; unlimited if absent.
-    #[serde(default)]
     pub speed_limit_m_per_s: Option<Positive>,
     /// Highest speed about the motion axes, rad/s; unlimited if absent.
-    #[serde(default)]
     pub speed_limit_rad_per_s: Option<Positive>,
-    /// Handling of singular directions, in which the arm can hardly move the frame; damped if absent.
+    /// Handling of singular directions, in which the arm can hardly move the frame.
     #[serde(default)]
     pub singularities: SingularityHandling,
     /// Threshold of the mobility (eigenvalue of Λ⁻¹) below which directions are damped, relative to the median of the
     /// lowest mobility over many postures. If absent, `damping_zone` applies.
-    #[serde(default)]
     pub singularity_threshold: Option<Positive>,
     /// Zone below which directions are damped, growing with the demand; instead of `singularity_threshold`.
-    #[serde(default)]
+    #[cfg_attr(feature = "schema", schemars(extend("x-default" = "`{}` without `singularity_threshold`")))]
     pub damping_zone: Option<DampingZone>,
-    /// Behaviour of a task that rests in an exactly singular pose because the goal is along the lost direction: `"none"` (stay
-    /// there) if absent, or `"nullspace-step"`: the arm moves in the null space, at up to 0.5 rad/s, to where it can go to
-    /// the goal. Only for torque control.
+    /// Behaviour of a task that rests in an exactly singular pose because the goal is along the lost direction: `"none"`
+    /// (stay there) or `"nullspace-step"`: the arm moves in the null space, at up to 0.5 rad/s, to where it can go to the
+    /// goal. Only for torque control.
     #[serde(default)]
     pub escape: SingularEscape,
-    /// Characteristic length that scales rotations to displacements in the detection of singular directions, m; the
-    /// arm's reach if absent.
-    #[serde(default)]
+    /// Characteristic length that scales rotations to displacements in the detection of singular directions, m.
+    #[cfg_attr(feature = "schema", schemars(extend("x-default" = "the arm's reach")))]
     pub characteristic_length_m: Option<Positive>,
-    /// Weight of each axis when limits are in force, 1 if absent: a deviation of its acceleration counts this many times
-    /// in the task's kinetic energy, so that limits take from axes of small weight first. Translations and rotations are
-    /// compared by their energy, not by metres and radians. A weight of ten is as strong as keeping the direction
-    /// (`limits.lateral_weight`). The largest is at most 100 times the smallest. Without an active limit, weights
-    /// change nothing.
+    /// Weight of each axis when limits are in force: a deviation of its acceleration counts this many times in the task's
+    /// kinetic energy, so that limits take from axes of small weight first. Translations and rotations are compared by
+    /// their energy, not by metres and radians. A weight of ten is as strong as keeping the direction
+    /// (`limits.lateral_weight`). The largest is at most 100 times the smallest. Without an active limit, weights change
+    /// nothing.
     #[serde(default = "equal_weights")]
     pub weight: PerAxis<Positive>,
-    /// Change of the acceleration that limits do not allow: `"least-squares"` if absent.
+    /// Change of the acceleration that limits do not allow.
     #[serde(default)]
     pub when_limited: WhenLimited,
 }
@@ -99,7 +94,7 @@ pub struct CartesianParameters {
 #[serde(deny_unknown_fields)]
 #[non_exhaustive]
 pub struct CenterOfMassParameters {
-    /// Modes of x, y and z; `free` if absent.
+    /// Modes of x, y and z.
     pub axes: Axes,
     /// Directions of the axes, as in a Cartesian task.
     #[serde(default)]
@@ -110,29 +105,28 @@ pub struct CenterOfMassParameters {
     pub gains: AxisGains,
     /// Threshold of the mobility (eigenvalue of Λ⁻¹) below which directions are damped, relative to the median of the
     /// lowest mobility over many postures. If absent, `damping_zone` applies.
-    #[serde(default)]
     pub singularity_threshold: Option<Positive>,
     /// Zone below which directions are damped, growing with the demand; instead of `singularity_threshold`.
-    #[serde(default)]
+    #[cfg_attr(feature = "schema", schemars(extend("x-default" = "`{}` without `singularity_threshold`")))]
     pub damping_zone: Option<DampingZone>,
-    /// Behaviour of a task that rests in an exactly singular pose because the goal is along the lost direction: `"none"` (stay
-    /// there) if absent, or `"nullspace-step"`: the arm moves in the null space, at up to 0.5 rad/s, to where it can go to
-    /// the goal. Only for torque control.
+    /// Behaviour of a task that rests in an exactly singular pose because the goal is along the lost direction: `"none"`
+    /// (stay there) or `"nullspace-step"`: the arm moves in the null space, at up to 0.5 rad/s, to where it can go to the
+    /// goal. Only for torque control.
     #[serde(default)]
     pub escape: SingularEscape,
-    /// Weight of each axis when limits are in force, 1 if absent: a deviation of its acceleration counts this many times
-    /// in the task's kinetic energy, so that limits take from axes of small weight first. A weight of ten is as strong as keeping the direction
-    /// (`limits.lateral_weight`). The largest is at most 100 times the smallest. Without an active limit, weights
+    /// Weight of each axis when limits are in force: a deviation of its acceleration counts this many times in the task's
+    /// kinetic energy, so that limits take from axes of small weight first. A weight of ten is as strong as keeping the
+    /// direction (`limits.lateral_weight`). The largest is at most 100 times the smallest. Without an active limit, weights
     /// change nothing.
     #[serde(default = "equal_weights")]
     pub weight: PerAxis<Positive>,
-    /// Change of the acceleration that limits do not allow: `"least-squares"` if absent.
+    /// Change of the acceleration that limits do not allow.
     #[serde(default)]
     pub when_limited: WhenLimited,
 }
 
 /// Inertia that converts a task's accelerations to forces.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize, Serialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 #[non_exhaustive]
@@ -149,7 +143,7 @@ pub enum Decoupling {
 }
 
 /// Handling of directions in which an arm can hardly move a frame; see [`Inversion`].
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 #[cfg_attr(feature = "schema", schemars(rename = "Singularities"))]

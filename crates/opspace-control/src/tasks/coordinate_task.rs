@@ -32,10 +32,10 @@ pub struct CoordinateGains {
     pub frequency_rad_per_s: Positive,
     /// Damping ratio ζ of the error: the damping is 2ζω (1/s).
     pub damping_ratio: NonNegative,
-    /// Integral gain, 1/s: fraction of the error that is added to the integral per second; 0 if absent.
+    /// Integral gain, 1/s: fraction of the error that is added to the integral per second.
     #[serde(default)]
     pub integral_per_s: NonNegative,
-    /// Upper bound of the integral, rad (m for a length); 0.2 if absent.
+    /// Upper bound of the integral, rad (m for a length).
     #[serde(default = "default_integral_limit")]
     pub integral_limit_rad: NonNegative,
 }

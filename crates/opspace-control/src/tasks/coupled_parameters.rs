@@ -6,7 +6,7 @@ use crate::tasks::axes::AXIS_NAMES;
 use opspace_backend::quantity::{NonNegative, Positive, exactly};
 #[cfg(feature = "schema")]
 use schemars::JsonSchema;
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 
 /// A frame, or some joints, coupled with a task of another robot. Without a partner, the rows are compliant.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
@@ -15,41 +15,38 @@ use serde::Deserialize;
 #[non_exhaustive]
 pub struct CoupledParameters {
     /// The coupled frame: a link of the URDF. Either this or `joints`.
-    #[serde(default)]
     pub frame: Option<String>,
     /// The coupled joints, at most six. Either this or `frame`.
-    #[serde(default)]
     pub joints: Option<Vec<String>>,
-    /// Axes of the frame that are coupled; x, y and z if absent.
-    #[serde(default)]
+    /// Axes of the frame that are coupled.
+    #[cfg_attr(feature = "schema", schemars(extend("default" = DEFAULT_AXES, "minItems" = 1, "uniqueItems" = true)))]
     pub axes: Option<Vec<CoupledAxis>>,
     /// Directions of the axes: those of the world rotated by roll, pitch and yaw (fixed axes, in that order), rad. With
     /// them, robots that face different ways agree on what is forward.
     #[serde(default, deserialize_with = "exactly")]
     pub axes_rpy_rad: [f64; 3],
-    /// Damping along the axes, Ns/m (of prismatic joints too); 0 if absent.
+    /// Damping along the axes, Ns/m (of prismatic joints too).
     #[serde(default)]
     pub damping_ns_per_m: NonNegative,
-    /// Damping about the axes, Nms/rad (of revolute joints too); 0 if absent.
+    /// Damping about the axes, Nms/rad (of revolute joints too).
     #[serde(default)]
     pub damping_nms_per_rad: NonNegative,
     /// Force sensor of the robot, or one of its estimated forces; needed for measured forces and handle feedback.
-    #[serde(default)]
     pub sensor: Option<String>,
     /// Corner frequency of the filter of the sensed force, Hz.
     #[serde(default = "hundred")]
     pub filter_hz: Positive,
     /// Side of the robot in its coupling; an experiment with several robots writes it into the task.
-    #[serde(default)]
     pub side: Option<CouplingSide>,
     /// Law of the coupling; an experiment with several robots writes it into the task. Without it, nothing is received.
-    #[serde(default)]
     pub teleoperation: Option<Box<TeleoperationParameters>>,
     /// Law of two robots that carry an object, instead of `teleoperation`; an experiment with several robots writes it into the
     /// task.
-    #[serde(default)]
     pub carry: Option<Box<CarryParameters>>,
 }
+
+/// Axes that are coupled if the file names none.
+pub(crate) const DEFAULT_AXES: [CoupledAxis; 3] = [CoupledAxis::X, CoupledAxis::Y, CoupledAxis::Z];
 
 const fn hundred() -> Positive {
     Positive::literal(100.0)
@@ -76,7 +73,7 @@ impl CoupledParameters {
 }
 
 /// Axis of a coupled frame.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum CoupledAxis {
@@ -130,6 +127,7 @@ pub struct TeleoperationParameters {
     /// hand; the reflected force is multiplied by 1 + g. Needs a sensor of the leader.
     pub handle_feedback: NonNegative,
     /// Passivity control.
+    #[cfg_attr(feature = "schema", schemars(extend("default" = { "on": {} })))]
     pub passivity: Passivity,
     /// Damping of the leader in contact, which pays for the delay of a reflected force: this ratio times the stiffness times the
     /// time after which a motion of the leader is felt.
@@ -174,7 +172,7 @@ pub enum CouplingSide {
 }
 
 /// Quantity from which the force on the leader is computed.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize, Serialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
@@ -240,30 +238,28 @@ pub struct CarryParameters {
     pub direction: [f64; 3],
     /// Force with which each hand presses on the object along this line, N; negative: pulls. If absent, the hands keep their
     /// distance along the line too, for an object that only one of them holds at times.
-    #[serde(default)]
     pub internal_force_n: Option<f64>,
     /// Path of the object, from where it is at the start; it stays there if absent.
-    #[serde(default)]
     pub path: Option<Sinusoid>,
-    /// Natural frequency ω of the errors of the path and of the distance, rad/s; 20 if absent.
+    /// Natural frequency ω of the errors of the path and of the distance, rad/s.
     #[serde(default = "default_frequency")]
     pub frequency_rad_per_s: Positive,
-    /// Damping ratio ζ of these errors; 1 if absent.
+    /// Damping ratio ζ of these errors.
     #[serde(default = "one")]
     pub damping_ratio: Positive,
-    /// Feedback of the error of the internal force; 1 if absent.
+    /// Feedback of the error of the internal force.
     #[serde(default = "one_feedback")]
     pub gain: NonNegative,
-    /// Integral feedback of the error of the internal force, 1/s; 10 if absent.
+    /// Integral feedback of the error of the internal force, 1/s.
     #[serde(default = "ten")]
     pub integral_per_s: NonNegative,
-    /// Largest integral, N; 20 if absent.
+    /// Largest integral, N.
     #[serde(default = "twenty")]
     pub integral_limit_n: NonNegative,
-    /// Time over which the internal force comes in, s; 0.5 if absent.
+    /// Time over which the internal force comes in, s.
     #[serde(default = "half")]
     pub ramp_s: NonNegative,
-    /// Age of the last packet, measured from its arrival, above which the robots are no longer coupled, s; 0.2 if absent.
+    /// Age of the last packet, measured from its arrival, above which the robots are no longer coupled, s.
     #[serde(default = "fifth")]
     pub timeout_s: Positive,
 }

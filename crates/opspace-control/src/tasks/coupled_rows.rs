@@ -7,15 +7,12 @@ use crate::orientation;
 use crate::tasks::axes::AXIS_NAMES;
 use crate::tasks::characteristic_length::characteristic_length;
 use crate::tasks::controlled_frame::ControlledFrame;
-use crate::tasks::coupled_parameters::{CoupledAxis, CoupledParameters};
+use crate::tasks::coupled_parameters::{CoupledParameters, DEFAULT_AXES};
 use crate::tasks::selected_joints::selected_joints;
 use crate::tasks::sensed_force::SensedForce;
 use crate::tasks::task_axes::TaskAxes;
 use nalgebra::{Matrix6xX, Vector3, Vector6};
 use opspace_model::{Data, Model, Placement, frame_jacobian};
-
-/// Axes that are coupled if the file names none.
-const DEFAULT_AXES: [CoupledAxis; 3] = [CoupledAxis::X, CoupledAxis::Y, CoupledAxis::Z];
 
 /// Coupled rows of a robot, at most six.
 #[derive(Clone, Debug)]

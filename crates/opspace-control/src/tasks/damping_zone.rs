@@ -15,16 +15,17 @@ use serde::Deserialize;
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct DampingZone {
-    /// Threshold of a task at rest; 0.005 if absent: small, so that the task is exact nearly everywhere, but large enough
-    /// that the force on a goal out of reach does not make the arm oscillate.
+    /// Threshold of a task at rest: small, so that the task is exact nearly everywhere, but large enough that the force on
+    /// a goal out of reach does not make the arm oscillate.
     #[serde(default = "at_rest")]
     pub at_rest: Positive,
-    /// Highest threshold, from `at_rest` to 1; 0.3 if absent: fast motion through a singular pose then stays smooth. With
-    /// 1, a fast task is damped at half of all postures.
+    /// Highest threshold, from `at_rest` to 1. With 0.3, fast motion through a singular pose stays smooth; with 1, a fast
+    /// task is damped at half of all postures.
     #[serde(default = "most")]
+    #[cfg_attr(feature = "schema", schemars(extend("maximum" = 1)))]
     pub most: Positive,
-    /// Demanded acceleration that leads to the highest threshold, m/s² (rotations times the characteristic length); 4 if
-    /// absent, that of a quick motion of an arm. A smaller one damps slower motions.
+    /// Demanded acceleration that leads to the highest threshold, m/s² (rotations times the characteristic length); 4 is
+    /// that of a quick motion of an arm. A smaller one damps slower motions.
     #[serde(default = "full_demand")]
     pub full_demand_m_per_s2: Positive,
 }

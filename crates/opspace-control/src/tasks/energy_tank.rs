@@ -29,9 +29,9 @@ use serde::Deserialize;
 #[serde(default, deny_unknown_fields)]
 #[non_exhaustive]
 pub struct TankParameters {
-    /// Energy at the start, J, at most `capacity_j`; 0.5 if absent. It is all that the growth of the stiffness can ever deliver.
+    /// Energy at the start, J, at most `capacity_j`. It is all that the growth of the stiffness can ever deliver.
     pub initial_j: NonNegative,
-    /// Largest energy, J; 2 if absent. Dissipation beyond it is lost.
+    /// Largest energy, J. Dissipation beyond it is lost.
     pub capacity_j: Positive,
 }
 

@@ -18,10 +18,10 @@ use serde::Deserialize;
 pub struct ForceParameters {
     /// Name of the robot's force sensor.
     pub sensor: String,
-    /// Force that the environment should exert ON the robot along these axes, N; 0 if absent.
+    /// Force that the environment should exert ON the robot along these axes, N.
     #[serde(default = "no_target")]
     pub target_n: PerAxis<f64>,
-    /// Moment that the environment should exert ON the robot about these axes, Nm; 0 if absent.
+    /// Moment that the environment should exert ON the robot about these axes, Nm.
     #[serde(default = "no_target")]
     pub target_nm: PerAxis<f64>,
     /// Target forces of force axes as functions of time, instead of `target_n`: for each axis a list of times (s, since the
@@ -29,39 +29,37 @@ pub struct ForceParameters {
     #[serde(default)]
     pub profile_n: ForceProfiles,
     /// Time over which the target of a force axis ramps in from the sensed force at the start and at contact, and from the
-    /// previous target at an event, s; 0.1 if absent. Streamed targets apply at once.
+    /// previous target at an event, s. Streamed targets apply at once.
     #[serde(default = "default_ramp_s")]
     pub ramp_s: NonNegative,
-    /// Fraction of the target that is commanded in open loop; 1 if absent.
+    /// Fraction of the target that is commanded in open loop.
     #[serde(default = "whole_target")]
     pub feed_forward: PerAxis<Fraction>,
-    /// Gain of the force error; if absent 2 on compliant axes, and on force axes 1, or 2 ms per control period if that is less.
-    #[serde(default)]
+    /// Gain of the force error; by default 2 on compliant axes, and on force axes 1, or 2 ms per control period if that is
+    /// less.
+    #[cfg_attr(feature = "schema", schemars(extend("x-default" = "depends on the mode and the control period")))]
     pub gain: Option<PerAxis<NonNegative>>,
-    /// Integral gain of a force axis, 1/s: fraction of the force error that is added to the force per second; 20 if
-    /// absent.
-    #[serde(default)]
+    /// Integral gain of a force axis, 1/s: fraction of the force error that is added to the force per second.
+    #[cfg_attr(feature = "schema", schemars(extend("default" = INTEGRAL_PER_S)))]
     pub integral_per_s: Option<PerAxis<NonNegative>>,
-    /// Upper bound of the integral of a force axis, which prevents windup without contact, N or Nm; the largest magnitude of
-    /// the target if absent.
-    #[serde(default)]
+    /// Upper bound of the integral of a force axis, which prevents windup without contact, N or Nm.
+    #[cfg_attr(feature = "schema", schemars(extend("x-default" = "the largest magnitude of the target")))]
     pub integral_limit: Option<PerAxis<NonNegative>>,
-    /// Damping of a force axis (acceleration per velocity), 1/s; if absent 120, or 0.6 per control period if that is less. It
-    /// keeps stiff contact stable: see the rule in the documentation of tasks.
-    #[serde(default)]
+    /// Damping of a force axis (acceleration per velocity), 1/s. It keeps stiff contact stable: see the rule in the
+    /// documentation of tasks.
+    #[cfg_attr(feature = "schema", schemars(extend("x-default" = format!("{FORCE_DAMPING_PER_S}, or {FORCE_DAMPING_PER_PERIOD} per control period if that is less"))))]
     pub damping_per_s: Option<PerAxis<NonNegative>>,
-    /// −3 dB frequency of the low-pass filter of the sensed force, Hz; 100 if absent.
+    /// −3 dB frequency of the low-pass filter of the sensed force, Hz.
     #[serde(default = "default_filter_hz")]
     pub filter_hz: Positive,
-    /// Fraction of the sensed force that is compensated on motion axes, for example the friction of a surface along which the
-    /// frame slides; 0 if absent. Stiff contact along such an axis is unstable with it.
-    #[serde(default)]
+    /// Fraction of the sensed force that is compensated on motion axes, for example the friction of a surface along which
+    /// the frame slides. Stiff contact along such an axis is unstable with it.
+    #[cfg_attr(feature = "schema", schemars(extend("default" = 0.0)))]
     pub sensed_compensation: Option<PerAxis<Fraction>>,
-    /// Surface on which the stability of the contact is examined before a run; that of the simulated environment if absent.
-    #[serde(default)]
+    /// Surface on which the stability of the contact is examined before a run.
+    #[cfg_attr(feature = "schema", schemars(extend("x-default" = "that of the simulated environment")))]
     pub surface: Option<SurfaceParameters>,
     /// Approach of force axes until contact is made; without it, force control begins at once.
-    #[serde(default)]
     pub contact: Option<ContactParameters>,
     /// Passivity control of the force feedback of force axes.
     #[serde(default)]
@@ -69,10 +67,8 @@ pub struct ForceParameters {
     /// Damping B of the admittance of compliant and force axes, Ns/m: the commanded position moves with the force error
     /// divided by B. Only for inverse kinematics, whose force axes need it; a compliant axis without it holds its
     /// reference there.
-    #[serde(default)]
     pub admittance_ns_per_m: Option<PerAxis<Positive>>,
     /// Damping of the admittance of compliant and force axes of rotation, Nms/rad. Only for inverse kinematics.
-    #[serde(default)]
     pub admittance_nms_per_rad: Option<PerAxis<Positive>>,
     /// Limits of the motion by admittance.
     #[serde(default)]
@@ -102,7 +98,7 @@ pub struct ForceProfiles {
 pub struct SurfaceParameters {
     /// Stiffness along the axis, N/m.
     pub stiffness_n_per_m: Positive,
-    /// Damping along the axis, Ns/m; 0 if absent.
+    /// Damping along the axis, Ns/m.
     #[serde(default = "undamped")]
     pub damping_ns_per_m: NonNegative,
 }
@@ -113,16 +109,16 @@ pub struct SurfaceParameters {
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct ContactParameters {
-    /// Speed of the approach, m/s; 0.05 if absent.
+    /// Speed of the approach, m/s.
     #[serde(default = "default_approach")]
     pub approach_m_per_s: Positive,
-    /// Sensed force above which contact is made, N; 2 if absent.
+    /// Sensed force above which contact is made, N.
     #[serde(default = "default_made")]
     pub made_above_n: Positive,
-    /// Sensed force below which contact is lost, N; 0.5 if absent.
+    /// Sensed force below which contact is lost, N.
     #[serde(default = "default_lost")]
     pub lost_below_n: NonNegative,
-    /// Time for which the force must be below `lost_below_n` before the axis approaches again, s; 0.05 if absent.
+    /// Time for which the force must be below `lost_below_n` before the axis approaches again, s.
     #[serde(default = "default_lost_after")]
     pub lost_after_s: NonNegative,
 }
@@ -143,16 +139,16 @@ impl Default for ContactParameters {
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct PassivityParameters {
-    /// True if the gains are reduced when the feedback gives too much energy to the motion; true if absent.
+    /// True if the gains are reduced when the feedback gives too much energy to the motion.
     #[serde(default = "enabled")]
     pub enabled: bool,
-    /// Energy that the feedback may give to the motion within the window before its gains are reduced, J; 0.02 if absent.
+    /// Energy that the feedback may give to the motion within the window before its gains are reduced, J.
     #[serde(default = "default_store")]
     pub store_j: Positive,
-    /// Time over which given energy is forgotten, s; 0.25 if absent.
+    /// Time over which given energy is forgotten, s.
     #[serde(default = "default_window")]
     pub window_s: Positive,
-    /// Time over which reduced gains return, s; 10 if absent. After a single impact it is a twentieth of this.
+    /// Time over which reduced gains return, s. After a single impact it is a twentieth of this.
     #[serde(default = "default_recovery")]
     pub recovery_s: Positive,
 }

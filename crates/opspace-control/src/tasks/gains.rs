@@ -18,14 +18,14 @@ pub struct AxisGains {
     pub frequency_rad_per_s: PerAxis<Positive>,
     /// Damping ratio ζ of the error: the damping is 2ζω (1/s).
     pub damping_ratio: PerAxis<NonNegative>,
-    /// Integral gain, 1/s: fraction of the error that is added to the integral per second; 0 if absent. It removes
-    /// errors caused by friction and model errors; at most about a quarter of the natural frequency is recommended.
+    /// Integral gain, 1/s: fraction of the error that is added to the integral per second. It removes errors caused by
+    /// friction and model errors; at most about a quarter of the natural frequency is recommended.
     #[serde(default = "no_integral")]
     pub integral_per_s: PerAxis<NonNegative>,
-    /// Upper bound of the integral along an axis, m; 0.05 if absent.
+    /// Upper bound of the integral along an axis, m.
     #[serde(default = "default_integral_limit")]
     pub integral_limit_m: PerAxis<NonNegative>,
-    /// Upper bound of the integral about an axis, rad; 0.2 if absent.
+    /// Upper bound of the integral about an axis, rad.
     #[serde(default = "default_integral_limit_rad")]
     pub integral_limit_rad: PerAxis<NonNegative>,
 }

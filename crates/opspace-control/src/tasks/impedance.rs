@@ -32,33 +32,28 @@ use serde::Deserialize;
 #[non_exhaustive]
 pub struct ImpedanceParameters {
     /// Stiffness along motion axes, N/m.
-    #[serde(default)]
     pub stiffness_n_per_m: Option<PerAxis<NonNegative>>,
     /// Stiffness about motion axes, Nm/rad.
-    #[serde(default)]
     pub stiffness_nm_per_rad: Option<PerAxis<NonNegative>>,
-    /// Damping ratio of every mode; 0.7 if neither this nor a damping is given.
-    #[serde(default)]
+    /// Damping ratio of every mode.
+    #[cfg_attr(feature = "schema", schemars(extend("x-default" = format!("`{DAMPING_RATIO}` without a damping"))))]
     pub damping_ratio: Option<NonNegative>,
     /// Damping along motion axes, Ns/m; instead of a ratio.
-    #[serde(default)]
     pub damping_ns_per_m: Option<PerAxis<NonNegative>>,
     /// Damping about motion axes, Nms/rad; instead of a ratio.
-    #[serde(default)]
     pub damping_nms_per_rad: Option<PerAxis<NonNegative>>,
-    /// Apparent mass of the axes, kg; the arm's own if absent. Needs `force`.
-    #[serde(default)]
+    /// Apparent mass of the axes, kg. Needs `force`.
+    #[cfg_attr(feature = "schema", schemars(extend("x-default" = "the arm's own")))]
     pub inertia_kg: Option<PerAxis<Positive>>,
-    /// Apparent moment of inertia of the axes, kg m²; the arm's own if absent. Needs `force`.
-    #[serde(default)]
+    /// Apparent moment of inertia of the axes, kg m². Needs `force`.
+    #[cfg_attr(feature = "schema", schemars(extend("x-default" = "the arm's own")))]
     pub inertia_kg_m2: Option<PerAxis<Positive>>,
     /// Gains as functions of the time since the task was started or its impedance was changed; they replace the constant
     /// ones. The tank keeps the robot passive.
-    #[serde(default)]
     pub profile: Option<Box<ImpedanceProfile>>,
-    /// Energy tank that limits the growth of the stiffness, by a profile or an event; with the default values if absent
-    /// and a profile is given. Without both, an event changes the stiffness at once.
-    #[serde(default)]
+    /// Energy tank that limits the growth of the stiffness, by a profile or an event. Without it and a profile, an event
+    /// changes the stiffness at once.
+    #[cfg_attr(feature = "schema", schemars(extend("x-default" = "`{}` with a profile")))]
     pub tank: Option<TankParameters>,
 }
 

@@ -17,20 +17,19 @@ use std::collections::BTreeMap;
 #[serde(deny_unknown_fields)]
 #[non_exhaustive]
 pub struct JointTrackingParameters {
-    /// The joints of the task, at most six: tasks below can use the others. All joints if absent; the task must then be
-    /// the last.
-    #[serde(default)]
+    /// The joints of the task, at most six: tasks below can use the others. A task of all joints must be the last.
+    #[cfg_attr(feature = "schema", schemars(extend("minItems" = 1, "uniqueItems" = true, "x-default" = "all joints")))]
     pub joints: Option<Vec<String>>,
     /// Reference of the joints.
     pub reference: JointReference,
     /// Gains of the tracking error.
     pub gains: JointGains,
-    /// Weight of each joint when limits are in force, 1 if absent: a deviation of its acceleration counts this many times
-    /// in the kinetic energy, so that limits take from joints of small weight first. The largest is at most 100 times
-    /// the smallest. Without an active limit, weights change nothing.
+    /// Weight of each joint when limits are in force: a deviation of its acceleration counts this many times in the kinetic
+    /// energy, so that limits take from joints of small weight first. The largest is at most 100 times the smallest.
+    /// Without an active limit, weights change nothing.
     #[serde(default = "equal_weights")]
     pub weight: PerJoint<Positive>,
-    /// Change of the acceleration that limits do not allow: `"least-squares"` if absent.
+    /// Change of the acceleration that limits do not allow.
     #[serde(default)]
     pub when_limited: WhenLimited,
 }
@@ -59,9 +58,9 @@ pub struct JointPostureParameters {
     pub frequency_rad_per_s: PerJoint<Positive>,
     /// Damping ratio ζ of the error: the damping is 2ζω (1/s).
     pub damping_ratio: PerJoint<NonNegative>,
-    /// Weight of each joint when limits are in force, 1 if absent: a deviation of its acceleration counts this many times
-    /// in the kinetic energy, so that limits take from joints of small weight first. The largest is at most 100 times
-    /// the smallest. Without an active limit, weights change nothing.
+    /// Weight of each joint when limits are in force: a deviation of its acceleration counts this many times in the kinetic
+    /// energy, so that limits take from joints of small weight first. The largest is at most 100 times the smallest.
+    /// Without an active limit, weights change nothing.
     #[serde(default = "equal_weights")]
     pub weight: PerJoint<Positive>,
 }

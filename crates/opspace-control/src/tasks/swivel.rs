@@ -52,7 +52,7 @@ pub struct SwivelParameters {
     pub elbow: String,
     /// Frame at the wrist.
     pub wrist: String,
-    /// Direction of angle zero in world axes; any length except 0. The world's z axis if absent.
+    /// Direction of angle zero in world axes; any length except 0.
     #[serde(default = "upwards", deserialize_with = "exactly")]
     pub direction: [f64; 3],
     /// Reference of the angle.
@@ -60,14 +60,12 @@ pub struct SwivelParameters {
     /// Feedback of the angle.
     pub gains: CoordinateGains,
     /// Highest angular speed, rad/s; unlimited if absent.
-    #[serde(default)]
     pub speed_limit_rad_per_s: Option<Positive>,
     /// Threshold of the mobility (eigenvalue of Λ⁻¹), relative to its median over many postures, below which the task
     /// is damped. If absent, `damping_zone` applies.
-    #[serde(default)]
     pub singularity_threshold: Option<Positive>,
     /// Zone below which the task is damped, growing with the demand; instead of `singularity_threshold`.
-    #[serde(default)]
+    #[cfg_attr(feature = "schema", schemars(extend("x-default" = "`{}` without `singularity_threshold`")))]
     pub damping_zone: Option<DampingZone>,
 }
 

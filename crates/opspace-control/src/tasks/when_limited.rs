@@ -8,14 +8,14 @@ use opspace_backend::quantity::Positive;
 use opspace_model::Model;
 #[cfg(feature = "schema")]
 use schemars::JsonSchema;
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 
 /// Largest ratio of the weights of a task. The deviation of the axis with the smallest weight then still counts much
 /// more than the accuracy with which the program of a level is solved.
 pub const WEIGHT_RATIO: f64 = 100.0;
 
 /// Change of a task's desired acceleration that limits do not allow.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]

@@ -29,10 +29,8 @@ pub struct LimitedReference {
     #[serde(default)]
     pub kept_distances: Vec<[String; 2]>,
     /// Time over which the torque ramps in at the start, s, if the largest error is within it.
-    #[serde(default)]
     pub torque_ramp_s: Option<f64>,
     /// Begin of the statistics, s after the start of control, if the largest error is before it.
-    #[serde(default)]
     pub settle_s: Option<f64>,
     /// Direction of the error, if the arm is nearly singular along it: `z`, or `0.71 x - 0.71 rz`.
     pub singular_along: Option<String>,

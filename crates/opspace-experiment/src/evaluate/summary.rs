@@ -43,7 +43,6 @@ pub struct Summary {
     pub simulated: bool,
     /// Plant of the simulation: `own`, or name and version of another physics engine, with its scene; `None` if the robot
     /// was real, and in files of earlier versions.
-    #[serde(default)]
     pub plant: Option<String>,
     /// Keys of robot.toml whose values are assumed: the results rest on them.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]

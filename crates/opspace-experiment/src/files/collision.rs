@@ -23,7 +23,7 @@ use std::path::Path;
 #[serde(deny_unknown_fields)]
 #[non_exhaustive]
 pub struct CollisionFile {
-    /// Smallest distance of two links, and of a link and an obstacle, m; 0.02 if absent.
+    /// Smallest distance of two links, and of a link and an obstacle, m.
     #[serde(default = "default_margin")]
     pub margin_m: NonNegative,
     /// Pairs that are not kept apart, in addition to those that always collide and those that never meet: two names
@@ -78,7 +78,7 @@ pub struct SphereObstacle {
     pub center_m: [f64; 3],
     /// Radius, m.
     pub radius_m: Positive,
-    /// Links that may touch it; none if absent.
+    /// Links that may touch it.
     #[serde(default)]
     pub except: Vec<String>,
 }
@@ -97,7 +97,7 @@ pub struct CapsuleObstacle {
     pub end_m: [f64; 3],
     /// Radius, m.
     pub radius_m: Positive,
-    /// Links that may touch it; none if absent.
+    /// Links that may touch it.
     #[serde(default)]
     pub except: Vec<String>,
 }
@@ -114,7 +114,7 @@ pub struct HalfSpaceObstacle {
     /// Outward normal in world axes; any length.
     #[serde(deserialize_with = "exactly")]
     pub normal: [f64; 3],
-    /// Links that may touch it; none if absent.
+    /// Links that may touch it.
     #[serde(default)]
     pub except: Vec<String>,
 }

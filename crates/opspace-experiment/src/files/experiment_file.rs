@@ -28,6 +28,7 @@ pub struct ExperimentFile {
     #[serde(default = "one")]
     pub seed: u64,
     /// Robots, by name. Of cycles at the same time, that of the robot whose name comes first in the alphabet is first.
+    #[cfg_attr(feature = "schema", schemars(extend("minProperties" = 2)))]
     pub robots: BTreeMap<String, ExperimentRobot>,
     /// Couplings between tasks of two robots, by name.
     pub couplings: BTreeMap<String, CouplingFile>,
@@ -56,19 +57,19 @@ pub struct ExperimentRobot {
     /// Task file; the path is relative to this file.
     pub task: PathBuf,
     /// Robot that replaces that of the task: its folder or its robot.toml, relative to this file.
-    #[serde(default)]
+    #[cfg_attr(feature = "schema", schemars(extend("x-default" = "that of the task")))]
     pub robot: Option<PathBuf>,
-    /// Kind of robot: `position`, `velocity` or `torque`; that of robot.toml if absent.
-    #[serde(default)]
+    /// Kind of robot: `position`, `velocity` or `torque`.
+    #[cfg_attr(feature = "schema", schemars(extend("x-default" = "that of robot.toml")))]
     pub backend: Option<CommandKind>,
-    /// Controller; `osc` if absent.
-    #[serde(default)]
+    /// Controller.
+    #[cfg_attr(feature = "schema", schemars(extend("default" = ControllerKind::Osc)))]
     pub controller: Option<ControllerKind>,
     /// Transformer that replaces the one of the profile.
-    #[serde(default)]
+    #[cfg_attr(feature = "schema", schemars(extend("x-default" = "that of the profile")))]
     pub transformer: Option<TransformerKind>,
     /// Profile that replaces the default profile of the robot.
-    #[serde(default)]
+    #[cfg_attr(feature = "schema", schemars(extend("x-default" = "the default one of the robot")))]
     pub profile: Option<String>,
     /// Settings as on the command line: those that begin with `robot.` change the robot file, all others the task file.
     #[serde(default)]
@@ -92,13 +93,10 @@ pub struct CouplingFile {
     /// The other robot, and its task.
     pub follower: CouplingEnd,
     /// Channel between the two, in both directions; without delay or loss if absent.
-    #[serde(default)]
     pub channel: Option<String>,
     /// Law of a haptic teleoperation; either this or `carry`.
-    #[serde(default)]
     pub teleoperation: Option<TeleoperationParameters>,
     /// Law of two robots that carry an object; either this or `teleoperation`.
-    #[serde(default)]
     pub carry: Option<CarryParameters>,
 }
 
@@ -127,7 +125,7 @@ pub struct ChannelFile {
     pub loss: Fraction,
     /// True if a packet may arrive after one that was sent later; it is then not used.
     pub reordering: bool,
-    /// Time without a packet after which the receiver is held, s; 0.5 if absent.
+    /// Time without a packet after which the receiver is held, s.
     pub hold_after_s: Positive,
 }
 

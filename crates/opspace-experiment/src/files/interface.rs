@@ -15,14 +15,16 @@ pub struct InterfaceParameters {
     /// Command accepted by the robot: `position`, `velocity` or `torque`.
     pub command: CommandKind,
     /// Behaviour of the drive between two setpoints: it holds the last one or interpolates.
+    #[cfg_attr(feature = "schema", schemars(with = "Option<Setpoints>", extend("x-default" = "`held` for torque robots, required for others")))]
     pub setpoints: Setpoints,
     /// Behaviour of the drives when a command is missed: `hold-last`, as position and velocity robots do, or
     /// `hold-torque`, as torque robots do.
-    #[serde(default)]
+    #[cfg_attr(feature = "schema", schemars(extend("x-default" = "depends on `command`")))]
     pub on_missed_cycle: Option<MissedCycle>,
     /// Compensation of the robot's weight: by the robot itself or by the controller.
     pub gravity_compensated_by: GravityCompensation,
     /// Quantities measured by the robot.
+    #[cfg_attr(feature = "schema", schemars(extend("contains" = { "const": "position" })))]
     pub measured: Vec<Measured>,
     /// True if a velocity robot has brakes that hold it when no controller commands it.
     #[serde(default)]

@@ -7,6 +7,7 @@
 
 use crate::files::layered_path::{DEFAULTS, SERVO_TABLES, inner};
 use crate::files::source::{FileError, Source, explain};
+use crate::files::strict::Strict;
 use crate::suggest::{self, choices};
 use opspace_model::{JointDynamics, Model};
 use opspace_transformer::{JointParameters, ServoParameters, VelocityServo};
@@ -332,7 +333,7 @@ fn check_layer<'a, T: DeserializeOwned>(
         table.remove("joints");
     }
     let Some(merged) = merge([layer].into_iter().chain(joint.cloned()), rule) else { return Ok(()) };
-    match T::deserialize(toml::de::ValueDeserializer::from(merged)) {
+    match T::deserialize(Strict(toml::de::ValueDeserializer::from(merged))) {
         // What one layer lacks, another one may state.
         Err(error) if !error.message().starts_with("missing field") => {
             Err(explain::<T>(source, document, &error))

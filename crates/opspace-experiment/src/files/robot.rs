@@ -9,6 +9,7 @@ use crate::files::origin::{Files, Kind, beside};
 use crate::files::overrides;
 use crate::files::robot_part::{PartKeys, UsedPart, load_part, urdf_error};
 use crate::files::source::{FileError, KeyPath, Source, checked, explain, parse};
+use crate::files::strict::Strict;
 use crate::files::toml_path::{depth_of, dotted, keys_at, value_at};
 use crate::files::tool::{self, ToolFile};
 use crate::suggest::{choices, list};
@@ -43,14 +44,15 @@ use toml::de::{DeTable, DeValue};
 pub struct RobotFile {
     /// URDF of the robot; the path is relative to this file.
     pub urdf: PathBuf,
-    /// Name of the default profile; if absent, the only profile.
+    /// Name of the default profile.
+    #[cfg_attr(feature = "schema", schemars(with = "Option<String>", extend("x-default" = "the only profile")))]
     pub default_profile: String,
     /// Joints of the URDF that do not move, each with its position, rad (m).
     #[serde(default)]
     pub locked_joints: BTreeMap<String, f64>,
     /// Chain of links that is used; joints elsewhere do not move: they are at `locked_joints`, or at the position closest to
     /// zero.
-    #[serde(default, rename = "use")]
+    #[serde(rename = "use")]
     pub used: Option<UsedPart>,
     /// True if mimic joints of the URDF move with the joints that they mimic; otherwise they are joints of their own.
     #[serde(default)]
@@ -84,17 +86,14 @@ pub struct RobotFile {
     #[serde(default)]
     pub tool: BTreeMap<String, ToolFile>,
     /// Distances that are kept between links and from the obstacles of a task; none if absent.
-    #[serde(default)]
     pub collision: Option<CollisionFile>,
     /// Detection of collisions from the torques of the motors; none if absent.
-    #[serde(default)]
     pub collision_detection: Option<CollisionDetectionParameters>,
     /// Safety parameters: torque ramp, rest before the start, limit margin, missed cycles and watchdog.
     #[serde(default)]
     pub safety: SafetyParameters,
     /// Connection to the real robot: `name` selects a driver in the program, the other keys are settings of the
     /// driver. If absent, the robot is simulated.
-    #[serde(default)]
     pub driver: Option<BTreeMap<String, Setting>>,
     /// Parameters of the simulated robot; if absent, the robot cannot be simulated.
     pub simulated: Option<SimulatedParameters>,
@@ -120,15 +119,13 @@ pub struct ForceSensorFile {
     /// URDF link whose origin and axes are those of the measurements.
     pub frame: String,
     /// Load beyond the sensor, whose weight is taken off the readings; none if absent.
-    #[serde(default)]
     pub load: Option<SensorLoadParameters>,
-    /// Bias of the readings without load. If absent, it is that of the mean reading at rest before control begins, when nothing
+    /// Bias of the readings without load; by default the mean reading at rest before control begins, when nothing
     /// may touch.
-    #[serde(default)]
+    #[cfg_attr(feature = "schema", schemars(extend("x-default" = "the mean reading at rest")))]
     pub bias: Option<SensorBiasParameters>,
     /// Estimation of the bias and of the load beyond the sensor while nothing touches. Without it the bias is that at rest
     /// before control begins, and the load is the stated one.
-    #[serde(default)]
     pub estimate: Option<SensorEstimateParameters>,
 }
 
@@ -488,7 +485,8 @@ fn read(
     let file = with_expanded(source, model, &values, &unknown, |document, expanded, groups| {
         // A misspelt key is reported before the value that it leaves missing.
         check_layers(source, document, &expanded, groups, model)?;
-        let file = RobotFile::deserialize(toml::de::Deserializer::from(Spanned::new(0..0, expanded.clone())));
+        let deserializer = toml::de::Deserializer::from(Spanned::new(0..0, expanded.clone()));
+        let file = RobotFile::deserialize(Strict(deserializer));
         match file {
             Err(error) if !error.message().starts_with("missing field") => {
                 Err(explain::<RobotFile>(source, document, &error))

@@ -29,7 +29,7 @@ pub(crate) struct PartKeys {
     pub(crate) urdf: PathBuf,
     #[serde(default)]
     locked_joints: BTreeMap<String, f64>,
-    #[serde(default, rename = "use")]
+    #[serde(rename = "use")]
     used: Option<UsedPart>,
     #[serde(default)]
     enforce_mimic: bool,

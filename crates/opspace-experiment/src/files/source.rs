@@ -16,6 +16,7 @@ use toml::de::{DeTable, DeValue};
 use crate::codes::{Code, Effect};
 use crate::files::explain::{list, syntax_words, words};
 use crate::files::layered_path::stated_path;
+use crate::files::strict::Strict;
 use crate::files::toml_path::{Part, depth_of, dotted, keys_at, path_at, span_of};
 use crate::suggest::nearest;
 
@@ -369,7 +370,7 @@ impl<K: KeyPath + ?Sized> KeyPath for &K {
 /// Text that is not TOML, a number that is not finite, or a value that `T` rejects, each with its place.
 pub fn parse<T: DeserializeOwned>(source: &Source) -> Result<T, FileError> {
     let document = checked(source)?;
-    T::deserialize(toml::de::Deserializer::from(document.clone()))
+    T::deserialize(Strict(toml::de::Deserializer::from(document.clone())))
         .map_err(|error| explain::<T>(source, document.get_ref(), &error))
 }
 

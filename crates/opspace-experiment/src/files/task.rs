@@ -5,6 +5,7 @@ use crate::files::expectation::Expectation;
 use crate::files::origin::{Files, Kind, beside};
 use crate::files::overrides;
 use crate::files::source::{FileError, Source, checked, explain};
+use crate::files::strict::Strict;
 use crate::files::task_kinds::TaskKinds;
 use crate::suggest::nearest;
 use opspace_backend::quantity::{NonNegative, Positive};
@@ -38,6 +39,7 @@ pub struct TaskFile {
     #[serde(default = "one")]
     pub seed: u64,
     /// Names of the tasks, in order of decreasing priority; if empty, only the compensation acts.
+    #[cfg_attr(feature = "schema", schemars(extend("uniqueItems" = true)))]
     pub priority: Vec<String>,
     /// Parameters of the tasks, by name.
     #[serde(default)]
@@ -45,15 +47,15 @@ pub struct TaskFile {
     /// Compensation of gravity, and of Coriolis and centrifugal forces.
     #[serde(default)]
     pub compensation: Compensation,
-    /// Damping of the motion that the tasks leave, if the last one is not of all joints (deceleration per velocity), 1/s; 10
-    /// if absent: motion without a task, which sensor noise would start, ends within some tenths of a second. It also
-    /// brakes directions close to a singularity. At most a fifth of the control rate.
+    /// Damping of the motion that the tasks leave, if the last one is not of all joints (deceleration per velocity), 1/s.
+    /// With 10, motion without a task, which sensor noise would start, ends within some tenths of a second. It also brakes
+    /// directions close to a singularity. At most a fifth of the control rate.
     #[serde(default = "unused_damping")]
     pub unused_damping_per_s: Positive,
     /// Enforcement of the robot's limits.
     #[serde(default)]
     pub limits: LimitParameters,
-    /// Compensation of friction; with its default values if absent.
+    /// Compensation of friction.
     #[serde(default)]
     pub friction_compensation: FrictionCompensationParameters,
     /// Start positions of the joints by joint name, rad (m); 0 for omitted joints. A simulated robot starts there at
@@ -84,7 +86,6 @@ pub struct EventFile {
     /// Time of the change, s after the start of control.
     pub time_s: Positive,
     /// Contact at which the change takes place before `time_s`, but after the event before it.
-    #[serde(default)]
     pub contact: Option<EventContact>,
     /// Settings from this time on, written as on the command line: `"task.hand.cartesian.axes.x=compliant"`,
     /// `"priority=[\"hand\"]"`. Only `task` and `priority` can change.
@@ -101,7 +102,7 @@ pub struct EventContact {
     pub task: String,
     /// Contact is made, or lost.
     pub is: ContactChange,
-    /// Time for which this must last, s; 0.1 if absent.
+    /// Time for which this must last, s.
     #[serde(default = "default_lasting")]
     pub for_s: NonNegative,
 }
@@ -297,7 +298,7 @@ fn parse_task(source: &Source, kinds: &TaskKinds) -> Result<TaskFile, FileError>
     let mut document = checked(source)?;
     let whole = document.clone();
     let registered = kinds.take(source, &mut document)?;
-    let mut file = TaskFile::deserialize(toml::de::Deserializer::from(document))
+    let mut file = TaskFile::deserialize(Strict(toml::de::Deserializer::from(document)))
         .map_err(|error| explain::<TaskFile>(source, whole.get_ref(), &error))?;
     file.task.extend(registered);
     Ok(file)

@@ -1,6 +1,7 @@
 //! Registry of task kinds in addition to the built-in ones.
 
 use crate::files::source::{Document, FileError, Source, explain};
+use crate::files::strict::Strict;
 use crate::suggest::nearest;
 use opspace_control::{ControlContext, ControlError, RegisteredTask, Task, TaskParameters};
 use opspace_model::Model;
@@ -62,7 +63,7 @@ impl TaskKinds {
         }
         let build = Arc::new(build);
         let parser: Parser = Arc::new(move |table| {
-            let (parameters, build) = (P::deserialize(table)?, Arc::clone(&build));
+            let (parameters, build) = (P::deserialize(Strict(table))?, Arc::clone(&build));
             Ok(Arc::new(move |name: &str, model: &Model, context: &ControlContext| {
                 build(&parameters, name, model, context)
             }))

@@ -18,19 +18,19 @@ use std::collections::BTreeMap;
 pub struct ToolFile {
     /// URDF link on which the tool is mounted.
     pub on: String,
-    /// Origin of the tool's frame (its tip) in the axes of that link, m; the link's origin if absent.
+    /// Origin of the tool's frame (its tip) in the axes of that link, m.
     #[serde(default, deserialize_with = "exactly")]
     pub xyz_m: [f64; 3],
-    /// Orientation of the tool's frame relative to that link: roll, pitch and yaw as in a URDF, rad; none if absent.
+    /// Orientation of the tool's frame relative to that link: roll, pitch and yaw as in a URDF, rad.
     #[serde(default, deserialize_with = "exactly")]
     pub rpy_rad: [f64; 3],
-    /// Mass, kg; zero if absent: the tool is then only a frame.
+    /// Mass, kg; with zero the tool is only a frame.
     #[serde(default)]
     pub mass_kg: NonNegative,
-    /// Centre of mass relative to the link's origin, in the link's axes, m; the link's origin if absent.
+    /// Centre of mass relative to the link's origin, in the link's axes, m.
     #[serde(default, deserialize_with = "exactly")]
     pub com_m: [f64; 3],
-    /// Inertia xx, xy, xz, yy, yz, zz about the centre of mass, in the link's axes, kg m²; a point mass if absent.
+    /// Inertia xx, xy, xz, yy, yz, zz about the centre of mass, in the link's axes, kg m²; zeros are those of a point mass.
     #[serde(default, deserialize_with = "exactly")]
     pub inertia_kg_m2: [f64; 6],
 }

@@ -27,10 +27,8 @@ pub struct Metrics {
     /// Error of the estimated force, norm of all components, rms over time, N; of several, the largest.
     pub estimate_rms_n: Option<f64>,
     /// Depth of the peg in the first hole of the environment at the end, m.
-    #[serde(default)]
     pub hole_depth_m: Option<f64>,
     /// Largest opening of the first drawer of the environment, m.
-    #[serde(default)]
     pub drawer_opening_max_m: Option<f64>,
     /// Displacement of the simulated hand's frame from the start over the axes that the hand reports, rms, m.
     pub hand_motion_rms_m: Option<f64>,
@@ -190,10 +188,8 @@ pub struct PoseErrors {
     /// Largest angle from the reference, rad.
     pub orientation_max_rad: Option<f64>,
     /// Distance from the reference at the end of the run, m; `None` if the reference moves there.
-    #[serde(default)]
     pub position_final_m: Option<f64>,
     /// Angle from the reference at the end of the run, rad; `None` if the reference moves there.
-    #[serde(default)]
     pub orientation_final_rad: Option<f64>,
 }
 
@@ -204,16 +200,12 @@ pub struct Contact {
     /// Error of the force, rms, N; `None` if the target is streamed and not logged.
     pub force_rms_n: Option<f64>,
     /// Error of the force while the references of the motion axes rest, rms, N.
-    #[serde(default)]
     pub force_hold_rms_n: Option<f64>,
     /// Error of the force while the references of the motion axes move, rms, N.
-    #[serde(default)]
     pub force_moving_rms_n: Option<f64>,
     /// Time from the first contact until the error has been below 1 N for half a second, s.
-    #[serde(default)]
     pub force_settle_s: Option<f64>,
     /// Error of the force in the last half second, if the task controls a force at the end, rms, N.
-    #[serde(default)]
     pub force_final_n: Option<f64>,
     /// Fraction of the time after settling with contact (more than 0.1 N).
     pub in_contact_fraction: Option<f64>,
@@ -224,13 +216,10 @@ pub struct Contact {
     /// Number of times that contact was lost.
     pub contact_losses: Option<u64>,
     /// Number of times that contact was lost later than a second after the first contact.
-    #[serde(default)]
     pub late_contact_losses: Option<u64>,
     /// Number of times that contact was lost according to the sensor of the task.
-    #[serde(default)]
     pub sensed_contact_losses: Option<u64>,
     /// Time for which the passivity control of the force feedback has reduced its gains, s.
-    #[serde(default)]
     pub passivity_active_s: Option<f64>,
 }
 

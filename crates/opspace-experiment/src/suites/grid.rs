@@ -4,18 +4,18 @@ use crate::files::source::{FileError, KeyPath, Source};
 use crate::files::toml_path::dotted;
 #[cfg(feature = "schema")]
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 #[cfg(feature = "schema")]
 use std::borrow::Cow;
 use toml::{Table, Value};
 
 /// Lists of values by key. A key is that of a setting on the command line, in quotes or as nested tables.
-#[derive(Clone, Debug, Default, Deserialize)]
+#[derive(Clone, Debug, Default, Deserialize, Serialize)]
 #[serde(transparent)]
 pub struct Grid(Table);
 
 /// Combination of the lists of a grid.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]

@@ -33,11 +33,11 @@ pub(crate) const MAX_RUNS: usize = 100_000;
 pub struct SuiteFile {
     /// Subject of the suite, in one line.
     pub title: String,
-    /// Robot profiles with which each run is executed; the default profile if absent.
+    /// Robot profiles with which each run is executed; the default profile if empty.
     #[serde(default)]
     pub profiles: Vec<String>,
-    /// Columns of the suite's table; the default columns if absent. It is an error if no run has a value for one.
-    #[serde(default)]
+    /// Columns of the suite's table. It is an error if no run has a value for one.
+    #[cfg_attr(feature = "schema", schemars(extend("x-default" = "the usual columns")))]
     pub columns: Option<Vec<Measure>>,
     /// Values of settings with which each run is executed: `"robot.profile.a-med.servo_ticks_per_cycle" = [1, 2, 5]`.
     #[serde(default)]
@@ -63,30 +63,30 @@ pub struct SuiteRun {
     #[serde(default)]
     pub experiments: Vec<PathBuf>,
     /// Robot that replaces those of the tasks; the path is relative to the suite file.
-    #[serde(default)]
+    #[cfg_attr(feature = "schema", schemars(extend("x-default" = "that of the task")))]
     pub robot: Option<PathBuf>,
-    /// Kind of robot: `position`, `velocity` or `torque`; that of robot.toml if absent.
-    #[serde(default)]
+    /// Kind of robot: `position`, `velocity` or `torque`.
+    #[cfg_attr(feature = "schema", schemars(extend("x-default" = "that of robot.toml")))]
     pub backend: Option<CommandKind>,
-    /// Controller: `osc`, `ik` or `ik-lead`; `osc` if absent.
-    #[serde(default)]
+    /// Controller: `osc`, `ik` or `ik-lead`.
+    #[cfg_attr(feature = "schema", schemars(extend("default" = ControllerKind::Osc)))]
     pub controller: Option<ControllerKind>,
     /// Transformer that replaces the one of the profile.
-    #[serde(default)]
+    #[cfg_attr(feature = "schema", schemars(extend("x-default" = "that of the profile")))]
     pub transformer: Option<TransformerKind>,
     /// Profiles that replace those of the suite.
-    #[serde(default)]
+    #[cfg_attr(feature = "schema", schemars(extend("x-default" = "those of the suite")))]
     pub profiles: Option<Vec<String>>,
-    /// Seeds: each run is executed with each of them; with the seed of its task if absent. A list, or a range that
-    /// includes both ends: `{ from = 1, to = 20 }`.
+    /// Seeds: each run is executed with each of them; with the seed of its task if empty. A list, or a range that includes
+    /// both ends: `{ from = 1, to = 20 }`.
     #[serde(default, deserialize_with = "seeds::seeds")]
     #[cfg_attr(feature = "schema", schemars(schema_with = "seeds::schema"))]
     pub seeds: Vec<u64>,
     /// Grid that replaces the one of the suite.
-    #[serde(default)]
+    #[cfg_attr(feature = "schema", schemars(extend("x-default" = "that of the suite")))]
     pub grid: Option<Grid>,
     /// Combination of the grid's lists that replaces the one of the suite.
-    #[serde(default)]
+    #[cfg_attr(feature = "schema", schemars(extend("x-default" = "that of the suite")))]
     pub grid_mode: Option<GridMode>,
     /// Settings as on the command line: those that begin with `robot.` change the robot file, all others the task
     /// file. For experiments, those that begin with the name of a robot are settings of this robot, and all others change
@@ -94,9 +94,8 @@ pub struct SuiteRun {
     #[serde(default, rename = "override")]
     pub overrides: Vec<String>,
     /// Name of these settings in the table.
-    #[serde(default)]
     pub label: Option<String>,
-    /// Variants of the runs, each with additional settings; if absent, the runs are executed without change.
+    /// Variants of the runs, each with additional settings; if there are none, the runs are executed without change.
     #[serde(default)]
     pub variant: Vec<SuiteVariant>,
 }

@@ -64,7 +64,6 @@ enum Motion {
 struct Gains {
     frequency_rad_per_s: f64,
     damping_ratio: f64,
-    #[serde(default)]
     offset_m: Option<[f64; 3]>,
 }
 

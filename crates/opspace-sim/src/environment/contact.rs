@@ -26,11 +26,11 @@ use serde::Deserialize;
 pub struct SurfaceFrictionParameters {
     /// Largest friction force relative to the normal force.
     pub coefficient: NonNegative,
-    /// Stiffness of the bristle along the surface, N/m; that of the surface if absent.
-    #[serde(default)]
+    /// Stiffness of the bristle along the surface, N/m.
+    #[cfg_attr(feature = "schema", schemars(extend("x-default" = "that of the surface")))]
     pub stiffness_n_per_m: Option<Positive>,
-    /// Damping of the bristle along the surface, Ns/m; that of the surface if absent.
-    #[serde(default)]
+    /// Damping of the bristle along the surface, Ns/m.
+    #[cfg_attr(feature = "schema", schemars(extend("x-default" = "that of the surface")))]
     pub damping_ns_per_m: Option<NonNegative>,
 }
 

@@ -29,7 +29,6 @@ pub struct CylinderParameters {
     /// Damping B, Ns/m.
     pub damping_ns_per_m: NonNegative,
     /// Friction; none if absent.
-    #[serde(default)]
     pub friction: Option<SurfaceFrictionParameters>,
 }
 

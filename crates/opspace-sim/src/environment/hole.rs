@@ -47,7 +47,7 @@ pub struct HoleParameters {
     pub clearance_m: Positive,
     /// Depth of the hole, m.
     pub depth_m: Positive,
-    /// Width and depth of a chamfer of 45°, m; below `depth_m`. None if absent.
+    /// Width and depth of a chamfer of 45°, m; below `depth_m`.
     #[serde(default)]
     pub chamfer_m: NonNegative,
     /// Stiffness of plane, wall and bottom, N/m.
@@ -55,7 +55,6 @@ pub struct HoleParameters {
     /// Damping of plane, wall and bottom, Ns/m.
     pub damping_ns_per_m: NonNegative,
     /// Friction of plane, wall and bottom; none if absent.
-    #[serde(default)]
     pub friction: Option<SurfaceFrictionParameters>,
 }
 

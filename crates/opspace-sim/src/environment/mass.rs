@@ -24,12 +24,10 @@ pub struct MassParameters {
     pub frame: String,
     /// Mass, kg.
     pub mass_kg: Positive,
-    /// Time at which it is put on, with the velocity of the frame, in s after the controller's start; from the start of the
-    /// simulation if absent.
-    #[serde(default)]
+    /// Time at which it is put on, with the velocity of the frame, in s after the controller's start.
+    #[cfg_attr(feature = "schema", schemars(extend("x-default" = "the start of the simulation")))]
     pub put_on_s: Option<NonNegative>,
     /// Time at which it is taken off, in s after the controller's start; never if absent.
-    #[serde(default)]
     pub taken_off_s: Option<Positive>,
     /// Frequency at which it vibrates on the spring that connects it to the frame, Hz; at most a twentieth of the physics
     /// rate. The weight acts on the robot within about a period.

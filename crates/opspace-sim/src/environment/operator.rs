@@ -9,7 +9,7 @@ use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 #[cfg(feature = "schema")]
 use schemars::JsonSchema;
-use serde::{Deserialize, Deserializer};
+use serde::{Deserialize, Deserializer, Serialize};
 use std::f64::consts::TAU;
 
 /// Spring and damper between frame and operator: `F = gain ∘ [K (x_operator − x) + B (ẋ_operator − ẋ)]`. The operator
@@ -29,9 +29,11 @@ pub struct SpringParameters {
     pub gain: [NonNegative; 3],
     /// World axes for which its force and the frame's motion are reported.
     #[serde(default = "all_axes")]
+    #[cfg_attr(feature = "schema", schemars(extend("minItems" = 1)))]
     pub report: Vec<WorldAxis>,
-    /// Point at which the operator is at the start, in world coordinates, m; the frame's initial position if absent.
+    /// Point at which the operator is at the start, in world coordinates, m.
     #[serde(default, deserialize_with = "point")]
+    #[cfg_attr(feature = "schema", schemars(extend("x-default" = "the frame's initial position")))]
     pub point_m: Option<[f64; 3]>,
     /// Times during which the operator lets go of the frame. Without `point_m`, the operator then takes hold of it where it
     /// is; with `point_m`, its motion remains about that point.
@@ -49,7 +51,6 @@ pub struct ReleaseParameters {
     /// Beginning, in s after the controller's start.
     pub at_s: NonNegative,
     /// End, in s after the controller's start; never if absent.
-    #[serde(default)]
     pub until_s: Option<Positive>,
 }
 
@@ -67,7 +68,7 @@ fn all_axes() -> Vec<WorldAxis> {
 }
 
 /// Axis of the world.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum WorldAxis {
@@ -102,10 +103,8 @@ pub struct ScriptedMotion {
     #[serde(default)]
     pub reach: Vec<ReachParameters>,
     /// Random motion in addition; none if absent.
-    #[serde(default)]
     pub tremor: Option<RandomMotion>,
     /// Motion at given frequencies in addition; none if absent.
-    #[serde(default)]
     pub probe: Option<ProbeMotion>,
 }
 
@@ -149,6 +148,7 @@ pub struct ProbeMotion {
     /// Rms of the motion along the line, m.
     pub rms_m: NonNegative,
     /// Frequencies, in ascending order: 1 to 24, at most a twentieth of the physics rate, Hz.
+    #[cfg_attr(feature = "schema", schemars(extend("minItems" = 1, "maxItems" = SINES)))]
     pub lines_hz: Vec<Positive>,
     /// Direction of the line in world axes; any length.
     #[serde(deserialize_with = "exactly")]
@@ -159,7 +159,6 @@ pub struct ProbeMotion {
     #[serde(default = "one_second")]
     pub ramp_s: Positive,
     /// End, in s after the controller's start, by when it has ramped down; never if absent.
-    #[serde(default)]
     pub until_s: Option<Positive>,
 }
 

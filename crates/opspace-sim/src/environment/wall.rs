@@ -30,10 +30,8 @@ pub struct WallParameters {
     /// Damping B, Ns/m.
     pub damping_ns_per_m: NonNegative,
     /// Friction; none if absent.
-    #[serde(default)]
     pub friction: Option<SurfaceFrictionParameters>,
     /// Edge at which the wall ends; it has none if absent.
-    #[serde(default)]
     pub edge: Option<WallEdgeParameters>,
 }
 

@@ -24,14 +24,15 @@ pub struct HeldObjectParameters {
     /// Principal moments of inertia about the centre of mass, kg m². The principal axes are those of the world at the start.
     #[serde(deserialize_with = "exactly")]
     pub inertia_kg_m2: [Positive; 3],
-    /// Centre of mass at the start in world coordinates, m; if absent, the mean of the origins of the frames that hold the
+    /// Centre of mass at the start in world coordinates, m; by default the mean of the origins of the frames that hold the
     /// object from the start of the simulation.
     #[serde(default, deserialize_with = "point")]
+    #[cfg_attr(feature = "schema", schemars(extend("x-default" = "computed")))]
     pub position_m: Option<[f64; 3]>,
     /// Time until which a support holds the object in place, in s after the controller's start; without support if absent.
-    #[serde(default)]
     pub supported_until_s: Option<NonNegative>,
     /// Grips of hands on the object.
+    #[cfg_attr(feature = "schema", schemars(extend("minItems" = 1)))]
     pub grip: Vec<GripParameters>,
 }
 
@@ -54,11 +55,10 @@ pub struct GripParameters {
     /// Damping of the orientation, Nms/rad.
     #[serde(default)]
     pub damping_nms_per_rad: NonNegative,
-    /// Beginning, in s after the controller's start; from the start of the simulation if absent.
-    #[serde(default)]
+    /// Beginning, in s after the controller's start.
+    #[cfg_attr(feature = "schema", schemars(extend("x-default" = "the start of the simulation")))]
     pub from_s: Option<NonNegative>,
     /// End, in s after the controller's start; never if absent.
-    #[serde(default)]
     pub until_s: Option<Positive>,
 }
 

@@ -8,3 +8,4 @@ mod licences;
 mod old_names;
 mod packages;
 mod public_api;
+mod schemas;

@@ -157,7 +157,6 @@ pub struct File {
     pub priority: Vec<String>,
     #[serde(default)]
     pub compensation: Compensation,
-    #[serde(default)]
     pub unused_damping_per_s: Option<Positive>,
     #[serde(default)]
     pub limits: LimitParameters,
