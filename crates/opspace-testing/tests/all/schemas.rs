@@ -8,8 +8,8 @@ use changes::Changes;
 use opspace_backend::CommandKind;
 use opspace_experiment::files::experiment_file::ExperimentFile;
 use opspace_experiment::files::source::parse;
-use opspace_experiment::suites::suite::SuiteFile;
 use opspace_experiment::files::task::TaskFile;
+use opspace_experiment::suites::suite::SuiteFile;
 use opspace_experiment::{
     ControllerKind, CoupledExperiment, Experiment, Extensions, FileError, Files, RobotDefinition, RunOptions,
     Source, Suite, TaskDefinition,
