@@ -199,11 +199,18 @@ pub fn without_places(name: &str) -> (String, Vec<&str>) {
     let (mut general, mut places) = (String::new(), Vec::new());
     let mut rest = name;
     while let Some((before, after)) = rest.split_once('[') {
-        let Some((place, after)) = after.split_once(']') else { break };
         general += before;
-        general += "[]";
-        places.push(place);
-        rest = after;
+        match after.split_once(']').filter(|(place, _)| place.parse::<usize>().is_ok()) {
+            Some((place, after)) => {
+                general += "[]";
+                places.push(place);
+                rest = after;
+            }
+            None => {
+                general += "[";
+                rest = after;
+            }
+        }
     }
     (general + rest, places)
 }
@@ -256,7 +263,9 @@ mod tests {
         assert_eq!(new_name(table, Kind::Key, "rows[7].at[12].x"), "runs[7].of[12].x");
         assert_eq!(new_name("key a[] -> (gone) # c", Kind::Key, "a[5]"), "(gone)");
         assert_eq!(without_places("a[5].b[6]"), ("a[].b[]".to_owned(), vec!["5", "6"]));
-        assert_eq!(without_places("a[b"), ("a[b".to_owned(), vec![]));
+        for text in ["a[b", "a [b]", "a[]", "[[", "a: b [singular-start] []"] {
+            assert_eq!(without_places(text), (text.to_owned(), vec![]), "the code of a problem is no place");
+        }
     }
 
     #[test]

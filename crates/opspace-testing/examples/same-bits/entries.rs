@@ -1,4 +1,4 @@
-//! What is compared of a run or of a checked file, as lines of text.
+//! Values that are compared of a run or of a checked file, as lines of text.
 
 use std::fmt::Write;
 
@@ -35,7 +35,7 @@ pub struct Entry {
 pub struct Item {
     /// Place in the part, by which the items of two builds are paired; it has no blanks.
     pub place: String,
-    /// What stands at this place, for the reader.
+    /// Description of the place for the reader.
     pub spelling: String,
     /// Values.
     pub entries: Vec<Entry>,

@@ -57,10 +57,11 @@ impl Suite {
         Ok(Self { head, runs })
     }
 
-    /// Keeps only the run at a place.
+    /// Keeps only the run at a place, without the suite's columns, for which one run may have no value.
     #[must_use]
     pub fn only(mut self, place: &str) -> Self {
         self.runs.retain(|run| run.place == place);
+        self.head.remove("columns");
         self
     }
 
@@ -367,7 +368,7 @@ mod tests {
             r#"
             title = "a"
             profiles = ["a-med", "b-soft"]
-            grid = {{ "robot.simulated.true_over_nominal.kp" = [1.0, 1.1], "settle_s" = [0.5] }}
+            grid = {{ "robot.simulated.true_over_nominal.kp" = [1.0, 1.1], "settle_s" = [0.5, 0.6] }}
             [[run]]
             tasks = ["./{0}"]
             backend = "torque"
