@@ -235,6 +235,21 @@ fn type_error_names_expected_and_found() {
     assert_eq!(underlined(&element), "\"2 mm\"");
 }
 
+/// Checks what serde itself would accept: the values of a table as a list, and values after the last of an array.
+#[test]
+fn list_in_place_of_a_table_and_surplus_values_are_refused() {
+    check_error(
+        &error("{ frequency_rad_per_s = 14.142, damping_ratio = 1.0 }", "[14.142, 1.0]"),
+        "tasks/x.toml:6: expected a table, got an array",
+        "",
+    );
+    let of_kind = error("stiffness_n_per_m = 400.0", "motion = { random = [0.1] }");
+    check_error(&of_kind, "tasks/x.toml:7: expected a table, got an array", "");
+    let surplus = error("damping_ratio = 1.0 }", "damping_ratio = 1.0, offset_m = [0.1, 0.2, 0.3, 0.4] }");
+    check_error(&surplus, "tasks/x.toml:6: expected 3 values, got 4", "");
+    assert_eq!(underlined(&surplus), "[0.1, 0.2, 0.3, 0.4]");
+}
+
 #[test]
 fn two_kinds_or_none_are_refused() {
     check_error(
