@@ -65,7 +65,7 @@ pub fn main() -> Result<(), Box<dyn Error>> {
     let top = frame_placement(&model, &data, model.frame_id("tip")?).translation;
     let context = ControlContext::new(&model, capabilities.period_s);
     let config = ArmConfig::ideal(model.clone(), capabilities.clone(), servos)?;
-    let mut arm = SimulatedArm::new(ArmConfig { start: start.to_vec().into(), ..config })?;
+    let mut arm = SimulatedArm::new(ArmConfig { start: start.to_vec(), ..config })?;
 
     let (frequency_hz, limits) = (NonNegative::literal(0.5), LimitParameters::default());
     let wave = |phase_rad, offset_m| vec![LinearWave { amplitude_m: 0.1, frequency_hz, phase_rad, offset_m }];

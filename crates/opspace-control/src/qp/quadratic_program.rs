@@ -116,6 +116,7 @@ impl QuadraticProgram {
 
     /// Checks the data before any arithmetic: arrays that are too small, NaN, infinities other than for missing bounds,
     /// and contradicting bounds are errors.
+    #[cfg(feature = "clarabel")]
     pub(crate) fn check(&self) -> Result<(), QpError> {
         let (n, m) = (self.variables, self.constraints);
         self.check_sizes()?;
@@ -162,6 +163,7 @@ impl QuadraticProgram {
 
     /// Computes L of H = L Lᵀ into the lower triangle of `factor` (n × n by columns, with the inverse of the diagonal),
     /// column by column.
+    #[cfg(feature = "clarabel")]
     pub(crate) fn cholesky(&self, factor: &mut [f64]) -> Result<(), QpError> {
         let n = self.variables;
         for k in 0..n {

@@ -152,7 +152,7 @@ impl Experiment {
         let (control, mut log) = self.open(&robot.capabilities().clone(), None, sink, progress)?;
         let mut run = Run::new(control, self.duration_s(), &mut log).with_stop_request(&progress.interrupt);
         let targets = run.targets();
-        let mut logged = LoggedTargets::new(recording, &targets.layout(), targets.row())?;
+        let mut logged = LoggedTargets::new(recording, targets.layout(), targets.row())?;
         drive_with(&mut robot, &mut run, &mut |run| {
             let Some((row, stop_requested)) = logged.next_row() else { return false };
             run.targets().set_row(row);

@@ -28,7 +28,7 @@ fn outcome(change: impl FnOnce(&mut OperationalSpaceController)) -> (RunOutcome,
     controller.always_solve();
     change(&mut controller);
     let config = ArmConfig::ideal(model.clone(), capabilities.clone(), Vec::new()).expect("a period");
-    let mut arm = SimulatedArm::new(ArmConfig { start: vec![0.2, -0.5].into(), ..config }).expect("an arm");
+    let mut arm = SimulatedArm::new(ArmConfig { start: vec![0.2, -0.5], ..config }).expect("an arm");
     let control = ControlLoop::new(LoopConfig::new(model, capabilities, Box::new(controller)));
     let mut rows = ();
     let mut run = Run::new(control.expect("parts that fit"), 0.5, &mut rows);
