@@ -18,7 +18,7 @@ use opspace_log::Recording;
 use opspace_transformer::TransformerKind;
 use std::path::{Path, PathBuf};
 
-/// What a run on a log changes; all else is as in the log.
+/// Changes of a run on a log; all else is as in the log.
 #[derive(Default)]
 pub struct Changes<'a> {
     pub task: Option<&'a Path>,

@@ -16,7 +16,7 @@ struct StrictVisitor<V> {
     list: List,
 }
 
-/// What a list may stand for.
+/// Kinds of values that a list may stand for.
 #[derive(Clone, Copy)]
 enum List {
     Any,

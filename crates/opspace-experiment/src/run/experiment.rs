@@ -10,11 +10,10 @@ use crate::files::source::FileError;
 use crate::files::task::TaskDefinition;
 use crate::metrics::expectations;
 use crate::run::collision::{KeptDistances, kept_distances};
-use crate::run::log_header::is_real;
 use crate::run::membership::Membership;
 use crate::run::path_bounds::{PASSES, bounds, path_of, time_optimal_paths};
 use crate::run::path_dynamics::JointBounds;
-use crate::run::physics::{Physics, ReplayedLog};
+use crate::run::physics::Physics;
 use crate::run::rollout::{Rollout, RolloutCase};
 use crate::run::start_positions::{IN_DEGREES, are_degrees, check_start, others_outside};
 use crate::suggest::choices;
@@ -25,7 +24,6 @@ use opspace_control::{
     ControlContext, ControlError, Controller, InverseKinematicsController, LimitParameters,
     OperationalSpaceController, Reason, ServoLead, TaskParameters, TaskSet, TaskSetParameters, ViableSpeeds,
 };
-use opspace_log::Recording;
 use opspace_loop::{
     CollisionDetector, ControlLoop, EstimatedForce, LoopConfig, LoopError, SensorCompensation,
 };
@@ -470,15 +468,6 @@ impl Experiment {
         self.physics = Physics::Engine(engine);
         self.simulated_arm()?;
         Ok(self)
-    }
-
-    /// Returns the experiment on a log in place of a robot; `path` is that of the log. Run it by
-    /// [`run_on_log`](Self::run_on_log).
-    #[must_use]
-    pub fn on_log(mut self, path: impl Into<String>, recording: &Recording) -> Self {
-        let real = is_real(recording);
-        self.physics = Physics::Replay(ReplayedLog { path: path.into(), real });
-        self
     }
 
     /// True if the experiment runs on a log in place of a robot.

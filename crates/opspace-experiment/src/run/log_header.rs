@@ -11,7 +11,7 @@ use crate::run::error::RunError;
 use crate::run::experiment::{Experiment, RunOptions};
 use crate::run::logged_capsules::{read_capsules, write_capsules};
 use crate::run::membership::Membership;
-use crate::run::physics::Physics;
+use crate::run::physics::{Physics, ReplayedLog};
 use opspace_backend::quantity::Positive;
 use opspace_backend::{CommandKind, World};
 use opspace_log::{Attachment, Header, LOG, Recording};
@@ -55,6 +55,15 @@ fn recording_file(file: &Path) -> String {
 }
 
 impl Experiment {
+    /// Returns the experiment on a log in place of a robot; `path` is that of the log. Run it by
+    /// [`run_on_log`](Self::run_on_log).
+    #[must_use]
+    pub fn on_log(mut self, path: impl Into<String>, recording: &Recording) -> Self {
+        let real = is_real(recording);
+        self.physics = Physics::Replay(ReplayedLog { path: path.into(), real });
+        self
+    }
+
     /// Builds the header of a log of this experiment: files, settings and versions.
     pub(crate) fn header(&self, world: World) -> Header {
         let options = self.options();

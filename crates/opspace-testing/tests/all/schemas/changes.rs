@@ -87,7 +87,8 @@ impl<'a> Changes<'a> {
             let Some(default) = default.filter(|_| self.stated.insert(schema)) else { continue };
             let key = Step::Key(name.clone());
             self.add(path, key.clone(), Some(default.clone()), !is_nullable(schema));
-            let edit = Edit { path: [path, std::slice::from_ref(&key)].concat(), value: Some(default.clone()) };
+            let edit =
+                Edit { path: [path, std::slice::from_ref(&key)].concat(), value: Some(default.clone()) };
             self.before.push(edit);
             self.values(&default, schemas, path, key);
             self.before.pop();
