@@ -20,6 +20,8 @@ pub struct ReplayBackend<'a> {
     began_s: Option<f64>,
     time_s: f64,
     parted_s: Option<f64>,
+    /// True if the last command differs; that of a stop is no command of the log's cycle.
+    differs: bool,
 }
 
 impl<'a> ReplayBackend<'a> {
@@ -46,6 +48,7 @@ impl<'a> ReplayBackend<'a> {
             began_s: None,
             time_s: 0.0,
             parted_s: None,
+            differs: false,
         })
     }
 
@@ -56,10 +59,18 @@ impl<'a> ReplayBackend<'a> {
     }
 
     /// Time of the first command that differs from the logged one in any bit, s after the first sample; `None` if all
-    /// are equal.
+    /// are equal. The last setpoint of a stop is not compared: the log has the command that it replaces.
     #[must_use]
     pub fn parted_s(&self) -> Option<f64> {
         self.parted_s
+    }
+}
+
+impl ReplayBackend<'_> {
+    /// Notes that the commands differ from this cycle on.
+    fn part(&mut self) {
+        let began_s = self.began_s.unwrap_or(self.time_s);
+        self.parted_s.get_or_insert(self.time_s - began_s);
     }
 }
 
@@ -69,6 +80,9 @@ impl Backend for ReplayBackend<'_> {
     }
 
     fn read(&mut self, sample: &mut Sample) -> Result<(), DeviceFault> {
+        if std::mem::take(&mut self.differs) {
+            self.part();
+        }
         let Some(read) = self.inputs.read_next(sample) else {
             return Err(DeviceFault::new(0, "the log ends"));
         };
@@ -92,14 +106,13 @@ impl Backend for ReplayBackend<'_> {
             let row = logged.row(self.cycles.saturating_sub(1));
             row.iter().zip(&self.command).all(|(was, is)| was.to_bits() == is.to_bits())
         });
-        if !equal && self.parted_s.is_none() {
-            self.parted_s = Some(self.time_s - self.began_s.unwrap_or(self.time_s));
-        }
+        self.differs = !equal;
         Ok(())
     }
 
     fn stop(&mut self) {
         self.command.clear();
+        self.differs = false;
     }
 }
 

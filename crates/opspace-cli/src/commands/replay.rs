@@ -88,7 +88,7 @@ fn replay_robots(args: &ReplayArgs, logs: &[PathBuf], extensions: &Extensions, c
     let chosen = args.task.is_some() || args.controller.is_some() || args.transformer.is_some();
     if chosen || !args.set.is_empty() || option_of_a_run(args).is_some() {
         let text = format!(
-            "{}: only --json is for several robots: give the folder of a robot in it",
+            "{}: all options but --json are for the log of one robot: give the folder of a robot in it",
             args.log.display()
         );
         return Err(Failure::Other(text, Exit::Bad));

@@ -76,7 +76,10 @@ pub fn experiment_on_log(
     log: &Path,
     recording: &Recording,
 ) -> Result<Experiment, Failure> {
-    let bad = |error: RunError| Failure::Other(format!("{}: {error}", log.display()), Exit::Bad);
+    let bad = |error: RunError| match error {
+        RunError::File(error) => error.into(),
+        other => Failure::Other(format!("{}: {other}", log.display()), Exit::Bad),
+    };
     let (robot_settings, task_settings) = split(changes.set, "robot");
     let of_files = changes.task.is_some() || changes.robot.is_some();
     // Settings of the task belong to the other task, if there is one.
