@@ -1,17 +1,29 @@
 //! Drivers and tasks defined by the user, compiled into the program.
 
 use crate::files::task_kinds::TaskKinds;
+use crate::registry::{Named, Registry};
 use opspace_backend::Driver;
-use std::fmt;
 
-/// Drivers that `[driver]` of robot.toml can select, and task kinds that task files can use.
-#[derive(Default)]
+/// Tables to which a program adds entries of its own. Those of the built-in entries are in them from the start.
+#[derive(Debug)]
 #[non_exhaustive]
 pub struct Extensions {
-    /// Robot drivers.
-    pub drivers: Vec<Box<dyn Driver>>,
+    /// Robot drivers, which `[driver]` of robot.toml selects.
+    pub drivers: Registry<Box<dyn Driver>>,
     /// Task kinds in addition to the built-in ones.
     pub tasks: TaskKinds,
+}
+
+impl Default for Extensions {
+    fn default() -> Self {
+        Self { drivers: Registry::new("driver", Vec::new()), tasks: TaskKinds::default() }
+    }
+}
+
+impl Named for dyn Driver {
+    fn name(&self) -> &str {
+        Driver::name(self)
+    }
 }
 
 impl Extensions {
@@ -22,16 +34,12 @@ impl Extensions {
     }
 
     /// Adds a driver.
+    ///
+    /// # Panics
+    /// If another driver has the same name; [`Registry::register`] returns this as an error.
     #[must_use]
     pub fn with_driver(mut self, driver: impl Driver + 'static) -> Self {
-        self.drivers.push(Box::new(driver));
+        self.drivers.add(Box::new(driver));
         self
-    }
-}
-
-impl fmt::Debug for Extensions {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let drivers: Vec<&str> = self.drivers.iter().map(|driver| driver.name()).collect();
-        f.debug_struct("Extensions").field("drivers", &drivers).finish()
     }
 }

@@ -6,7 +6,6 @@ use crate::files::source::FileError;
 use crate::run::error::RunError;
 use crate::run::execute::{Progress, RunResult};
 use crate::run::experiment::Experiment;
-use crate::suggest::choices;
 use opspace_backend::{Backend, Driver, DriverError, Setting, Settings};
 use std::io::Write;
 
@@ -68,14 +67,13 @@ impl Experiment {
             let message = "[driver] has no name";
             return Err(FileError::at_key(source, "driver", message, Some("add `name = ...`".to_owned())));
         };
-        let found = extensions.drivers.iter().find(|driver| driver.name() == name);
-        found.map(|driver| &**driver).ok_or_else(|| {
-            let known: Vec<&str> = extensions.drivers.iter().map(|driver| driver.name()).collect();
-            let help = if known.is_empty() {
+        let found = extensions.drivers.find(name);
+        found.map(|driver| &**driver).map_err(|unknown| {
+            let help = if extensions.drivers.names().next().is_none() {
                 "no driver is compiled in: build a program with opspace_cli::main_with, or use --simulate"
                     .to_owned()
             } else {
-                choices(name, known)
+                unknown.help
             };
             let message = format!("this program has no driver '{name}'");
             FileError::at_key(source, ["driver", NAME], message, Some(help)).refused(Code::MissingDriver)
