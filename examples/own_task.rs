@@ -9,7 +9,7 @@ mod common;
 
 use nalgebra::{Matrix6xX, Vector3, Vector6};
 use opspace::control::{ControlError, Coordinate, CoordinateGains, CoordinateTask, ScalarReference};
-use opspace::experiment::{Experiment, Extensions, Files, Progress, TaskKinds};
+use opspace::experiment::{Experiment, Extensions, Files, Progress, TaskKind};
 use opspace::model::{
     Data, FrameId, Model, frame_bias_acceleration, frame_jacobian, frame_placement, frame_velocity,
 };
@@ -68,14 +68,13 @@ struct DistanceParameters {
 }
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let mut tasks = TaskKinds::new();
-    tasks.register("distance", |p: &DistanceParameters, name, model, _context| {
+    let kind = TaskKind::new("distance", |p: &DistanceParameters, name, model, _context| {
         let key = format!("task.{name}.distance.frame");
         let frame = model.frame_id(&p.frame).map_err(|unknown| ControlError::new(key, unknown))?;
         let coordinate = Distance { frame, point: p.point_m.into() };
         Ok(Box::new(CoordinateTask::new(name, coordinate, p.gains).with_references([p.reference.clone()])))
-    })?;
-    let extensions = Extensions::default().with_tasks(tasks);
+    });
+    let extensions = Extensions::default().with(kind);
     let task = "examples/tasks/distance.toml".as_ref();
     let experiment = Experiment::load_with(&extensions, Files::Disk, task, None, Default::default(), &[])?;
     common::record("own_task", &experiment, |log| experiment.run(log, &Progress::default()))

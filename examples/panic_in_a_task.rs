@@ -11,7 +11,7 @@ mod common;
 use nalgebra::{Matrix6xX, Vector6};
 use opspace::backend::{Backend, Sample};
 use opspace::control::{ControlError, Coordinate, CoordinateGains, CoordinateTask, ScalarReference};
-use opspace::experiment::{Experiment, Extensions, Files, Progress, TaskKinds};
+use opspace::experiment::{Experiment, Extensions, Files, Progress, TaskKind};
 use opspace::log::{OutcomeRecord, Recording};
 use opspace::model::{Data, Model};
 use serde::Deserialize;
@@ -53,14 +53,13 @@ struct CorrectedAngleParameters {
 }
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let mut tasks = TaskKinds::new();
-    tasks.register("corrected-angle", |p: &CorrectedAngleParameters, name, model, _context| {
+    let kind = TaskKind::new("corrected-angle", |p: &CorrectedAngleParameters, name, model, _context| {
         let key = format!("task.{name}.corrected-angle.joint");
         let joint = model.joint(&p.joint).map_err(|unknown| ControlError::new(key, unknown))?;
         let coordinate = CorrectedAngle { joint, corrections_rad: [0.0; 8] };
         Ok(Box::new(CoordinateTask::new(name, coordinate, p.gains).with_references([p.reference.clone()])))
-    })?;
-    let extensions = Extensions::default().with_tasks(tasks);
+    });
+    let extensions = Extensions::default().with(kind);
     let task = "examples/tasks/corrected_angle.toml".as_ref();
     let experiment = Experiment::load_with(&extensions, Files::Disk, task, None, Default::default(), &[])?;
 

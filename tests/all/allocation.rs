@@ -13,7 +13,7 @@ use opspace_control::{CartesianTarget, Controller, Coordinate, CoordinateGains, 
 use opspace_experiment::files::task::NamedRecording;
 use opspace_experiment::{
     ControllerKind, CoupledExperiment, Experiment, Extensions, FileError, Files, Progress, RunOptions,
-    Source, Suite, TaskDefinition, TaskKinds,
+    Source, Suite, TaskDefinition, TaskKind,
 };
 use opspace_loop::{Fault, Phase, Run, RunOutcome, TargetSender, drive, target_stream};
 use opspace_model::{Data, Model};
@@ -228,17 +228,16 @@ fn no_cycle_with_user_task_and_streamed_targets_allocates() {
     struct SumParameters {
         gains: CoordinateGains,
     }
-    let mut kinds = TaskKinds::new();
     let built = |p: &SumParameters, name: &str, _: &Model, _: &_| {
         Ok(Box::new(CoordinateTask::new(name, Sum, p.gains)) as Box<_>)
     };
-    kinds.register("sum", built).unwrap_or_else(|e| panic!("{e}"));
+    let extensions = Extensions::default().with(TaskKind::new("sum", built));
     let named = |_: NamedRecording<'_>| -> Result<Source, FileError> { unreachable!("no path is recorded") };
     for backend in CommandKind::ALL {
         for (reads, writes) in [(usize::MAX, usize::MAX), (900, usize::MAX), (usize::MAX, 900)] {
             let source = Source::new("streamed.toml", TASK);
-            let task =
-                TaskDefinition::from_sources_with(&kinds, source, named).unwrap_or_else(|e| panic!("{e}"));
+            let task = TaskDefinition::from_sources_with(&extensions, source, named)
+                .unwrap_or_else(|e| panic!("{e}"));
             let options = RunOptions { backend, ..RunOptions::default() };
             let experiment = common::experiment(common::robot(&[]), task, options);
             let arm = experiment.simulated_arm().unwrap_or_else(|e| panic!("{e}"));

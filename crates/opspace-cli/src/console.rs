@@ -3,10 +3,11 @@
 use annotate_snippets::renderer::DecorStyle;
 use annotate_snippets::{AnnotationKind, Group, Level, Renderer, Snippet};
 use comfy_table::{CellAlignment, ContentArrangement, LineStyle, TableStyle};
+use opspace_experiment::Metric;
 use opspace_experiment::evaluate::notes::{
     allowed_notes, assumed_notes, final_notes, joint_notes, notes, task_notes,
 };
-use opspace_experiment::evaluate::results::{Measure, failures, joint_table, table, task_table};
+use opspace_experiment::evaluate::results::{failures, joint_table, table, task_table};
 use opspace_experiment::evaluate::table::{Cell, Table};
 use opspace_experiment::{FileError, RunError, Summary};
 use opspace_log::LogError;
@@ -142,7 +143,7 @@ pub fn print_exactly(text: &str) -> Result<(), Failure> {
 }
 
 /// Renders results as a table with its notes.
-pub fn results(console: Console, summaries: &[Summary], measures: &[Measure]) -> String {
+pub fn results(console: Console, summaries: &[Summary], metrics: &[Metric]) -> String {
     if summaries.is_empty() {
         return "no runs\n".to_owned();
     }
@@ -163,7 +164,7 @@ pub fn results(console: Console, summaries: &[Summary], measures: &[Measure]) ->
         final_notes(one).iter().for_each(|note| text += &format!("NOTE {note}\n"));
         one.escapes.iter().for_each(|escape| text += &format!("NOTE {escape}\n"));
     }
-    text += &render(&table(summaries, measures));
+    text += &render(&table(summaries, metrics));
     if let [one] = summaries {
         let tables = [task_table(one), joint_table(one)];
         tables
@@ -171,7 +172,7 @@ pub fn results(console: Console, summaries: &[Summary], measures: &[Measure]) ->
             .filter(|table| !table.rows.is_empty())
             .for_each(|table| text += &format!("\n{}", render(table)));
     }
-    let mut notes = notes(summaries, measures);
+    let mut notes = notes(summaries, metrics);
     if let [one] = summaries {
         notes.extend(task_notes(one).into_iter().chain(joint_notes(one)));
     }

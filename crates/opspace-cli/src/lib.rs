@@ -53,8 +53,8 @@ pub fn main_with(extensions: &Extensions) -> ExitCode {
         Command::Explain(args) => commands::explain::explain(args.code),
         Command::Identify(args) => commands::identify::identify(args, console),
         Command::Model(args) => commands::model::model(args, console),
-        Command::New(args) => commands::new::new(args, console),
-        Command::Schema(args) => commands::schema::schema(args),
+        Command::New(args) => commands::new::new(args, extensions, console),
+        Command::Schema(args) => commands::schema::schema(args, extensions),
         Command::Completion { shell } => commands::completion::completion(*shell),
     };
     let exit: Exit = outcome.unwrap_or_else(|failure| console::report(&failure));

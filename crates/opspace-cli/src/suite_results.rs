@@ -7,11 +7,12 @@ use crate::result_folder::{LOGS, ROWS};
 use crate::run_progress::exit_code;
 use opspace_experiment::evaluate::baseline::{Baseline, BaselineComparison, TOLERANCE, Verdict};
 use opspace_experiment::evaluate::csv::csv;
-use opspace_experiment::evaluate::results::group_rows;
+use opspace_experiment::evaluate::results::{group_rows, has_value};
+use opspace_experiment::metrics::metric::columns_named;
 use opspace_experiment::report::document::{RunSection, page};
 use opspace_experiment::run::result_files::REPORT;
 use opspace_experiment::suites::suite_rows::{SUITE_ROWS, SuiteRows};
-use opspace_experiment::{Experiment, Extensions, Source, Summary};
+use opspace_experiment::{Experiment, Extensions, Metric, Source, Summary};
 use opspace_log::LogFile;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
@@ -96,10 +97,13 @@ impl SuiteResults<'_> {
         console: Console,
     ) -> Outcome {
         let (header, summaries, folder) = (&self.rows.header, self.summaries, self.folder);
-        let comparison = baseline.map(|baseline| baseline.compare(summaries));
+        let added = extensions.added::<Metric>();
+        let names = header.columns.iter().map(String::as_str);
+        let columns = columns_named(names, added).unwrap_or_default();
+        let comparison = baseline.map(|baseline| baseline.compare(summaries, added));
         let (shown, logs) = self.sections(extensions);
         let lead = format!("{} runs in simulation. {LEAD}", summaries.len());
-        write(&folder.join(REPORT), &page(&header.title, &lead, summaries, &header.columns, &shown))?;
+        write(&folder.join(REPORT), &page(&header.title, &lead, summaries, &columns, &shown))?;
         let json = self.json(&logs, comparison.as_ref());
         let is_final = self.partial || self.missing().is_empty();
         if is_final {
@@ -116,7 +120,7 @@ impl SuiteResults<'_> {
         } else {
             let text = || {
                 let compared = comparison.as_ref().map(|comparison| compared(comparison, console));
-                results(console, summaries, &header.columns) + &compared.unwrap_or_default()
+                results(console, summaries, &columns) + &compared.unwrap_or_default()
             };
             args.output.json.print(|| json.clone(), text)?;
         }
@@ -127,7 +131,7 @@ impl SuiteResults<'_> {
             list_unmatched(comparison, console);
             codes.extend(comparison.is_worse().then_some(Exit::Failed));
         }
-        for column in self.empty_columns() {
+        for column in self.empty_columns(&columns) {
             let text = format!("no run has a value for the column `{column}`, which the suite lists");
             codes.push(report(&Failure::Other(text, Exit::Failed)));
         }
@@ -166,12 +170,13 @@ impl SuiteResults<'_> {
     }
 
     /// Columns that the suite lists and for which no run has a value, if all runs of the suite are there.
-    fn empty_columns(&self) -> Vec<String> {
+    fn empty_columns(&self, columns: &[Metric]) -> Vec<&'static str> {
         let header = &self.rows.header;
         if !header.columns_required || header.shard.is_some() || !self.missing().is_empty() {
             return Vec::new();
         }
-        header.columns.iter().filter(|column| !column.is_in(self.summaries)).map(|c| c.name()).collect()
+        let empty = columns.iter().filter(|metric| !has_value(self.summaries, metric));
+        empty.filter_map(|metric| Some(metric.column?.name)).collect()
     }
 
     /// Sections of the runs whose logs are in the folder, and the names of these logs.

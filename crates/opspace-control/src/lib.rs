@@ -133,6 +133,7 @@ pub use references::wave::{AngularWave, LinearWave};
 pub use targets::{AllowedInputs, HoldCause, InputHandle, TargetError, Targets, TaskHandle, TaskTarget};
 pub use tasks::admittance::AdmittanceLimits;
 pub use tasks::axes::{AXIS_NAMES, Axes, AxesFrame, AxesFrameParameter, PerAxis, SurfaceAxesParameters};
+pub use tasks::build_task::{BuildTask, BuiltTask, TaskReference};
 pub use tasks::cartesian::CartesianTask;
 pub use tasks::cartesian_parameters::{
     CartesianParameters, CenterOfMassParameters, Decoupling, SingularityHandling,

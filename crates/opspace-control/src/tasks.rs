@@ -3,6 +3,7 @@
 pub mod admittance;
 pub mod axes;
 pub(crate) mod axis_feedback;
+pub mod build_task;
 pub(crate) mod carry;
 pub mod cartesian;
 pub mod cartesian_parameters;

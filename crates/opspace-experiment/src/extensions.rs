@@ -1,45 +1,175 @@
-//! Drivers and tasks defined by the user, compiled into the program.
+//! Tables of what a program knows by name: built-in entries, and those that a user adds.
+//!
+//! ```
+//! use opspace_control::ControlError;
+//! use opspace_experiment::{Extensions, TaskKind};
+//!
+//! # #[derive(serde::Deserialize)]
+//! # struct Parameters {}
+//! let kind = TaskKind::new("distance", |_: &Parameters, _name, _model, _context| {
+//!     Err(ControlError::Task("not implemented".to_owned()))
+//! });
+//! let extensions = Extensions::default().with(kind);
+//! assert!(extensions.names::<TaskKind>().any(|name| name == "distance"));
+//! assert!(extensions.names::<TaskKind>().any(|name| name == "cartesian"), "a built-in kind");
+//! ```
 
-use crate::files::task_kinds::TaskKinds;
-use crate::registry::{Named, Registry};
-use opspace_backend::Driver;
+use crate::suggest::choices;
+use std::any::{Any, TypeId};
+use std::collections::HashMap;
+use std::fmt;
+use thiserror::Error;
 
-/// Tables to which a program adds entries of its own. Those of the built-in entries are in them from the start.
-#[derive(Debug)]
-#[non_exhaustive]
+/// Entry of a table of [`Extensions`]: a type of entries has a table of its own.
+pub trait Entry: 'static {
+    /// Kind of the entries, in errors: `task kind`.
+    const KIND: &'static str;
+
+    /// Entries that every program has, in the order in which they are listed.
+    #[must_use]
+    fn built_in() -> &'static [Self]
+    where
+        Self: Sized,
+    {
+        &[]
+    }
+
+    /// Name in files, on the command line and in errors.
+    fn name(&self) -> &str;
+}
+
+/// One table for each type of [`Entry`], with the built-in entries before those that a program adds.
+#[derive(Default)]
 pub struct Extensions {
-    /// Robot drivers, which `[driver]` of robot.toml selects.
-    pub drivers: Registry<Box<dyn Driver>>,
-    /// Task kinds in addition to the built-in ones.
-    pub tasks: TaskKinds,
+    /// Added entries, a `Vec<T>` for the type `T`.
+    added: HashMap<TypeId, Box<dyn Any>>,
 }
 
-impl Default for Extensions {
-    fn default() -> Self {
-        Self { drivers: Registry::new("driver", Vec::new()), tasks: TaskKinds::default() }
-    }
+/// Reason why an entry cannot be added.
+#[derive(Clone, Debug, Error, PartialEq, Eq)]
+#[error("the {kind} '{name}' already exists")]
+#[non_exhaustive]
+pub struct NameTaken {
+    /// Kind of the entries.
+    pub kind: &'static str,
+    /// Name of the entry.
+    pub name: String,
 }
 
-impl Named for dyn Driver {
-    fn name(&self) -> &str {
-        Driver::name(self)
-    }
+/// Name that no entry has.
+#[derive(Clone, Debug, Error, PartialEq, Eq)]
+#[error("unknown {kind} '{name}'")]
+#[non_exhaustive]
+pub struct UnknownName {
+    /// Kind of the entries.
+    pub kind: &'static str,
+    /// Unknown name.
+    pub name: String,
+    /// Similar name, if there is one, and all names.
+    pub help: String,
 }
 
 impl Extensions {
-    /// Replaces the additional task kinds.
-    #[must_use]
-    pub fn with_tasks(self, tasks: TaskKinds) -> Self {
-        Self { tasks, ..self }
-    }
-
-    /// Adds a driver.
+    /// Adds an entry whose name is free.
     ///
     /// # Panics
-    /// If another driver has the same name; [`Registry::register`] returns this as an error.
+    /// If the name is already in use; [`add`](Self::add) returns this as an error.
     #[must_use]
-    pub fn with_driver(mut self, driver: impl Driver + 'static) -> Self {
-        self.drivers.add(Box::new(driver));
+    pub fn with<T: Entry>(mut self, entry: T) -> Self {
+        if let Err(taken) = self.add(entry) {
+            panic!("{taken}");
+        }
         self
+    }
+
+    /// Adds an entry.
+    ///
+    /// # Errors
+    /// A name that is already in use.
+    pub fn add<T: Entry>(&mut self, entry: T) -> Result<(), NameTaken> {
+        if self.get::<T>(entry.name()).is_some() {
+            return Err(NameTaken { kind: T::KIND, name: entry.name().to_owned() });
+        }
+        let table = self.added.entry(TypeId::of::<T>()).or_insert_with(|| Box::new(Vec::<T>::new()));
+        if let Some(table) = table.downcast_mut::<Vec<T>>() {
+            table.push(entry);
+        }
+        Ok(())
+    }
+
+    /// Entries that the program has added, in their order.
+    #[must_use]
+    pub fn added<T: Entry>(&self) -> &[T] {
+        let table = self.added.get(&TypeId::of::<T>());
+        table.and_then(|table| table.downcast_ref::<Vec<T>>()).map_or(&[], Vec::as_slice)
+    }
+
+    /// All entries, the built-in ones first.
+    pub fn all<T: Entry>(&self) -> impl Iterator<Item = &T> {
+        T::built_in().iter().chain(self.added())
+    }
+
+    /// Names of all entries.
+    pub fn names<T: Entry>(&self) -> impl Iterator<Item = &str> {
+        self.all::<T>().map(Entry::name)
+    }
+
+    /// Returns the entry with this name, if there is one.
+    #[must_use]
+    pub fn get<T: Entry>(&self, name: &str) -> Option<&T> {
+        self.all::<T>().find(|entry| entry.name() == name)
+    }
+
+    /// Returns the entry with this name.
+    ///
+    /// # Errors
+    /// A name that no entry has, with the names that there are.
+    pub fn find<T: Entry>(&self, name: &str) -> Result<&T, UnknownName> {
+        self.get(name).ok_or_else(|| UnknownName {
+            kind: T::KIND,
+            name: name.to_owned(),
+            help: choices(name, self.names::<T>()),
+        })
+    }
+}
+
+impl fmt::Debug for Extensions {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Extensions").field("tables", &self.added.len()).finish()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Entry, Extensions};
+
+    #[derive(Debug, PartialEq)]
+    struct Plant(&'static str);
+
+    impl Entry for Plant {
+        const KIND: &'static str = "plant";
+
+        fn built_in() -> &'static [Self] {
+            &[Plant("own")]
+        }
+
+        fn name(&self) -> &str {
+            self.0
+        }
+    }
+
+    /// Compared: the entries found, and those built in and added.
+    #[test]
+    fn entries_are_found_by_name() {
+        let mut extensions = Extensions::default().with(Plant("mujoco"));
+        assert_eq!(extensions.names::<Plant>().collect::<Vec<_>>(), ["own", "mujoco"]);
+        assert_eq!(extensions.get("mujoco"), Some(&Plant("mujoco")));
+        for taken in ["own", "mujoco"] {
+            let error = extensions.add(Plant(taken)).expect_err("a taken name").to_string();
+            assert_eq!(error, format!("the plant '{taken}' already exists"));
+        }
+        let unknown = extensions.find::<Plant>("mujocco").expect_err("an unknown name");
+        assert_eq!(unknown.to_string(), "unknown plant 'mujocco'");
+        assert_eq!(unknown.help, "did you mean 'mujoco'? There are: own, mujoco");
     }
 }

@@ -1,5 +1,5 @@
-//! Tables of metrics, and the bounds on them that files state.
+//! Tables of metrics.
 
 pub mod coupling_metrics;
-pub(crate) mod expectations;
+pub mod metric;
 pub(crate) mod metric_tables;

@@ -23,7 +23,7 @@ pub fn merge(args: &MergeArgs, extensions: &Extensions, console: Console) -> Out
     let (rows, logs) = join(&shards)?;
     let summaries: Vec<Summary> = rows.rows.values().map(|row| row.row.clone()).collect();
     if let Some(baseline) = &baseline
-        && baseline.compare(&summaries).metrics.is_empty()
+        && baseline.compare(&summaries, extensions.added()).metrics.is_empty()
     {
         return Err(args.results.refuse_foreign());
     }

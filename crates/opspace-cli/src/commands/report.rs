@@ -5,7 +5,7 @@ use crate::commands::report_coupled::report_coupled;
 use crate::console::{Console, Exit, Failure, Outcome};
 use crate::output::{Format, log_path, logs_of_experiment, open_log, pretty, write_named};
 use crate::outputs::check_outputs;
-use opspace_experiment::evaluate::results::MEASURES;
+use opspace_experiment::metrics::metric::default_columns;
 use opspace_experiment::report::document::{RunSection, page};
 use opspace_experiment::run::result_files::REPORT;
 use opspace_experiment::{Experiment, Extensions, RunError};
@@ -45,7 +45,11 @@ pub fn report(args: &ReportArgs, extensions: &Extensions, console: Console) -> O
         many => format!("{} runs", many.len()),
     };
     let lead = "Desired and actual behaviour of the robot, from its log.";
-    write_named(&out, &page(&title, lead, &summaries, MEASURES, &shown), Format::Html)?;
+    write_named(
+        &out,
+        &page(&title, lead, &summaries, &default_columns(extensions.added()), &shown),
+        Format::Html,
+    )?;
     args.json.print(|| pretty(&summaries), || format!("{}\n", out.display()))?;
     args.open.show(&out, console);
     Ok(exit)

@@ -10,8 +10,8 @@ use crate::output::pretty;
 use crate::plant::PlantChoice;
 use crate::result_folder::{MOVE_TO_START, prepare};
 use crate::run_progress::{exit_code, with_bar};
-use opspace_experiment::evaluate::results::MEASURES;
 use opspace_experiment::files::origin::Kind;
+use opspace_experiment::metrics::metric::default_columns;
 use opspace_experiment::preflight::{checked_for_real_robot, start_diagnostics};
 use opspace_experiment::run::result_files::{LOG, REPORT, SUMMARY};
 use opspace_experiment::{Experiment, Extensions, Files, Summary};
@@ -63,9 +63,10 @@ pub fn run(args: &RunArgs, extensions: &Extensions, console: Console) -> Outcome
     if args.move_to_start {
         let moved = experiment.move_to_start(extensions, &folder.join(MOVE_TO_START), &progress)?;
         if let Some(moved) = moved.filter(|moved| exit_code(moved) != Exit::Done) {
-            args.output
-                .json
-                .print(|| pretty(&moved), || table(console, std::slice::from_ref(&moved), MEASURES))?;
+            args.output.json.print(
+                || pretty(&moved),
+                || table(console, std::slice::from_ref(&moved), &default_columns(extensions.added())),
+            )?;
             say_end(&moved, console);
             console.note(&format!(
                 "not run: the robot did not reach the start of the task; see {}",
@@ -83,9 +84,10 @@ pub fn run(args: &RunArgs, extensions: &Extensions, console: Console) -> Outcome
             }
         })
     })?;
-    args.output
-        .json
-        .print(|| pretty(&summary), || table(console, std::slice::from_ref(&summary), MEASURES))?;
+    args.output.json.print(
+        || pretty(&summary),
+        || table(console, std::slice::from_ref(&summary), &default_columns(extensions.added())),
+    )?;
     say_end(&summary, console);
     say_expectations(&summary, experiment.task().file.expect.len(), console);
     if summary.not_saved.is_empty() {

@@ -7,8 +7,8 @@ use crate::interrupt;
 use crate::output::{pretty, read_log};
 use crate::result_folder::prepare;
 use crate::run_progress::{exit_code, with_bar};
-use opspace_experiment::evaluate::results::MEASURES;
 use opspace_experiment::files::overrides::split;
+use opspace_experiment::metrics::metric::default_columns;
 use opspace_experiment::run::result_files::{LOG, REPORT, SUMMARY};
 use opspace_experiment::{
     ControllerKind, Experiment, Extensions, Files, RobotDefinition, RunError, RunOptions, Summary,
@@ -62,9 +62,10 @@ pub fn run_on_log(args: &RunArgs, extensions: &Extensions, console: Console) -> 
     };
     let experiment = experiment_on_log(&changes, extensions, &log, &recording)?;
     let (summary, folder) = record_on_log(&experiment, &log, &recording, &args.output, console)?;
-    args.output
-        .json
-        .print(|| pretty(&summary), || table(console, std::slice::from_ref(&summary), MEASURES))?;
+    args.output.json.print(
+        || pretty(&summary),
+        || table(console, std::slice::from_ref(&summary), &default_columns(extensions.added())),
+    )?;
     say_files(&summary, &folder, &args.open, console);
     Ok(exit_code(&summary))
 }
@@ -94,7 +95,7 @@ pub fn experiment_on_log(
         None => logged.robot().clone(),
     };
     let task = match changes.task {
-        Some(task) => TaskDefinition::load_with(&extensions.tasks, Files::Disk, task, &task_settings)?,
+        Some(task) => TaskDefinition::load_with(extensions, Files::Disk, task, &task_settings)?,
         None => logged.task().clone(),
     };
     let options = logged.options().clone();

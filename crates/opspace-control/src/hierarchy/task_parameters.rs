@@ -3,6 +3,7 @@
 use crate::context::ControlContext;
 use crate::error::ControlError;
 use crate::limits::joint_limits::LimitParameters;
+use crate::tasks::build_task::{BuildTask, BuiltTask, TaskReference};
 use crate::tasks::cartesian_parameters::{CartesianParameters, CenterOfMassParameters};
 use crate::tasks::coupled_parameters::CoupledParameters;
 use crate::tasks::joint_parameters::{
@@ -31,45 +32,77 @@ pub fn largest_unused_damping_per_s(period_s: f64) -> f64 {
     0.2 / period_s
 }
 
-/// One task of a file: `[task.NAME.KIND]`.
-#[derive(Clone, Debug, PartialEq, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
-#[serde(rename_all = "kebab-case", deny_unknown_fields)]
-#[non_exhaustive]
-pub enum TaskParameters {
-    /// A frame follows a reference on some axes and is compliant on others.
-    Cartesian(Box<CartesianParameters>),
-    /// The centre of mass follows a reference.
-    CenterOfMass(Box<CenterOfMassParameters>),
-    /// The swivel angle of the elbow about the line from shoulder to wrist follows a reference.
-    Swivel(Box<SwivelParameters>),
-    /// A frame, or some joints, are coupled with a task of another robot.
-    Coupled(Box<CoupledParameters>),
-    /// The joints follow a reference.
-    JointTracking(JointTrackingParameters),
-    /// Springs pull the joints to a posture.
-    JointPosture(JointPostureParameters),
-    /// The joints are damped in proportion to their velocity.
-    JointDamping(JointDampingParameters),
-    /// A task of a registered kind.
-    #[serde(skip)]
-    Registered(RegisteredTask),
+/// Declares the built-in kinds of tasks: the variant of [`TaskParameters`], its parameters, and the kind's name in files.
+macro_rules! task_kinds {
+    ($($(#[doc = $doc:literal])* $kind:ident($parameters:ty) = $name:literal,)*) => {
+        /// One task of a file: `[task.NAME.KIND]`.
+        #[derive(Clone, Debug, PartialEq, Deserialize)]
+        #[cfg_attr(feature = "schema", derive(JsonSchema))]
+        #[serde(deny_unknown_fields)]
+        #[non_exhaustive]
+        pub enum TaskParameters {
+            $(
+                $(#[doc = $doc])*
+                #[serde(rename = $name)]
+                $kind($parameters),
+            )*
+            /// A task of a registered kind.
+            #[serde(skip)]
+            Registered(RegisteredTask),
+        }
+
+        impl TaskParameters {
+            /// Names of the built-in kinds.
+            pub const KINDS: &[&str] = &[$($name),*];
+
+            /// Kind of the task: the name of its table in a file.
+            #[must_use]
+            pub fn kind(&self) -> &str {
+                match self {
+                    $(Self::$kind(_) => $name,)*
+                    Self::Registered(task) => task.kind(),
+                }
+            }
+
+            /// Parameters of the task, whatever its kind.
+            fn parameters(&self) -> &dyn BuildTask {
+                match self {
+                    $(Self::$kind(parameters) => parameters,)*
+                    Self::Registered(task) => task,
+                }
+            }
+        }
+    };
 }
 
-impl TaskParameters {
-    /// Kind of the task: the name of its table in a file.
-    #[must_use]
-    pub fn kind(&self) -> &str {
-        match self {
-            Self::Cartesian(_) => "cartesian",
-            Self::CenterOfMass(_) => "center-of-mass",
-            Self::Swivel(_) => "swivel",
-            Self::Coupled(_) => "coupled",
-            Self::JointTracking(_) => "joint-tracking",
-            Self::JointPosture(_) => "joint-posture",
-            Self::JointDamping(_) => "joint-damping",
-            Self::Registered(task) => task.kind(),
-        }
+task_kinds! {
+    /// A frame follows a reference on some axes and is compliant on others.
+    Cartesian(Box<CartesianParameters>) = "cartesian",
+    /// The centre of mass follows a reference.
+    CenterOfMass(Box<CenterOfMassParameters>) = "center-of-mass",
+    /// The swivel angle of the elbow about the line from shoulder to wrist follows a reference.
+    Swivel(Box<SwivelParameters>) = "swivel",
+    /// A frame, or some joints, are coupled with a task of another robot.
+    Coupled(Box<CoupledParameters>) = "coupled",
+    /// The joints follow a reference.
+    JointTracking(JointTrackingParameters) = "joint-tracking",
+    /// Springs pull the joints to a posture.
+    JointPosture(JointPostureParameters) = "joint-posture",
+    /// The joints are damped in proportion to their velocity.
+    JointDamping(JointDampingParameters) = "joint-damping",
+}
+
+impl BuildTask for TaskParameters {
+    fn build(&self, name: &str, model: &Model, context: &ControlContext) -> Result<BuiltTask, ControlError> {
+        self.parameters().build(name, model, context)
+    }
+
+    fn reference(&self) -> Option<TaskReference<'_>> {
+        self.parameters().reference()
+    }
+
+    fn frequency_key(&self) -> Option<&'static [&'static str]> {
+        self.parameters().frequency_key()
     }
 }
 
@@ -96,18 +129,15 @@ impl RegisteredTask {
     pub fn kind(&self) -> &str {
         &self.kind
     }
+}
 
-    /// Builds the task for a robot.
-    ///
-    /// # Errors
-    /// Parameters that do not match the robot.
-    pub fn task(
-        &self,
-        name: &str,
-        model: &Model,
-        context: &ControlContext,
-    ) -> Result<Box<dyn Task>, ControlError> {
-        (self.build)(name, model, context)
+impl BuildTask for RegisteredTask {
+    fn build(&self, name: &str, model: &Model, context: &ControlContext) -> Result<BuiltTask, ControlError> {
+        (self.build)(name, model, context).map(BuiltTask::Rows)
+    }
+
+    fn frequency_key(&self) -> Option<&'static [&'static str]> {
+        None
     }
 }
 

@@ -7,14 +7,9 @@ use crate::hierarchy::rank::{TypicalMobility, sampled_rank};
 use crate::hierarchy::task_hierarchy::TaskHierarchy;
 use crate::hierarchy::task_parameters::{TaskParameters, TaskSetParameters, largest_unused_damping_per_s};
 use crate::nullspace::Nullspace;
-use crate::tasks::cartesian::CartesianTask;
-use crate::tasks::coupled::CoupledTask;
-use crate::tasks::damping::Damping;
+use crate::tasks::build_task::{BuildTask, BuiltTask};
 use crate::tasks::joint_task::JointTask;
-use crate::tasks::posture::Posture;
-use crate::tasks::selected_joints::SelectedJoints;
 use crate::tasks::task::Task;
-use crate::tasks::tracking::Tracking;
 use opspace_backend::quantity::Positive;
 use opspace_model::Model;
 use std::fmt;
@@ -125,21 +120,9 @@ impl TaskSetBuilder<'_> {
     /// # Errors
     /// Parameters that do not match the robot, and the errors of [`task`](Self::task).
     pub fn from_parameters(self, name: &str, parameters: &TaskParameters) -> Result<Self, ControlError> {
-        let (model, context) = (self.model, self.context);
-        match parameters {
-            TaskParameters::Cartesian(p) => self.task(Box::new(CartesianTask::new(name, p, model, context)?)),
-            TaskParameters::CenterOfMass(p) => {
-                self.task(Box::new(CartesianTask::of_center_of_mass(name, p, model, context)?))
-            }
-            TaskParameters::Swivel(p) => self.task(Box::new(p.task(name, model)?)),
-            TaskParameters::Coupled(p) => self.task(Box::new(CoupledTask::new(name, p, model, context)?)),
-            TaskParameters::Registered(p) => self.task(p.task(name, model, context)?),
-            TaskParameters::JointTracking(p) => match &p.joints {
-                Some(joints) => self.task(Box::new(SelectedJoints::new(name, joints, p, model)?)),
-                None => self.joint_task(Box::new(Tracking::new(name, p, model)?)),
-            },
-            TaskParameters::JointPosture(p) => self.joint_task(Box::new(Posture::new(name, p, model)?)),
-            TaskParameters::JointDamping(p) => self.joint_task(Box::new(Damping::new(name, p, model)?)),
+        match parameters.build(name, self.model, self.context)? {
+            BuiltTask::Rows(task) => self.task(task),
+            BuiltTask::Joints(task) => self.joint_task(task),
         }
     }
 

@@ -29,6 +29,7 @@ use crate::targets::AllowedInputs;
 use crate::tasks::admittance::Admittance;
 use crate::tasks::axes::{AXIS_NAMES, AxesFrame};
 use crate::tasks::axis_feedback::AxisFeedback;
+use crate::tasks::build_task::{BuildTask, BuiltTask, TaskReference};
 use crate::tasks::cartesian_parameters::{
     CartesianParameters, CenterOfMassParameters, Decoupling, check_reference,
 };
@@ -561,6 +562,26 @@ impl CartesianTask {
         let velocity = self.axes.rows_of(&velocity);
         self.axes.rows_of_force(&force)
             + impedance.damping_force(task_inertia, self.axes.axes(), &self.axes.scale, &velocity)
+    }
+}
+
+impl BuildTask for CenterOfMassParameters {
+    fn build(&self, name: &str, model: &Model, context: &ControlContext) -> Result<BuiltTask, ControlError> {
+        Ok(BuiltTask::rows(CartesianTask::of_center_of_mass(name, self, model, context)?))
+    }
+
+    fn reference(&self) -> Option<TaskReference<'_>> {
+        Some(TaskReference::Cartesian(&self.reference))
+    }
+}
+
+impl BuildTask for CartesianParameters {
+    fn build(&self, name: &str, model: &Model, context: &ControlContext) -> Result<BuiltTask, ControlError> {
+        Ok(BuiltTask::rows(CartesianTask::new(name, self, model, context)?))
+    }
+
+    fn reference(&self) -> Option<TaskReference<'_>> {
+        Some(TaskReference::Cartesian(&self.reference))
     }
 }
 

@@ -9,6 +9,7 @@ use crate::controller::ControlInput;
 use crate::coupling::received::{Packet, ReceivedState};
 use crate::error::{ControlError, Reason};
 use crate::references::streamed::given;
+use crate::tasks::build_task::{BuildTask, BuiltTask};
 use crate::tasks::carry::Carry;
 use crate::tasks::coupled_parameters::{CoupledParameters, CouplingSide};
 use crate::tasks::coupled_rows::{CoupledRows, RowState};
@@ -333,6 +334,12 @@ fn complete(
             [Vector6::zeros(); 3]
         },
     })
+}
+
+impl BuildTask for CoupledParameters {
+    fn build(&self, name: &str, model: &Model, context: &ControlContext) -> Result<BuiltTask, ControlError> {
+        Ok(BuiltTask::rows(CoupledTask::new(name, self, model, context)?))
+    }
 }
 
 impl Task for CoupledTask {

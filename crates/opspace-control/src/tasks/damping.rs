@@ -4,7 +4,9 @@
 //! τ = −Nᵀ D q̇
 //! ```
 
+use crate::context::ControlContext;
 use crate::error::ControlError;
+use crate::tasks::build_task::{BuildTask, BuiltTask};
 use crate::tasks::joint_parameters::JointDampingParameters;
 use crate::tasks::joint_task::JointTask;
 use crate::tasks::task::{RowGains, TaskInput};
@@ -28,6 +30,16 @@ impl Damping {
         let key = format!("task.{name}.joint-damping.damping_nms_per_rad");
         let damping = parameters.damping_nms_per_rad.resolve(model, &key)?;
         Ok(Self { name: name.to_owned(), damping: damping.into_iter().map(NonNegative::get).collect() })
+    }
+}
+
+impl BuildTask for JointDampingParameters {
+    fn build(&self, name: &str, model: &Model, _context: &ControlContext) -> Result<BuiltTask, ControlError> {
+        Ok(BuiltTask::joints(Damping::new(name, self, model)?))
+    }
+
+    fn frequency_key(&self) -> Option<&'static [&'static str]> {
+        None
     }
 }
 

@@ -5,9 +5,11 @@
 //! ```
 
 use crate::algebra::multiply;
+use crate::context::ControlContext;
 use crate::controller::ControlInput;
 use crate::error::ControlError;
 use crate::per_joint::indices;
+use crate::tasks::build_task::{BuildTask, BuiltTask};
 use crate::tasks::joint_parameters::{JointFeedback, JointPostureParameters};
 use crate::tasks::joint_task::JointTask;
 use crate::tasks::task::{RowGains, TaskInput};
@@ -74,6 +76,16 @@ impl Posture {
         for (i, a) in out.iter_mut().enumerate() {
             *a = self.gains.stiffness[i] * (self.posture[i] - data.q[i]) - self.gains.damping[i] * data.dq[i];
         }
+    }
+}
+
+impl BuildTask for JointPostureParameters {
+    fn build(&self, name: &str, model: &Model, _context: &ControlContext) -> Result<BuiltTask, ControlError> {
+        Ok(BuiltTask::joints(Posture::new(name, self, model)?))
+    }
+
+    fn frequency_key(&self) -> Option<&'static [&'static str]> {
+        Some(&["frequency_rad_per_s"])
     }
 }
 

@@ -1,7 +1,9 @@
 //! A task of up to six selected joints that follow a reference; other tasks can be below it.
 
+use crate::context::ControlContext;
 use crate::controller::ControlInput;
 use crate::error::{ControlError, Reason};
+use crate::tasks::build_task::{BuildTask, BuiltTask, TaskReference};
 use crate::tasks::joint_parameters::JointTrackingParameters;
 use crate::tasks::joint_task::JointTask;
 use crate::tasks::task::{RowGains, Task, TaskInput};
@@ -69,6 +71,19 @@ impl SelectedJoints {
             *row = value(joint);
         }
         rows
+    }
+}
+
+impl BuildTask for JointTrackingParameters {
+    fn build(&self, name: &str, model: &Model, _context: &ControlContext) -> Result<BuiltTask, ControlError> {
+        match &self.joints {
+            Some(joints) => Ok(BuiltTask::rows(SelectedJoints::new(name, joints, self, model)?)),
+            None => Ok(BuiltTask::joints(Tracking::new(name, self, model)?)),
+        }
+    }
+
+    fn reference(&self) -> Option<TaskReference<'_>> {
+        Some(TaskReference::Joint(&self.reference))
     }
 }
 

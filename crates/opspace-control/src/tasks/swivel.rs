@@ -14,9 +14,11 @@
 //! shoulder. If |p|/|a|, |l| or |w|/|a| is below [`FADE`], Jacobian and bias fade out; they are zero below half of it.
 //! The task then has no mobility, is damped to zero smoothly, and the tasks below can use its degree of freedom.
 
+use crate::context::ControlContext;
 use crate::error::ControlError;
 use crate::references::ramp::minimum_jerk;
 use crate::references::scalar_reference::ScalarReference;
+use crate::tasks::build_task::{BuildTask, BuiltTask, TaskReference};
 use crate::tasks::coordinate::Coordinate;
 use crate::tasks::coordinate_task::{CoordinateGains, CoordinateTask};
 use crate::tasks::damping_zone::DampingZone;
@@ -208,6 +210,16 @@ impl SwivelAngle {
     fn geometry(&self, model: &Model, data: &Data) -> Option<Geometry> {
         let [a, w] = self.vectors(model, data);
         Geometry::new(a, &w, &self.direction)
+    }
+}
+
+impl BuildTask for SwivelParameters {
+    fn build(&self, name: &str, model: &Model, _context: &ControlContext) -> Result<BuiltTask, ControlError> {
+        Ok(BuiltTask::rows(self.task(name, model)?))
+    }
+
+    fn reference(&self) -> Option<TaskReference<'_>> {
+        Some(TaskReference::Scalar(&self.reference))
     }
 }
 

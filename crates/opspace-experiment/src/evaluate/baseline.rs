@@ -9,6 +9,8 @@
 
 use crate::evaluate::summary::Summary;
 use crate::evaluate::table::{Cell, Table};
+use crate::extensions::Entry;
+use crate::metrics::metric::{Better, Metric};
 use crate::run::experiment::Experiment;
 use crate::run::physics::OWN_PLANT;
 use serde::Serialize;
@@ -18,62 +20,6 @@ use std::fmt;
 
 /// Fraction of the old value below which a difference does not count.
 pub const TOLERANCE: f64 = 0.01;
-
-/// Metrics of which a smaller value is better.
-const SMALLER: [&str; 29] = [
-    "position_rms_m",
-    "position_max_m",
-    "position_final_m",
-    "orientation_rms_rad",
-    "orientation_max_rad",
-    "orientation_final_rad",
-    "joint_rms_rad",
-    "force_rms_n",
-    "force_hold_rms_n",
-    "force_moving_rms_n",
-    "force_settle_s",
-    "contact_peak_n",
-    "contact_losses",
-    "late_contact_losses",
-    "sensed_contact_losses",
-    "force_final_n",
-    "hand_force_rms_n",
-    "estimate_rms_n",
-    "torque_error_servo",
-    "torque_error_interval",
-    "torque_error_tick",
-    "torque_error_of_limit_max",
-    "hold_ripple",
-    "setpoints_limited",
-    "torque_saturated_share",
-    "torque_step_max_nm",
-    "damped_fraction",
-    "missed_fraction",
-    "torque_chatter_rms_nm",
-];
-/// Metrics of which a larger value is better.
-const LARGER: [&str; 2] = ["in_contact_fraction", "hole_depth_m"];
-/// Metrics that describe a run and are neither better nor worse.
-#[cfg(test)]
-const NEUTRAL: [&str; 17] = [
-    "drawer_opening_max_m",
-    "passivity_active_s",
-    "contact_begin_s",
-    "compliant_motion_rms_m",
-    "compliant_work_j",
-    "hand_motion_rms_m",
-    "setpoint_speed_max_rad_per_s",
-    "setpoint_acceleration_max_rad_per_s2",
-    "torque_commanded_max_nm",
-    "speed_max_rad_per_s",
-    "limited_share",
-    "slack_rms_m_per_s2",
-    "slack_max_m_per_s2",
-    "slack_rms_rad_per_s2",
-    "slack_max_rad_per_s2",
-    "least_distance_m",
-    "torque_chatter_hz",
-];
 
 /// Identity of a run among those of a suite.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, Serialize)]
@@ -212,9 +158,9 @@ impl Baseline {
         keys.into_iter().any(|key| own.contains(key))
     }
 
-    /// Compares new results with this baseline.
+    /// Compares new results with this baseline. `added` are the metrics that are not built in.
     #[must_use]
-    pub fn compare(&self, summaries: &[Summary]) -> BaselineComparison {
+    pub fn compare(&self, summaries: &[Summary], added: &[Metric]) -> BaselineComparison {
         let new: Vec<ComparedRun> = summaries
             .iter()
             .filter_map(|summary| ComparedRun::new(&serde_json::to_value(summary).unwrap_or_default()))
@@ -248,7 +194,7 @@ impl Baseline {
             }
         }
         for (key, pairs) in groups {
-            comparison.add(&key, &pairs);
+            comparison.add(&key, &pairs, added);
         }
         comparison
     }
@@ -322,7 +268,7 @@ pub struct BaselineComparison {
 
 impl BaselineComparison {
     /// Compares all metrics of pairs of an old and a new run.
-    fn add(&mut self, key: &RunKey, pairs: &[(&ComparedRun, &ComparedRun)]) {
+    fn add(&mut self, key: &RunKey, pairs: &[(&ComparedRun, &ComparedRun)], added: &[Metric]) {
         let mut names: Vec<&str> = Vec::new();
         for (old, _) in pairs {
             for (name, _) in &old.metrics {
@@ -338,7 +284,7 @@ impl BaselineComparison {
                 self.lost.push(format!("{key}: {name}"));
             }
             if !values.is_empty() {
-                self.metrics.push(compare(key, name, &values));
+                self.metrics.push(compare(key, name, better(name, added), &values));
             }
         }
     }
@@ -381,7 +327,13 @@ impl BaselineComparison {
     }
 }
 
-fn compare(key: &RunKey, name: &str, values: &[(f64, f64)]) -> MetricComparison {
+/// Values of a metric that are better.
+fn better(name: &str, added: &[Metric]) -> Better {
+    let metric = Metric::built_in().iter().chain(added).find(|metric| metric.key == name);
+    metric.map_or(Better::Neither, |metric| metric.better)
+}
+
+fn compare(key: &RunKey, name: &str, better: Better, values: &[(f64, f64)]) -> MetricComparison {
     let n = values.len() as f64;
     let mean = |value: &dyn Fn(&(f64, f64)) -> f64| values.iter().map(value).sum::<f64>() / n;
     let difference = mean(&|(old, new)| new - old);
@@ -393,16 +345,12 @@ fn compare(key: &RunKey, name: &str, values: &[(f64, f64)]) -> MetricComparison 
     let counts = difference.abs() > TOLERANCE * mean(&|(old, _)| old.abs());
     // Values so large that their interval overflows differ.
     let is_certain = half_width.is_none_or(|half| difference.abs() > half || !half.is_finite());
-    let verdict = match (counts && is_certain, SMALLER.contains(&name), LARGER.contains(&name)) {
-        (false, ..) => Verdict::Same,
-        (true, false, false) => Verdict::Changed,
-        (true, smaller, _) => {
-            if (difference < 0.0) == smaller {
-                Verdict::Better
-            } else {
-                Verdict::Worse
-            }
-        }
+    let verdict = match better {
+        _ if !(counts && is_certain) => Verdict::Same,
+        Better::Neither => Verdict::Changed,
+        Better::Smaller if difference < 0.0 => Verdict::Better,
+        Better::Larger if difference >= 0.0 => Verdict::Better,
+        _ => Verdict::Worse,
     };
     MetricComparison {
         run: key.clone(),
@@ -438,8 +386,7 @@ fn student_95(degrees: usize) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use super::{Baseline, LARGER, NEUTRAL, RunKey, SMALLER, Verdict, compare, student_95};
-    use crate::Metrics;
+    use super::{Baseline, RunKey, Verdict, better, compare, student_95};
     use serde_json::{Value, json};
 
     fn key() -> RunKey {
@@ -471,7 +418,8 @@ mod tests {
     /// Checks differences within the interval, within the tolerance, beyond both, and of a single pair.
     #[test]
     fn difference_counts_beyond_interval_and_tolerance() {
-        let verdict = |name: &str, values: &[(f64, f64)]| compare(&key(), name, values).verdict;
+        let verdict =
+            |name: &str, values: &[(f64, f64)]| compare(&key(), name, better(name, &[]), values).verdict;
         let error = "position_rms_m";
         assert_eq!(
             verdict(error, &[(1.0, 1.2), (1.0, 0.9), (1.0, 1.1)]),
@@ -488,18 +436,6 @@ mod tests {
         assert_eq!(verdict(error, &[(0.5, 1e308), (0.5, 0.5)]), Verdict::Worse);
         assert_eq!(verdict(error, &[(0.0, 0.0)]), Verdict::Same);
         assert_eq!(verdict(error, &[(0.0, 1e-9)]), Verdict::Worse);
-    }
-
-    /// Compared: the metrics of a run, and those that the comparison classifies. A new metric needs a place in
-    /// `SMALLER`, `LARGER` or `NEUTRAL`.
-    #[test]
-    fn every_metric_has_a_direction() {
-        let metrics = serde_json::to_value(Metrics::default()).expect("JSON");
-        let mut known: Vec<&str> = [&SMALLER[..], &LARGER, &NEUTRAL].concat();
-        let mut own: Vec<&str> = metrics.as_object().expect("a table").keys().map(String::as_str).collect();
-        known.sort_unstable();
-        own.sort_unstable();
-        assert_eq!(own, known);
     }
 
     #[test]

@@ -2,8 +2,9 @@
 
 use crate::evaluate::coupling::CouplingEvaluator;
 use crate::evaluate::summary::Summary;
-use crate::metrics::coupling_metrics::{CouplingMetrics, missed};
+use crate::metrics::coupling_metrics::CouplingMetrics;
 use crate::run::coupled_experiment::CoupledExperiment;
+use crate::run::coupling_expectations::missed;
 use opspace_backend::signal_names::{TARGET_HOLD, TICK_CHANNEL};
 use opspace_control::HoldCause;
 use opspace_log::Recording;

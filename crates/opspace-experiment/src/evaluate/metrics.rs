@@ -35,6 +35,7 @@ use crate::evaluate::escape_record::EscapeRecord;
 use crate::evaluate::failures::{HeldJoints, failures};
 use crate::evaluate::limited_reference::LimitedReference;
 use crate::evaluate::unreached::UnreachedGoal;
+use crate::metrics::metric::LogMetric;
 use crate::run::experiment::Experiment;
 use cycles::Cycles;
 use escapes::Escapes;
@@ -90,6 +91,7 @@ pub(crate) struct Evaluator<'a> {
     escapes: Escapes,
     interruptions: Interruptions,
     times: CycleTimes,
+    added: Vec<(&'static str, Box<dyn LogMetric>)>,
 }
 
 /// Result of an [`Evaluator`].
@@ -105,6 +107,7 @@ pub(crate) struct Evaluated {
 
 impl<'a> Evaluator<'a> {
     pub(crate) fn new(experiment: &'a Experiment) -> Self {
+        let added = experiment.task().added_metrics.iter();
         Self {
             experiment,
             control: Control::default(),
@@ -121,6 +124,7 @@ impl<'a> Evaluator<'a> {
             escapes: Escapes::default(),
             interruptions: Interruptions::default(),
             times: CycleTimes::new(),
+            added: added.filter_map(|metric| Some((metric.key, metric.start()?))).collect(),
         }
     }
 
@@ -142,6 +146,7 @@ impl<'a> Evaluator<'a> {
         self.escapes.add(&run);
         self.estimates.add(&run);
         self.objects.add(&run);
+        self.added.iter_mut().for_each(|(_, metric)| metric.add(segment, run.settled_ticks()));
         if let Some(hand) = &mut self.hand {
             hand.add(&run);
         }
@@ -164,6 +169,8 @@ impl<'a> Evaluator<'a> {
             if let Some(hand) = self.hand {
                 hand.finish(metrics);
             }
+            let added = self.added.into_iter().map(|(key, metric)| (key.to_owned(), metric.finish()));
+            metrics.added = added.collect();
         }
         let unreached = self.unreached.finish();
         let failures = failures(&evaluation, &self.held_joints, &unreached);

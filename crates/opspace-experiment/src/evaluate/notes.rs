@@ -1,8 +1,9 @@
 //! Notes under the tables of results: they explain terms, columns and what is missing.
 
-use crate::evaluate::results::{Measure, error_of_desired, group, task_table};
+use crate::evaluate::results::{error_of_desired, group, has_value, task_table};
 use crate::evaluate::summary::Summary;
 use crate::files::source::KeyPath;
+use crate::metrics::metric::Metric;
 use crate::metrics::metric_tables::{JointMetrics, PoseErrors, TaskMetrics};
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -85,15 +86,15 @@ pub fn assumed_text(keys: &[String]) -> String {
 
 /// Notes under a table of results with these columns.
 #[must_use]
-pub fn notes(summaries: &[Summary], measures: &[Measure]) -> Vec<String> {
+pub fn notes(summaries: &[Summary], metrics: &[Metric]) -> Vec<String> {
     let groups = group(summaries);
-    let shows = |measure: Measure| measures.contains(&measure) && measure.is_in(summaries);
-    let shows_one = |of: &[Measure]| of.iter().any(|measure| shows(*measure));
+    let shows = |key: &str| metrics.iter().any(|metric| metric.key == key && has_value(summaries, metric));
+    let shows_one = |keys: &[&str]| keys.iter().any(|key| shows(key));
     let mut notes = vec![terms(summaries)];
     notes.extend(if let [one] = summaries { judged_task(one) } else { None });
     let mut add = |is_true: bool, note: &str| notes.extend(is_true.then(|| note.to_owned()));
     add(groups.iter().any(|group| group.runs.len() > 1), OF_SEEDS);
-    let times = shows_one(&[Measure::TickTime, Measure::RealTime]);
+    let times = shows_one(&["tick_ns_median", "realtime_factor"]);
     add(times, OF_TIMES);
     for summary in summaries {
         if let (Some(replay), Some(plant)) = (&summary.replay, &summary.plant) {
@@ -104,10 +105,10 @@ pub fn notes(summaries: &[Summary], measures: &[Measure]) -> Vec<String> {
     add(simulated, &format!("{} {OF_SIMULATION}", if times { "All other" } else { "All" }));
     add(simulated && groups.len() > 1, OF_ONE_PLANT);
     add(summaries.iter().any(|summary| !summary.simulated), OF_A_ROBOT);
-    add(shows_one(&[Measure::HandForce, Measure::HandMotion]), OF_A_HAND);
+    add(shows_one(&["hand_force_rms_n", "hand_motion_rms_m"]), OF_A_HAND);
     let controllers = |torque: bool| summaries.iter().any(|summary| (summary.controller == "osc") == torque);
-    add(shows(Measure::HandForce) && controllers(true) && controllers(false), OF_AN_OPERATOR);
-    let torque_errors = [Measure::TorqueErrorServo, Measure::TorqueErrorInterval, Measure::TorqueErrorTick];
+    add(shows("hand_force_rms_n") && controllers(true) && controllers(false), OF_AN_OPERATOR);
+    let torque_errors = ["torque_error_servo", "torque_error_interval", "torque_error_tick"];
     add(shows_one(&torque_errors), OF_TORQUE_ERRORS);
     notes
 }
@@ -260,8 +261,10 @@ pub fn joint_notes(summary: &Summary) -> Vec<String> {
 mod tests {
     use super::{final_notes, joint_notes, notes, task_notes};
     use crate::evaluate::results::tests::summary;
-    use crate::evaluate::results::{Measure, joint_table, task_table};
+    use crate::evaluate::results::{joint_table, task_table};
     use crate::evaluate::unreached::UnreachedGoal;
+    use crate::extensions::Entry;
+    use crate::metrics::metric::Metric;
     use crate::metrics::metric_tables::{JointMetrics, TaskMetrics};
 
     /// Checks joints whose desired torque is 0.5 % and 5 % of the limit, and one without a line above 8 Hz: cells and notes.
@@ -358,13 +361,16 @@ mod tests {
     #[test]
     fn notes_are_about_the_columns_shown() {
         let runs = [summary("a", "p", 1, 0.1)];
-        let text = |measures: &[Measure]| notes(&runs, measures).join("\n");
-        let without = text(&[Measure::PositionRms]);
+        let text = |keys: &[&str]| {
+            let metrics = Metric::built_in().iter().filter(|metric| keys.contains(&metric.key));
+            notes(&runs, &metrics.cloned().collect::<Vec<_>>()).join("\n")
+        };
+        let without = text(&["position_rms_m"]);
         assert!(
             !without.contains("Cycle time") && without.contains("All values are from simulation."),
             "{without}"
         );
-        let with = text(&[Measure::PositionRms, Measure::TickTime]);
+        let with = text(&["position_rms_m", "tick_ns_median"]);
         assert!(
             with.contains("Cycle time") && with.contains("All other values are from simulation."),
             "{with}"

@@ -4,15 +4,13 @@ use crate::evaluate::spread::Spread;
 use crate::evaluate::summary::Summary;
 use crate::evaluate::table::{Cell, Table, shown_unit};
 use crate::files::controller_kind::ControllerKind;
+use crate::metrics::metric::{Column, Metric, Needs};
 use crate::metrics::metric_tables::{JointMetrics, PoseErrors};
 use crate::run::experiment::Experiment;
 use crate::run::physics::OWN_PLANT;
 use opspace_backend::CommandKind;
 use opspace_control::TaskParameters;
 use opspace_sim::EnvironmentObjectParameters;
-#[cfg(feature = "schema")]
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 
@@ -41,7 +39,7 @@ impl<'a> Group<'a> {
     pub fn metrics(&self) -> BTreeMap<String, Spread> {
         let mut numbers: BTreeMap<String, Vec<f64>> = BTreeMap::new();
         for run in &self.runs {
-            let Ok(Value::Object(metrics)) = serde_json::to_value(run.metrics) else { continue };
+            let Ok(Value::Object(metrics)) = serde_json::to_value(&run.metrics) else { continue };
             for (key, value) in metrics {
                 numbers.entry(key).or_default().extend(value.as_f64());
             }
@@ -112,11 +110,13 @@ fn same(a: &Summary, b: &Summary) -> bool {
 }
 
 /// The table of results: one row per group with medians, below it the ends of their intervals, the name of each task on a
-/// line above its rows, and one column per measure.
+/// line above its rows, and one column for each of these metrics that has one.
 #[must_use]
-pub fn table(summaries: &[Summary], measures: &[Measure]) -> Table {
+pub fn table(summaries: &[Summary], metrics: &[Metric]) -> Table {
+    let columns: Vec<(&Metric, Column)> =
+        metrics.iter().filter_map(|metric| Some((metric, metric.column?))).collect();
     let mut heads = vec![("robot, control", ""), ("profile", ""), ("runs", "")];
-    heads.extend(measures.iter().map(|measure| measure.head()));
+    heads.extend(columns.iter().map(|(_, column)| (column.title, column.unit)));
     heads.push(("stopped", ""));
     let mut table = Table::new(&heads);
     let mut task = None;
@@ -132,12 +132,12 @@ pub fn table(summaries: &[Summary], measures: &[Measure]) -> Table {
             profile(first).into(),
             if summaries.len() > 1 { (runs as u64).into() } else { Cell::Empty },
         ];
-        row.extend(measures.iter().map(|measure| measure.median(&group)));
+        row.extend(columns.iter().map(|column| median(&group, *column)));
         row.push(stopped(&group));
         table.push(row);
         let ends = [("    from", Spread::low as fn(&Spread) -> f64), ("    to", Spread::high)];
-        for (name, end) in ends {
-            let ends: Vec<Cell> = measures.iter().map(|measure| measure.end(&group, end)).collect();
+        for (name, of) in ends {
+            let ends: Vec<Cell> = columns.iter().map(|column| end(&group, *column, of)).collect();
             // Runs without any random influence have no spread.
             if ends.iter().any(|cell| *cell != "".into()) {
                 table.push([name.into(), "".into(), "".into()].into_iter().chain(ends).collect());
@@ -164,236 +164,48 @@ fn profile(summary: &Summary) -> String {
     format!("{} 1:{}", summary.profile, summary.ratio)
 }
 
-/// Column of a table of results.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
-#[serde(rename_all = "kebab-case")]
-#[non_exhaustive]
-pub enum Measure {
-    /// Distance from the reference, rms.
-    PositionRms,
-    /// Distance from the reference, largest.
-    PositionMax,
-    /// Angle from the reference, rms.
-    OrientationRms,
-    /// Angle from the reference, largest.
-    OrientationMax,
-    /// Joint error, rms.
-    JointRms,
-    /// Error of the contact force on force axes, rms.
-    ForceRms,
-    /// Error of the contact force while the references rest, rms.
-    ForceHold,
-    /// Error of the contact force while the references move, rms.
-    ForceMoving,
-    /// Force of the simulated hand, rms.
-    HandForce,
-    /// Displacement of the simulated hand's frame, rms.
-    HandMotion,
-    /// Error of the motor torque at servo rate, relative to the desired torque.
-    TorqueErrorServo,
-    /// Error of the mean motor torque over each interface interval, relative to the desired torque.
-    TorqueErrorInterval,
-    /// Error of the motor torque in the first servo period of each interface cycle, relative to the desired torque.
-    TorqueErrorTick,
-    /// Torque error within interface intervals, relative to the ripple that held setpoints inevitably cause.
-    HoldRipple,
-    /// Largest torque that the controller commanded.
-    TorqueMax,
-    /// Largest change of a commanded torque from one interface cycle to the next.
-    TorqueStepMax,
-    /// Largest speed of a joint.
-    SpeedMax,
-    /// Fraction of interface cycles in which a limit changed the command.
-    Limited,
-    /// Acceleration that limits take from the first task, over its translations (of a task of joints, its prismatic joints), rms.
-    Slack,
-    /// Acceleration that limits take from the first task, over its rotations (of a task of joints, its revolute joints), rms.
-    AngularSlack,
-    /// Fraction of the time in which a force task has contact.
-    InContact,
-    /// Largest contact force in the first second of contact.
-    ContactPeak,
-    /// Displacement along the compliant axes, rms.
-    CompliantMotion,
-    /// Desired torque above 8 Hz of the joint with the most, rms.
-    TorqueChatter,
-    /// Fraction of control cycles in which a task was damped near a singular pose.
-    Damped,
-    /// Fraction of interface cycles that were missed.
-    Missed,
-    /// Largest error of a joint's mean motor torque, relative to the torque limit of the joint.
-    TorqueErrorOfLimit,
-    /// Median duration of a control cycle.
-    TickTime,
-    /// Ratio of robot time to wall-clock time.
-    RealTime,
+/// Value of a metric in a summary, in its own unit.
+fn value(summary: &Summary, metric: &Metric) -> Option<f64> {
+    summary.metrics.get(metric.key).or_else(|| summary.timing.value(metric.key))
 }
 
-/// Default columns of a table.
-pub const MEASURES: &[Measure] = &[
-    Measure::PositionRms,
-    Measure::JointRms,
-    Measure::ForceRms,
-    Measure::InContact,
-    Measure::HandForce,
-    Measure::HandMotion,
-    Measure::TorqueErrorServo,
-    Measure::TorqueErrorInterval,
-    Measure::TorqueErrorTick,
-    Measure::TickTime,
-    Measure::RealTime,
-];
+/// True if any of the runs has a value for the metric.
+#[must_use]
+pub fn has_value(summaries: &[Summary], metric: &Metric) -> bool {
+    summaries.iter().any(|summary| value(summary, metric).is_some())
+}
 
-/// Title and unit of a column, factor from SI units to this unit, and function that reads the value from a summary.
-struct Row(&'static str, &'static str, f64, fn(&Summary) -> Option<f64>);
-
-impl Measure {
-    /// Column of a measure.
-    fn row(self) -> Row {
-        match self {
-            Self::PositionRms => Row("position error rms", "mm", 1e3, |s| s.metrics.pose.position_rms_m),
-            Self::PositionMax => Row("position error max", "mm", 1e3, |s| s.metrics.pose.position_max_m),
-            Self::OrientationRms => {
-                Row("orientation error rms", "mrad", 1e3, |s| s.metrics.pose.orientation_rms_rad)
-            }
-            Self::OrientationMax => {
-                Row("orientation error max", "mrad", 1e3, |s| s.metrics.pose.orientation_max_rad)
-            }
-            Self::JointRms => Row("joint error rms", "mrad", 1e3, |s| s.metrics.joint_rms_rad),
-            Self::ForceRms => Row("force error rms", "N", 1.0, |s| s.metrics.contact.force_rms_n),
-            Self::ForceHold => {
-                Row("force error rms at rest", "N", 1.0, |s| s.metrics.contact.force_hold_rms_n)
-            }
-            Self::ForceMoving => {
-                Row("force error rms in motion", "N", 1.0, |s| s.metrics.contact.force_moving_rms_n)
-            }
-            Self::HandForce => Row("operator force rms", "N", 1.0, |s| s.metrics.hand_force_rms_n),
-            Self::HandMotion => Row("hand motion rms", "mm", 1e3, |s| s.metrics.hand_motion_rms_m),
-            Self::TorqueErrorServo => Row("torque error servo", "%", 1e2, |s| s.metrics.torque_error_servo),
-            Self::TorqueErrorInterval => {
-                Row("torque error interval", "%", 1e2, |s| s.metrics.torque_error_interval)
-            }
-            Self::TorqueErrorTick => Row("torque error tick", "%", 1e2, |s| s.metrics.torque_error_tick),
-            Self::HoldRipple => Row("hold ripple", "×", 1.0, |s| s.metrics.hold_ripple),
-            Self::TorqueMax => Row("torque max", "N·m", 1.0, |s| s.metrics.torque_commanded_max_nm),
-            Self::TorqueStepMax => Row("torque step max", "N·m", 1.0, |s| s.metrics.torque_step_max_nm),
-            Self::SpeedMax => Row("speed max", "rad/s", 1.0, |s| s.metrics.speed_max_rad_per_s),
-            Self::Limited => Row("limited", "%", 1e2, |s| s.metrics.limited_share),
-            Self::Slack => Row("slack rms", "m/s²", 1.0, |s| s.metrics.slack.slack_rms_m_per_s2),
-            Self::AngularSlack => {
-                Row("angular slack rms", "rad/s²", 1.0, |s| s.metrics.slack.slack_rms_rad_per_s2)
-            }
-            Self::InContact => Row("in contact", "%", 1e2, |s| s.metrics.contact.in_contact_fraction),
-            Self::ContactPeak => {
-                Row("contact peak (first second)", "N", 1.0, |s| s.metrics.contact.contact_peak_n)
-            }
-            Self::CompliantMotion => {
-                Row("compliant motion rms", "mm", 1e3, |s| s.metrics.compliance.compliant_motion_rms_m)
-            }
-            Self::TorqueChatter => {
-                Row("desired torque above 8 Hz, rms", "N·m", 1.0, |s| s.metrics.torque_chatter_rms_nm)
-            }
-            Self::Damped => Row("damped", "%", 1e2, |s| s.metrics.damped_fraction),
-            Self::Missed => Row("missed cycles", "%", 1e2, |s| s.metrics.missed_fraction),
-            Self::TorqueErrorOfLimit => {
-                Row("torque error of limit", "%", 1e2, |s| s.metrics.torque_error_of_limit_max)
-            }
-            Self::TickTime => Row("cycle time", "µs", 1e-3, |s| Some(s.timing.tick_ns_median)),
-            Self::RealTime => Row("times real time", "", 1.0, |s| s.timing.realtime_factor),
-        }
+/// False if a run of the experiment cannot have a value for a metric.
+pub(crate) fn is_possible(needs: Needs, experiment: &Experiment) -> bool {
+    let tasks = experiment.task().tasks_of_the_run();
+    let task = |kind: fn(&TaskParameters) -> bool| tasks.iter().any(|(_, task)| kind(task));
+    let torques = experiment.options().controller == ControllerKind::Osc;
+    match needs {
+        Needs::Nothing => true,
+        Needs::Pose => task(|t| matches!(t, TaskParameters::Cartesian(_) | TaskParameters::CenterOfMass(_))),
+        Needs::Frame => task(|t| matches!(t, TaskParameters::Cartesian(_))),
+        Needs::JointTracking => task(|t| matches!(t, TaskParameters::JointTracking(_))),
+        Needs::Operator => experiment
+            .task()
+            .file
+            .environment
+            .values()
+            .any(|o| matches!(o, EnvironmentObjectParameters::Spring(_))),
+        Needs::TorqueToPosition => torques && experiment.options().backend == CommandKind::Position,
+        Needs::Torque => torques,
     }
+}
 
-    /// Name of the measure in a suite file.
-    #[must_use]
-    pub fn name(self) -> String {
-        serde_json::to_value(self).ok().and_then(|name| name.as_str().map(str::to_owned)).unwrap_or_default()
-    }
+/// Median of a metric over runs, in the unit of its column.
+fn median(group: &Group<'_>, (metric, column): (&Metric, Column)) -> Cell {
+    Cell::from(group.spread(|run| value(run, metric)).map(|spread| column.factor * spread.median))
+}
 
-    /// True if any of the runs has a value for the measure.
-    #[must_use]
-    pub fn is_in(self, summaries: &[Summary]) -> bool {
-        let Row(.., value) = self.row();
-        summaries.iter().any(|summary| value(summary).is_some())
-    }
-
-    /// Requirement on an experiment for a value of the measure, as far as it is known before a run.
-    pub(crate) fn needed(self) -> Option<&'static str> {
-        Some(match self {
-            Self::PositionRms | Self::PositionMax | Self::OrientationRms | Self::OrientationMax => {
-                "a task with a Cartesian frame or the centre of mass"
-            }
-            Self::ForceRms | Self::InContact | Self::ContactPeak | Self::CompliantMotion => {
-                "a task with a Cartesian frame"
-            }
-            Self::JointRms => "a task of the kind `joint-tracking`",
-            Self::HandForce | Self::HandMotion => {
-                "a task with a spring in `environment`, which is the operator"
-            }
-            Self::HoldRipple => "a position robot with the controller `osc`",
-            Self::TorqueErrorServo
-            | Self::TorqueErrorInterval
-            | Self::TorqueErrorTick
-            | Self::TorqueErrorOfLimit
-            | Self::TorqueMax
-            | Self::TorqueStepMax
-            | Self::Slack
-            | Self::AngularSlack => "the controller `osc`",
-            _ => return None,
-        })
-    }
-
-    /// False if a run of the experiment cannot have a value for the measure.
-    pub(crate) fn is_possible(self, experiment: &Experiment) -> bool {
-        let tasks = experiment.task().tasks_of_the_run();
-        let task = |kind: fn(&TaskParameters) -> bool| tasks.iter().any(|(_, task)| kind(task));
-        let torques = experiment.options().controller == ControllerKind::Osc;
-        match self {
-            Self::PositionRms | Self::PositionMax | Self::OrientationRms | Self::OrientationMax => {
-                task(|t| matches!(t, TaskParameters::Cartesian(_) | TaskParameters::CenterOfMass(_)))
-            }
-            Self::ForceRms | Self::InContact | Self::ContactPeak | Self::CompliantMotion => {
-                task(|t| matches!(t, TaskParameters::Cartesian(_)))
-            }
-            Self::JointRms => task(|t| matches!(t, TaskParameters::JointTracking(_))),
-            Self::HandForce | Self::HandMotion => experiment
-                .task()
-                .file
-                .environment
-                .values()
-                .any(|o| matches!(o, EnvironmentObjectParameters::Spring(_))),
-            Self::HoldRipple => torques && experiment.options().backend == CommandKind::Position,
-            Self::TorqueErrorServo
-            | Self::TorqueErrorInterval
-            | Self::TorqueErrorTick
-            | Self::TorqueErrorOfLimit
-            | Self::TorqueMax
-            | Self::TorqueStepMax
-            | Self::Slack
-            | Self::AngularSlack => torques,
-            _ => true,
-        }
-    }
-
-    /// Title and unit of the measure's column.
-    fn head(self) -> (&'static str, &'static str) {
-        let Row(title, unit, ..) = self.row();
-        (title, unit)
-    }
-
-    /// Median of the measure over runs, in the unit of its column.
-    fn median(self, group: &Group<'_>) -> Cell {
-        let Row(.., factor, value) = self.row();
-        Cell::from(group.spread(value).map(|spread| factor * spread.median))
-    }
-
-    /// End of the interval of that median; blank where the interval has no width, and for computing times.
-    fn end(self, group: &Group<'_>, end: fn(&Spread) -> f64) -> Cell {
-        let Row(.., factor, value) = self.row();
-        let is_reproducible = !matches!(self, Self::TickTime | Self::RealTime);
-        let spread = group.spread(value).filter(|spread| is_reproducible && spread.high > spread.low);
-        spread.map_or("".into(), |spread| (factor * end(&spread)).into())
-    }
+/// End of the interval of that median; blank where the interval has no width, and for computing times.
+fn end(group: &Group<'_>, (metric, column): (&Metric, Column), end: fn(&Spread) -> f64) -> Cell {
+    let is_reproducible = group.first().timing.value(metric.key).is_none();
+    let spread = group.spread(|run| value(run, metric)).filter(|s| is_reproducible && s.high > s.low);
+    spread.map_or("".into(), |spread| (column.factor * end(&spread)).into())
 }
 
 /// Failures and missed expectations of runs, each with its run, the first ten.
@@ -530,8 +342,9 @@ fn drop_empty_columns(table: &mut Table) {
 
 #[cfg(test)]
 pub(crate) mod tests {
-    use super::{MEASURES, group, group_rows, table};
+    use super::{group, group_rows, table};
     use crate::evaluate::summary::Summary;
+    use crate::metrics::metric::default_columns;
     use crate::run::physics::OWN_PLANT;
     use serde_json::json;
 
@@ -614,8 +427,11 @@ pub(crate) mod tests {
 
     #[test]
     fn missing_quantity_has_no_column() {
-        let titles: Vec<String> =
-            table(&[summary("a", "p", 1, 0.1)], MEASURES).columns.into_iter().map(|c| c.title).collect();
+        let titles: Vec<String> = table(&[summary("a", "p", 1, 0.1)], &default_columns(&[]))
+            .columns
+            .into_iter()
+            .map(|c| c.title)
+            .collect();
         assert!(titles.contains(&"position error rms".to_owned()));
         assert!(!titles.contains(&"operator force rms".to_owned()));
     }
@@ -624,7 +440,7 @@ pub(crate) mod tests {
     #[test]
     fn task_heading_precedes_its_rows() {
         let runs = [summary("a", "p", 1, 0.001), summary("a", "p", 2, 0.003), summary("b", "q", 1, 0.005)];
-        let texts = table(&runs, MEASURES).texts();
+        let texts = table(&runs, &default_columns(&[])).texts();
         let firsts: Vec<&str> = texts.iter().map(|row| row[0].as_str()).collect();
         assert_eq!(firsts, ["a", "  position osc", "    from", "    to", "b", "  position osc"]);
         assert_eq!(texts[1][1..4], ["p 1:5", "2", "2.000"]);

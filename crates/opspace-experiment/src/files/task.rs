@@ -1,12 +1,14 @@
 //! Task files: the tasks of a robot, and its environment during the run.
 
+use crate::extensions::Extensions;
 use crate::files::collision::ObstacleFile;
 use crate::files::expectation::Expectation;
 use crate::files::origin::{Files, Kind, beside};
 use crate::files::overrides;
 use crate::files::source::{FileError, Source, checked, explain};
 use crate::files::strict::Strict;
-use crate::files::task_kinds::TaskKinds;
+use crate::files::task_kinds;
+use crate::metrics::metric::Metric;
 use crate::suggest::nearest;
 use opspace_backend::quantity::{NonNegative, Positive};
 use opspace_control::hierarchy::task_parameters::UNUSED_DAMPING_PER_S;
@@ -177,6 +179,8 @@ pub struct TaskDefinition {
     pub recordings: BTreeMap<PathBuf, Source>,
     /// Task sets after each of the file's events.
     pub events: Vec<StackFile>,
+    /// Metrics of the run in addition to the built-in ones.
+    pub added_metrics: Vec<Metric>,
 }
 
 impl TaskDefinition {
@@ -190,15 +194,15 @@ impl TaskDefinition {
     /// # Errors
     /// Mistakes in the files, each with its place.
     pub fn load(files: Files, path: &Path, settings: &[String]) -> Result<Self, FileError> {
-        Self::load_with(&TaskKinds::new(), files, path, settings)
+        Self::load_with(&Extensions::default(), files, path, settings)
     }
 
-    /// Reads a task like [`load`](Self::load), with task kinds in addition to the built-in ones.
+    /// Reads a task like [`load`](Self::load), with the task kinds and metrics of `extensions`.
     ///
     /// # Errors
     /// As [`load`](Self::load).
     pub fn load_with(
-        kinds: &TaskKinds,
+        extensions: &Extensions,
         files: Files,
         path: &Path,
         settings: &[String],
@@ -206,7 +210,9 @@ impl TaskDefinition {
         let source = files.read(path)?;
         Kind::Task.require(&source)?;
         let source = overrides::apply(&source, settings)?;
-        Self::from_sources_with(kinds, source, |named| files.read_named(&named.path, named.by, named.key))
+        Self::from_sources_with(extensions, source, |named| {
+            files.read_named(&named.path, named.by, named.key)
+        })
     }
 
     /// Reads a task from its text; `read` reads the recorded paths to which it refers.
@@ -217,20 +223,20 @@ impl TaskDefinition {
         source: Source,
         read: impl FnMut(NamedRecording<'_>) -> Result<Source, E>,
     ) -> Result<Self, E> {
-        Self::from_sources_with(&TaskKinds::new(), source, read)
+        Self::from_sources_with(&Extensions::default(), source, read)
     }
 
-    /// Reads a task like [`from_sources`](Self::from_sources), with task kinds in addition to the built-in ones.
+    /// Reads a task like [`from_sources`](Self::from_sources), with the task kinds and metrics of `extensions`.
     ///
     /// # Errors
     /// As [`from_sources`](Self::from_sources).
     pub fn from_sources_with<E: From<FileError>>(
-        kinds: &TaskKinds,
+        extensions: &Extensions,
         source: Source,
         mut read: impl FnMut(NamedRecording<'_>) -> Result<Source, E>,
     ) -> Result<Self, E> {
-        let mut file = parse_task(&source, kinds)?;
-        let mut events = after_events(&source, &file, kinds)?;
+        let mut file = parse_task(&source, extensions)?;
+        let mut events = after_events(&source, &file, extensions)?;
         keep_used_tasks(&mut file, &mut events);
         let mut recordings = BTreeMap::new();
         let stacks = events.iter_mut().map(|stack| &mut stack.task);
@@ -249,7 +255,8 @@ impl TaskDefinition {
             }
             recorded.samples = samples(&recordings[&recorded.file])?;
         }
-        Ok(Self { source, file, recordings, events })
+        let added_metrics = extensions.added::<Metric>().to_vec();
+        Ok(Self { source, file, recordings, events, added_metrics })
     }
 
     /// Name of the task: its file name without extension.
@@ -294,10 +301,10 @@ pub struct NamedRecording<'a> {
 }
 
 /// Parses a task file with tasks of built-in and registered kinds.
-fn parse_task(source: &Source, kinds: &TaskKinds) -> Result<TaskFile, FileError> {
+fn parse_task(source: &Source, extensions: &Extensions) -> Result<TaskFile, FileError> {
     let mut document = checked(source)?;
     let whole = document.clone();
-    let registered = kinds.take(source, &mut document)?;
+    let registered = task_kinds::take(extensions, source, &mut document)?;
     let mut file = TaskFile::deserialize(Strict(toml::de::Deserializer::from(document)))
         .map_err(|error| explain::<TaskFile>(source, whole.get_ref(), &error))?;
     file.task.extend(registered);
@@ -305,7 +312,11 @@ fn parse_task(source: &Source, kinds: &TaskKinds) -> Result<TaskFile, FileError>
 }
 
 /// Returns the task set after each event; each event changes the set left by the previous one.
-fn after_events(source: &Source, file: &TaskFile, kinds: &TaskKinds) -> Result<Vec<StackFile>, FileError> {
+fn after_events(
+    source: &Source,
+    file: &TaskFile,
+    extensions: &Extensions,
+) -> Result<Vec<StackFile>, FileError> {
     let mut stacks: Vec<StackFile> = Vec::new();
     let mut settings = Vec::new();
     for (number, event) in file.event.iter().enumerate() {
@@ -331,7 +342,8 @@ fn after_events(source: &Source, file: &TaskFile, kinds: &TaskKinds) -> Result<V
             }
             settings.push(setting.clone());
         }
-        let changed = overrides::apply(source, &settings).and_then(|changed| parse_task(&changed, kinds));
+        let changed =
+            overrides::apply(source, &settings).and_then(|changed| parse_task(&changed, extensions));
         let changed = changed
             .map_err(|error| at("set", error.message().to_owned(), error.help().map(str::to_owned)))?;
         let contact = match &event.contact {

@@ -8,7 +8,7 @@ use crate::run::rollout::{Instant, Rollout, error};
 use crate::setup::posture_at::{PostureSearch, REACHED_M, norm_in};
 use nalgebra::Vector6;
 use opspace_control::reach;
-use opspace_control::{AXIS_NAMES, CartesianReference, ControlledFrame, Task, TaskParameters};
+use opspace_control::{AXIS_NAMES, BuildTask, CartesianReference, ControlledFrame, Task, TaskReference};
 use opspace_model::{Data, FrameId, kinematics};
 
 /// Number of parts into which a run's instants are divided; the worst instant of each part is examined.
@@ -59,9 +59,8 @@ impl<'a> Asked<'a> {
 
     /// Reference of a task that controls a frame or the centre of mass.
     fn cartesian_reference<'c>(&self, case: &'c PreflightCase<'_>) -> Option<&'c CartesianReference> {
-        match case.task_sets[self.instant.task_set].task.get(self.name)? {
-            TaskParameters::Cartesian(parameters) => Some(&parameters.reference),
-            TaskParameters::CenterOfMass(parameters) => Some(&parameters.reference),
+        match case.task_sets[self.instant.task_set].task.get(self.name)?.reference()? {
+            TaskReference::Cartesian(reference) => Some(reference),
             _ => None,
         }
     }

@@ -57,7 +57,7 @@ use nalgebra::{Complex, Matrix6xX};
 use opspace_backend::quantity::NonNegative;
 use opspace_backend::{CommandKind, Sample, Setpoints};
 use opspace_control::{
-    AXIS_NAMES, AxisMode, ImpedanceParameters, JointTask, PerAxis, RowGains, Task, TaskParameters,
+    AXIS_NAMES, AxisMode, BuildTask, ImpedanceParameters, JointTask, PerAxis, RowGains, Task, TaskParameters,
 };
 use opspace_transformer::moving_joint::MovingJoint;
 use opspace_transformer::torque_response::torque_response;
@@ -243,13 +243,10 @@ fn row_followers<'a>(
             _ => format!(" along {}", names[row]),
         };
         let (quantity, value, key) = match (law.stiffness > 0.0, parameters) {
-            (true, TaskParameters::Registered(_)) => {
-                ("natural frequency in rad/s", law.stiffness.sqrt(), vec![kind])
-            }
-            (true, _) => {
-                let quantity = "frequency_rad_per_s";
-                (quantity, law.stiffness.sqrt(), vec![kind, "gains", quantity])
-            }
+            (true, _) => match parameters.frequency_key() {
+                None => ("natural frequency in rad/s", law.stiffness.sqrt(), vec![kind]),
+                Some(keys) => (keys[keys.len() - 1], law.stiffness.sqrt(), below(kind, keys)),
+            },
             (false, TaskParameters::Cartesian(cartesian)) if law.damping > 0.0 => {
                 let in_force = cartesian.axes.with_mode(AxisMode::Force);
                 let is_force =
@@ -281,6 +278,11 @@ fn row_followers<'a>(
     }
     followers.extend(impedance_followers(case, responses, stack, task, &jacobian));
     followers
+}
+
+/// Keys of a value below the kind of its task.
+fn below<'a>(kind: &'a str, keys: &[&'a str]) -> Vec<&'a str> {
+    std::iter::once(kind).chain(keys.iter().copied()).collect()
 }
 
 /// Control loops of each axis of an impedance with each joint that moves it. `jacobian` is that of the task at the start.
@@ -363,13 +365,9 @@ fn joint_followers<'a>(
                 let quantity = "damping_nms_per_rad";
                 (quantity, law.damping * plant.inertia, vec![kind, quantity])
             }
-            TaskParameters::JointPosture(_) => {
-                let quantity = "frequency_rad_per_s";
-                (quantity, law.stiffness.sqrt(), vec![kind, quantity])
-            }
             _ => {
-                let quantity = "frequency_rad_per_s";
-                (quantity, law.stiffness.sqrt(), vec![kind, "gains", quantity])
+                let Some(keys) = parameters.frequency_key() else { continue };
+                (keys[keys.len() - 1], law.stiffness.sqrt(), below(kind, keys))
             }
         };
         if value > 0.0 {

@@ -5,7 +5,9 @@ use super::diagnostic::{Diagnostic, at_least, at_most, distinct, short};
 use crate::codes::Code;
 use crate::run::experiment::Experiment;
 use crate::run::rollout::Rollout;
-use opspace_control::{CartesianReference, JointReference, ScalarReference, TaskParameters};
+use opspace_control::{
+    BuildTask, CartesianReference, JointReference, ScalarReference, TaskParameters, TaskReference,
+};
 use std::fmt;
 
 /// Largest difference between two durations that count as equal, s.
@@ -66,7 +68,7 @@ fn unfinished(case: &PreflightCase<'_>, followed: &Rollout) -> Vec<Diagnostic> {
     let unfinished = stack.priority.iter().filter_map(|name| {
         let task = stack.task.get(name)?;
         let same = |other: &ActiveTasks<'_>| {
-            other.priority.contains(name) && other.task.get(name).and_then(reference) == reference(task)
+            other.priority.contains(name) && other.task.get(name).and_then(BuildTask::reference) == task.reference()
         };
         let begin_s = case.begin_s(last, same);
         let message = match length_s(task)? {
@@ -129,8 +131,8 @@ pub(super) fn path_durations_of(experiment: &Experiment) -> Vec<PathDuration> {
     let events = experiment.task().events.iter().map(|event| (&event.priority, &event.task));
     for (priority, tasks) in std::iter::once((&file.priority, &file.task)).chain(events) {
         for name in priority {
-            let Some(Reference::Cartesian(CartesianReference::Path(path))) =
-                tasks.get(name).and_then(reference)
+            let Some(TaskReference::Cartesian(CartesianReference::Path(path))) =
+                tasks.get(name).and_then(BuildTask::reference)
             else {
                 continue;
             };
@@ -157,53 +159,37 @@ enum Length {
     AsFastAsItCan,
 }
 
-/// Reference of a task.
-#[derive(PartialEq)]
-enum Reference<'a> {
-    Cartesian(&'a CartesianReference),
-    Joint(&'a JointReference),
-    Scalar(&'a ScalarReference),
-}
-
-fn reference(task: &TaskParameters) -> Option<Reference<'_>> {
-    match task {
-        TaskParameters::Cartesian(p) => Some(Reference::Cartesian(&p.reference)),
-        TaskParameters::CenterOfMass(p) => Some(Reference::Cartesian(&p.reference)),
-        TaskParameters::JointTracking(p) => Some(Reference::Joint(&p.reference)),
-        TaskParameters::Swivel(p) => Some(Reference::Scalar(&p.reference)),
-        _ => None,
-    }
-}
-
 /// Duration of a task's reference; `None` if it does not end.
 fn length_s(task: &TaskParameters) -> Option<Length> {
     let known = |length_s: f64| Some(Length::Known(length_s));
-    match reference(task)? {
-        Reference::Cartesian(CartesianReference::PointToPoint(p)) => {
+    match task.reference()? {
+        TaskReference::Cartesian(CartesianReference::PointToPoint(p)) => {
             known(p.start_s.get() + p.duration_s.get())
         }
-        Reference::Cartesian(CartesianReference::Waypoints(list)) => known(list.last()?.time_s.get()),
-        Reference::Cartesian(CartesianReference::Recorded(path)) => {
+        TaskReference::Cartesian(CartesianReference::Waypoints(list)) => known(list.last()?.time_s.get()),
+        TaskReference::Cartesian(CartesianReference::Recorded(path)) => {
             known(path.samples.last()?.time_s - path.samples.first()?.time_s)
         }
         // The approach of a path in world coordinates takes a time of its own.
-        Reference::Cartesian(CartesianReference::Path(path)) if path.start.is_some() => {
+        TaskReference::Cartesian(CartesianReference::Path(path)) if path.start.is_some() => {
             Some(Length::AsFastAsItCan)
         }
-        Reference::Cartesian(CartesianReference::Path(path)) => known(path.summary().ok()?.duration_s),
-        Reference::Joint(JointReference::PointToPoint(p)) => known(p.start_s.get() + p.duration_s.get()),
-        Reference::Joint(JointReference::Waypoints(list)) => known(list.last()?.time_s.get()),
-        Reference::Scalar(ScalarReference::PointToPoint(p)) => known(p.start_s.get() + p.duration_s.get()),
-        Reference::Cartesian(CartesianReference::Goal(_))
-        | Reference::Joint(JointReference::Goal(_))
-        | Reference::Scalar(ScalarReference::Goal(_)) => Some(Length::AsFastAsItCan),
-        Reference::Cartesian(
+        TaskReference::Cartesian(CartesianReference::Path(path)) => known(path.summary().ok()?.duration_s),
+        TaskReference::Joint(JointReference::PointToPoint(p)) => known(p.start_s.get() + p.duration_s.get()),
+        TaskReference::Joint(JointReference::Waypoints(list)) => known(list.last()?.time_s.get()),
+        TaskReference::Scalar(ScalarReference::PointToPoint(p)) => {
+            known(p.start_s.get() + p.duration_s.get())
+        }
+        TaskReference::Cartesian(CartesianReference::Goal(_))
+        | TaskReference::Joint(JointReference::Goal(_))
+        | TaskReference::Scalar(ScalarReference::Goal(_)) => Some(Length::AsFastAsItCan),
+        TaskReference::Cartesian(
             CartesianReference::Hold | CartesianReference::Sinusoid(_) | CartesianReference::Streamed(_),
         )
-        | Reference::Joint(
+        | TaskReference::Joint(
             JointReference::Hold | JointReference::Sinusoid(_) | JointReference::Streamed(_),
         )
-        | Reference::Scalar(ScalarReference::Hold | ScalarReference::Sinusoid(_)) => None,
+        | TaskReference::Scalar(ScalarReference::Hold | ScalarReference::Sinusoid(_)) => None,
     }
 }
 

@@ -1,9 +1,10 @@
 //! Reports: pages with a table of runs, charts that compare them, and the figures of each run.
 
 use crate::evaluate::notes::{allowed_notes, assumed_notes, joint_notes, notes, task_notes};
-use crate::evaluate::results::{Measure, failures, group, joint_table, table, task_table};
+use crate::evaluate::results::{failures, group, joint_table, table, task_table};
 use crate::evaluate::summary::Summary;
 use crate::evaluate::table::Table;
+use crate::metrics::metric::Metric;
 use crate::report::comparisons::{comparisons, overlays, sweeps};
 pub use crate::report::environment_shapes::{EnvironmentShape, PlacedObject};
 use crate::report::html::Page;
@@ -15,10 +16,10 @@ pub fn page(
     title: &str,
     lead: &str,
     summaries: &[Summary],
-    measures: &[Measure],
+    metrics: &[Metric],
     shown: &[RunSection],
 ) -> String {
-    let mut all_notes = notes(summaries, measures);
+    let mut all_notes = notes(summaries, metrics);
     if let ([run], [_]) = (shown, summaries)
         && !run.operator_axes.is_empty()
     {
@@ -33,7 +34,7 @@ pub fn page(
     }
     let mut page = head.section("Results").table(
         &caption(summaries, shown),
-        &table(summaries, measures),
+        &table(summaries, metrics),
         &borrowed(&all_notes),
     );
     if summaries.len() > 1 {

@@ -1,7 +1,7 @@
 //! Folder of a run: log, summary and report.
 
-use crate::evaluate::results::MEASURES;
 use crate::evaluate::summary::Summary;
+use crate::metrics::metric::default_columns;
 use crate::report::document::{RunSection, page};
 use crate::run::error::RunError;
 use crate::run::execute::RunResult;
@@ -125,7 +125,8 @@ impl Experiment {
         summary.not_saved = not_saved;
         let shown = RunSection::of_file(self, log, summary.clone())?;
         let lead = "Desired and actual behaviour of the robot in one run.";
-        let html = page(&shown.title.clone(), lead, std::slice::from_ref(&summary), MEASURES, &[shown]);
+        let columns = default_columns(&self.task().added_metrics);
+        let html = page(&shown.title.clone(), lead, std::slice::from_ref(&summary), &columns, &[shown]);
         let save = |name: &str, text: &str, summary: &mut Summary| {
             if let Err(error) = write_file(&folder.path().join(name), text) {
                 summary.not_saved.push(format!("{name}: {error}"));

@@ -12,7 +12,7 @@ use crate::files::experiment_file::{
 use crate::files::origin::{Files, Kind, beside};
 use crate::files::overrides;
 use crate::files::source::{FileError, Source, parse};
-use crate::metrics::coupling_metrics::check_expectations;
+use crate::run::coupling_expectations::check_expectations;
 use crate::run::error::RunError;
 use crate::run::execute::Progress;
 use crate::run::experiment::{Experiment, RunOptions};

@@ -8,8 +8,8 @@ use crate::files::overrides::split;
 use crate::files::robot::RobotDefinition;
 use crate::files::source::FileError;
 use crate::files::task::TaskDefinition;
-use crate::metrics::expectations;
 use crate::run::collision::{KeptDistances, kept_distances};
+use crate::run::expectations;
 use crate::run::membership::Membership;
 use crate::run::path_bounds::{PASSES, bounds, path_of, time_optimal_paths};
 use crate::run::path_dynamics::JointBounds;
@@ -120,7 +120,7 @@ impl Experiment {
         settings: &[String],
     ) -> Result<Self, FileError> {
         let (robot_settings, task_settings) = split(settings, "robot");
-        let task = TaskDefinition::load_with(&extensions.tasks, files, task, &task_settings)?;
+        let task = TaskDefinition::load_with(extensions, files, task, &task_settings)?;
         if robot.is_none() {
             files.read_named(&files.robot_file(&task.robot_path()), &task.source, "robot")?;
         }
@@ -144,7 +144,7 @@ impl Experiment {
         let (robot_settings, task_settings) = split(settings, "robot");
         let robot = match robot {
             Some(robot) => robot.to_owned(),
-            None => TaskDefinition::load_with(&extensions.tasks, files, task, &task_settings)?.robot_path(),
+            None => TaskDefinition::load_with(extensions, files, task, &task_settings)?.robot_path(),
         };
         Ok(RobotDefinition::load(files, &robot, &robot_settings)?.file.interface.command)
     }

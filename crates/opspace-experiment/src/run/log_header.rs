@@ -180,7 +180,7 @@ impl Experiment {
             generated,
         )?;
         let task = TaskDefinition::from_sources_with(
-            &extensions.tasks,
+            extensions,
             overrides::apply(&attached(recording, TASK_FILE, entry("task")?)?, &task_changes)?,
             |named| attached(recording, &recording_file(named.file), &named.path.display().to_string()),
         )?;

@@ -2,10 +2,10 @@
 //! for comparisons are rejected.
 
 use crate::codes::Code;
+use crate::extensions::Extensions;
 use crate::files::controller_kind::ControllerKind;
 use crate::files::source::{FileError, Source};
 use crate::files::task::TaskDefinition;
-use crate::files::task_kinds::TaskKinds;
 use crate::run::error::RunError;
 use crate::run::experiment::{Experiment, RunOptions};
 use opspace_backend::{Backend, CommandKind, DeviceFault, Sample};
@@ -99,7 +99,7 @@ impl Experiment {
         let name = Path::new(self.task.source.name()).with_file_name("move-to-start.toml");
         let text = self.motion_text(q, &goal, motion_s);
         let task = TaskDefinition::from_sources_with::<FileError>(
-            &TaskKinds::new(),
+            &Extensions::default(),
             Source::new(name.display().to_string(), text),
             |named| Source::read(&named.path),
         )?;

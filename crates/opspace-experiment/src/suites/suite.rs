@@ -1,12 +1,13 @@
 //! Suites: lists of tasks with the robots and controllers that execute them, or of experiments with several robots.
 
 use crate::codes::Code;
-use crate::evaluate::results::{MEASURES, Measure};
+use crate::evaluate::results::is_possible;
 use crate::extensions::Extensions;
 use crate::files::controller_kind::ControllerKind;
 use crate::files::origin::{Files, Kind, beside};
 use crate::files::source::{FileError, Source, parse};
 use crate::files::toml_path::dotted;
+use crate::metrics::metric::{ColumnName, Metric, columns_named, default_columns};
 use crate::run::coupled_experiment::CoupledExperiment;
 use crate::run::experiment::{Experiment, RunOptions};
 use crate::run::physics::OWN_PLANT;
@@ -38,7 +39,7 @@ pub struct SuiteFile {
     pub profiles: Vec<String>,
     /// Columns of the suite's table. It is an error if no run has a value for one.
     #[cfg_attr(feature = "schema", schemars(extend("x-default" = "the usual columns")))]
-    pub columns: Option<Vec<Measure>>,
+    pub columns: Option<Vec<ColumnName>>,
     /// Values of settings with which each run is executed: `"robot.profile.a-med.servo_ticks_per_cycle" = [1, 2, 5]`.
     #[serde(default)]
     pub grid: Grid,
@@ -122,7 +123,7 @@ pub struct Suite {
     /// Subject of the suite.
     pub title: String,
     /// Columns of the suite's table.
-    pub columns: Vec<Measure>,
+    pub columns: Vec<Metric>,
     /// True if the file lists the columns; false for the default ones.
     pub columns_required: bool,
     /// Experiments, in the order of the file: tasks, then variants, points of the grid, profiles, seeds. Empty if the suite
@@ -163,6 +164,12 @@ impl Suite {
         Kind::Suite.require(&source)?;
         let file: SuiteFile = parse(&source)?;
         check_kinds(&file, &source)?;
+        let added = extensions.added::<Metric>();
+        let columns_required = file.columns.is_some();
+        let columns = match &file.columns {
+            Some(names) => columns(names, added, &source)?,
+            None => default_columns(added),
+        };
         let mut runs = Vec::new();
         for (number, run) in file.run.iter().enumerate() {
             runs.extend(run.settings(&file, &source, number, MAX_RUNS - runs.len())?);
@@ -190,15 +197,7 @@ impl Suite {
                 experiments.push(run.load(extensions, files, &named, robot.as_deref()).map_err(placed)?);
             }
         }
-        let columns_required = file.columns.is_some();
-        let suite = Self {
-            source,
-            title: file.title,
-            columns: file.columns.unwrap_or_else(|| MEASURES.to_vec()),
-            columns_required,
-            experiments,
-            coupled,
-        };
+        let suite = Self { source, title: file.title, columns, columns_required, experiments, coupled };
         suite.check_columns()?;
         Ok(suite)
     }
@@ -268,11 +267,12 @@ impl Suite {
 
     /// Refuses a column for which no run can have a value.
     fn check_columns(&self) -> Result<(), FileError> {
-        for (place, measure) in self.columns.iter().enumerate().filter(|_| self.columns_required) {
-            if let Some(needed) = measure.needed()
-                && !self.experiments.iter().any(|experiment| measure.is_possible(experiment))
+        let listed = self.columns.iter().filter(|_| self.columns_required).enumerate();
+        for (place, column) in listed.filter_map(|(place, metric)| Some((place, metric.column?))) {
+            if let Some(needed) = column.needs.text()
+                && !self.experiments.iter().any(|experiment| is_possible(column.needs, experiment))
             {
-                let message = format!("no run of this suite has a value for `{}`", measure.name());
+                let message = format!("no run of this suite has a value for `{}`", column.name);
                 let help = Some(format!("this column needs {needed}"));
                 let key = ["columns", &place.to_string()];
                 return Err(FileError::at_key(&self.source, key, message, help));
@@ -280,6 +280,14 @@ impl Suite {
         }
         Ok(())
     }
+}
+
+/// Metrics of the columns that a suite lists.
+fn columns(names: &[ColumnName], added: &[Metric], source: &Source) -> Result<Vec<Metric>, FileError> {
+    columns_named(names.iter().map(|name| name.0.as_str()), added).map_err(|(place, help)| {
+        let key = ["columns", &place.to_string()];
+        FileError::at_key(source, key, format!("unknown column `{}`", names[place].0), Some(help))
+    })
 }
 
 /// Run of a suite with one value for each choice.

@@ -4,7 +4,6 @@
 //! process in the middle of it for example, is ignored when the file is read.
 
 use crate::evaluate::coupled_summary::CoupledSummary;
-use crate::evaluate::results::Measure;
 use crate::evaluate::summary::Summary;
 use crate::run::result_files::write_file;
 use crate::suites::shard::Shard;
@@ -59,8 +58,8 @@ pub struct SuiteHeader {
     pub name: String,
     /// Subject of the suite.
     pub title: String,
-    /// Columns of the suite's table.
-    pub columns: Vec<Measure>,
+    /// Names of the columns of the suite's table.
+    pub columns: Vec<String>,
     /// True if the suite lists the columns.
     pub columns_required: bool,
     /// Number of runs of the whole suite.
@@ -80,7 +79,7 @@ impl SuiteHeader {
             suite_sha256: suite.fingerprint(),
             name: name.to_owned(),
             title: suite.title.clone(),
-            columns: suite.columns.clone(),
+            columns: suite.columns.iter().filter_map(|metric| Some(metric.column?.name.to_owned())).collect(),
             columns_required: suite.columns_required,
             runs: suite.runs(),
             shard,

@@ -6,7 +6,7 @@ use crate::run_figures::{load, shown};
 use nalgebra::Vector3;
 use opspace_backend::CommandKind;
 use opspace_backend::signal_names::{LEAST_DISTANCE, PHASE, Q, TICK_CHANNEL};
-use opspace_experiment::evaluate::results::MEASURES;
+use opspace_experiment::metrics::metric::default_columns;
 use opspace_experiment::report::document::{
     ClosestPair, CollisionMoment, EnvironmentShape, PlacedObject, PlacedShape, page,
 };
@@ -79,8 +79,13 @@ fn moments_are_those_of_the_logged_positions() {
         let plane = HalfSpace { normal: Vector3::z(), offset_m: 0.0 };
         assert_eq!(table.shape, CollisionShape::HalfSpace(plane));
     }
-    let html =
-        page("t", "l", std::slice::from_ref(&section.summary), MEASURES, std::slice::from_ref(&section));
+    let html = page(
+        "t",
+        "l",
+        std::slice::from_ref(&section.summary),
+        &default_columns(&[]),
+        std::slice::from_ref(&section),
+    );
     assert_eq!(html.matches("<p class=\"moment\">").count(), 3);
     assert!(html.contains("Collision geometry.</b>") && html.contains("and ball are closest: "), "{html}");
 }
@@ -90,8 +95,13 @@ fn moments_are_those_of_the_logged_positions() {
 fn robot_without_collision_geometry_has_no_views() {
     let (_, section) = shown(&load("compliant-x", CommandKind::Torque, 0.4));
     assert!(section.collisions.is_empty());
-    let html =
-        page("t", "l", std::slice::from_ref(&section.summary), MEASURES, std::slice::from_ref(&section));
+    let html = page(
+        "t",
+        "l",
+        std::slice::from_ref(&section.summary),
+        &default_columns(&[]),
+        std::slice::from_ref(&section),
+    );
     assert!(!html.contains("Collision geometry"), "no heading");
 }
 

@@ -17,6 +17,7 @@ mod diagnostics;
 mod drives;
 mod log_header;
 mod margins;
+mod metric_table;
 mod metrics;
 mod moment_axes;
 mod overrides;

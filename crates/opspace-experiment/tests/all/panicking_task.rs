@@ -4,7 +4,8 @@ use nalgebra::{Matrix6xX, Vector6};
 use opspace_control::{Coordinate, CoordinateGains, CoordinateTask, ScalarReference};
 use opspace_experiment::run::replay::replay;
 use opspace_experiment::{
-    Experiment, FileError, Files, Progress, RobotDefinition, RunOptions, Source, TaskDefinition, TaskKinds,
+    Experiment, Extensions, FileError, Files, Progress, RobotDefinition, RunOptions, Source, TaskDefinition,
+    TaskKind,
 };
 use opspace_log::{OutcomeRecord, Recording};
 use opspace_loop::{Fault, RunOutcome};
@@ -61,14 +62,12 @@ damping_nms_per_rad = 2.0
 "#;
 
 fn experiment() -> Experiment {
-    let mut kinds = TaskKinds::new();
-    kinds
-        .register("panicking", |p: &PanickingParameters, name, _model, _context| {
-            let task = CoordinateTask::new(name, Panicking, p.gains);
-            Ok(Box::new(task.with_references([p.reference.clone()])))
-        })
-        .expect("the name is free");
-    let task = TaskDefinition::from_sources_with(&kinds, Source::new("panicking.toml", TASK), |_| {
+    let kind = TaskKind::new("panicking", |p: &PanickingParameters, name, _model, _context| {
+        let task = CoordinateTask::new(name, Panicking, p.gains);
+        Ok(Box::new(task.with_references([p.reference.clone()])))
+    });
+    let extensions = Extensions::default().with(kind);
+    let task = TaskDefinition::from_sources_with(&extensions, Source::new("panicking.toml", TASK), |_| {
         Err(FileError::of_file("none", "no recording is named", None))
     });
     let robot =

@@ -2,7 +2,7 @@
 #![expect(clippy::unwrap_used, reason = "a test that can't go on has failed")]
 
 use opspace_backend::CommandKind;
-use opspace_experiment::evaluate::results::MEASURES;
+use opspace_experiment::metrics::metric::default_columns;
 use opspace_experiment::report::document::{RunSection, page};
 use opspace_experiment::report::figure::{Figure, Panel, Style};
 use opspace_experiment::{Experiment, Files, Progress, RunOptions, Summary};
@@ -161,7 +161,7 @@ fn page_of_a_run_names_what_it_shows() {
         "Title",
         "Lead.",
         std::slice::from_ref(&section.summary),
-        MEASURES,
+        &default_columns(&[]),
         std::slice::from_ref(&section),
     );
     for part in [
@@ -185,7 +185,7 @@ fn page_of_a_run_names_what_it_shows() {
         "Title",
         "Lead.",
         std::slice::from_ref(&levels.summary),
-        MEASURES,
+        &default_columns(&[]),
         std::slice::from_ref(&levels),
     );
     let places = [">turn</th>", ">flange</th>", ">balance</th>"].map(|name| html.find(name).unwrap());
@@ -294,7 +294,7 @@ fn runs_of_one_task_are_drawn_over_each_other() {
         .map(|backend| shown(&load("cartesian-tracking", backend, 0.6)).1)
         .into();
     let summaries: Vec<Summary> = sections.iter().map(|section| section.summary.clone()).collect();
-    let html = page("Title", "Lead.", &summaries, MEASURES, &sections);
+    let html = page("Title", "Lead.", &summaries, &default_columns(&[]), &sections);
     assert!(html.contains("Position of &#39;hand&#39;: 2 runs"));
     for name in
         ["position osc + emulation+current, a-med 1:5, seed 1: true", "torque osc, a-med 1:5, seed 1: true"]
@@ -310,12 +310,12 @@ fn runs_of_one_task_are_drawn_over_each_other() {
     let mut failed = summaries.clone();
     failed[1].missed_expectations.push("position_max_m is 1".to_owned());
     let head = |summaries: &[Summary]| {
-        let html = page("Title", "Lead.", summaries, MEASURES, &sections[..1]);
+        let html = page("Title", "Lead.", summaries, &default_columns(&[]), &sections[..1]);
         html.split_once("Results").unwrap().0.to_owned()
     };
     assert!(head(&failed).contains("torque robot, osc, seed 1: expectation missed: position_max_m is 1"));
     assert!(!head(&summaries).contains("Failed"));
-    let alone = page("Title", "Lead.", &summaries[..1], MEASURES, &sections[..1]);
+    let alone = page("Title", "Lead.", &summaries[..1], &default_columns(&[]), &sections[..1]);
     assert!(!alone.contains(": 2 runs") && !alone.contains(": 1 runs"));
 }
 
@@ -367,8 +367,8 @@ fn sweep_is_drawn_over_its_setting() {
     };
     let runs: Vec<Summary> =
         [1, 5, 10].into_iter().flat_map(|ticks| [run(ticks, 1), run(ticks, 2)]).collect();
-    let html = page("Title", "Lead.", &runs, MEASURES, &[]);
+    let html = page("Title", "Lead.", &runs, &default_columns(&[]), &[]);
     assert!(html.contains("Sweep of robot.profile.a-med.servo_ticks_per_cycle"));
-    let few = page("Title", "Lead.", &runs[..4], MEASURES, &[]);
+    let few = page("Title", "Lead.", &runs[..4], &default_columns(&[]), &[]);
     assert!(!few.contains("Sweep of"));
 }

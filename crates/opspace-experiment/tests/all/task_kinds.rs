@@ -4,8 +4,8 @@ use nalgebra::{Matrix6xX, Vector6};
 use opspace_control::{Coordinate, CoordinateGains, CoordinateTask, TaskParameters};
 use opspace_experiment::preflight::not_checked;
 use opspace_experiment::{
-    Experiment, FileError, Files, RobotDefinition, RunOptions, Source, TaskDefinition, TaskKindError,
-    TaskKinds, diagnostics,
+    Experiment, Extensions, FileError, Files, RobotDefinition, RunOptions, Source, TaskDefinition, TaskKind,
+    diagnostics,
 };
 use opspace_model::{Data, Model};
 use serde::Deserialize;
@@ -43,14 +43,13 @@ struct JointSumParameters {
     gains: CoordinateGains,
 }
 
-fn kinds() -> TaskKinds {
-    let mut kinds = TaskKinds::new();
-    kinds
-        .register("joint-sum", |p: &JointSumParameters, name, _model, _context| {
+fn extensions() -> Extensions {
+    Extensions::default().with(TaskKind::new(
+        "joint-sum",
+        |p: &JointSumParameters, name, _model, _context| {
             Ok(Box::new(CoordinateTask::new(name, JointSum, p.gains)))
-        })
-        .expect("the name is free");
-    kinds
+        },
+    ))
 }
 
 const TASK: &str = r#"robot = "../../../robots/panda"
@@ -64,7 +63,7 @@ damping_nms_per_rad = 2.0
 "#;
 
 fn load(text: &str) -> Result<TaskDefinition, FileError> {
-    TaskDefinition::from_sources_with(&kinds(), Source::new("sum.toml", text), |_| {
+    TaskDefinition::from_sources_with(&extensions(), Source::new("sum.toml", text), |_| {
         Err(FileError::of_file("none", "no recording is named", None))
     })
 }
@@ -118,8 +117,8 @@ fn taken_kind_name_is_refused() {
         Ok(Box::new(CoordinateTask::new(name, JointSum, p.gains)) as Box<dyn opspace_control::Task>)
     };
     for kind in ["joint-sum", "cartesian"] {
-        let error = kinds().register(kind, build).expect_err("it is taken");
-        assert_eq!(error, TaskKindError::Taken { kind: kind.to_owned() });
+        let error = extensions().add(TaskKind::new(kind, build)).expect_err("it is taken");
+        assert_eq!(error.to_string(), format!("the task kind '{kind}' already exists"));
     }
 }
 

@@ -2,7 +2,7 @@
 #![expect(clippy::unwrap_used, reason = "a test that can't go on has failed")]
 
 use opspace_backend::CommandKind;
-use opspace_experiment::evaluate::results::MEASURES;
+use opspace_experiment::metrics::metric::default_columns;
 use opspace_experiment::report::document::{RunSection, page};
 use opspace_experiment::{
     Experiment, FileError, Files, Progress, RobotDefinition, RunOptions, Source, TaskDefinition,
@@ -178,7 +178,7 @@ fn report_shows_velocity_setpoints() {
     assert_eq!(summary.metrics.setpoint_speed_max_rad_per_s, None);
 
     let shown = RunSection::new(&experiment, &recording, summary.clone());
-    let page = page("Title", "Lead.", &[summary], MEASURES, &[shown]);
+    let page = page("Title", "Lead.", &[summary], &default_columns(&[]), &[shown]);
     assert!(page.contains("gravity-compensation: velocity robot, osc through"));
     assert!(page.contains("velocity (rad/s)"), "the figure of the setpoints");
 }

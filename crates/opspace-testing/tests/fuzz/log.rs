@@ -6,7 +6,7 @@ use crate::limits::Target;
 use crate::mcap_file::{RecordEdit, Records};
 use crate::root;
 use bolero::{ValueGenerator, produce};
-use opspace_experiment::evaluate::results::MEASURES;
+use opspace_experiment::metrics::metric::default_columns;
 use opspace_experiment::report::document::{RunSection, page};
 use opspace_experiment::run::replay::replay;
 use opspace_experiment::{Experiment, Files, Progress, RunOptions};
@@ -301,7 +301,13 @@ fn check_experiment(read: &Recording, is_intact: bool, reports: bool) {
         let json = serde_json::to_string(&summary).expect("JSON");
         assert!(serde_json::from_str::<serde_json::Value>(&json).is_ok());
         let summaries = [summary.clone()];
-        let html = page("log", "a log", &summaries, MEASURES, &[RunSection::new(&experiment, read, summary)]);
+        let html = page(
+            "log",
+            "a log",
+            &summaries,
+            &default_columns(&[]),
+            &[RunSection::new(&experiment, read, summary)],
+        );
         assert!(html.ends_with("</html>\n") || html.trim_end().ends_with("</html>"), "the page has no end");
         assert!(!html.contains("<fuzz>"), "text of the log is in the page without escapes");
     }

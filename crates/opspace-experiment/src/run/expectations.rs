@@ -3,14 +3,13 @@
 use crate::files::robot::RobotDefinition;
 use crate::files::source::FileError;
 use crate::files::task::TaskDefinition;
+use crate::metrics::metric::Metric;
 use crate::metrics::metric_tables::{
     ElementError, Evaluation, JointMetrics, Metrics, TaskMetrics, error_names, range_name,
 };
 use crate::suggest::choices;
 use crate::text::format_number;
 use opspace_control::{AXIS_NAMES, CartesianReference, TaskParameters};
-use serde::Serialize;
-use serde_json::Value;
 
 /// Checks that each expectation has a bound and names a metric: one of the run, or `TASK.metric` (of an axis too), `TASK.ELEMENT`
 /// (its rms error) or `JOINT.metric`.
@@ -23,11 +22,12 @@ pub(crate) fn check(task: &TaskDefinition, robot: &RobotDefinition) -> Result<()
             return refuse("no bound is given".to_owned(), Some("add `at_most` or `at_least`".to_owned()));
         }
         let Some((owner, metric)) = name.split_once('.') else {
-            if !keys(&Metrics::default()).contains(name) {
+            let metrics = keys(Metrics::rows().iter().chain(&task.added_metrics));
+            if !metrics.contains(name) {
                 let is_of_an_axis = (0..AXIS_NAMES.len()).any(|axis| of_axis(axis).contains(name));
                 let help = match is_of_an_axis {
                     true => format!("metrics of an axis are those of a task: write \"TASK.{name}\""),
-                    false => choices(name, &keys(&Metrics::default())),
+                    false => choices(name, &metrics),
                 };
                 return refuse(format!("unknown metric `{name}`"), Some(help));
             }
@@ -40,8 +40,10 @@ pub(crate) fn check(task: &TaskDefinition, robot: &RobotDefinition) -> Result<()
         if !is_joint && let Some(controlled) = controlled_axes(task, owner) {
             let uncontrolled =
                 |axis: &usize| !controlled[*axis] && error_names(*axis).iter().any(|n| n == metric);
-            let all: Vec<String> =
-                of_tasks().into_iter().chain((0..AXIS_NAMES.len()).flat_map(of_axis)).collect();
+            let all: Vec<String> = keys(&TaskMetrics::rows())
+                .into_iter()
+                .chain((0..AXIS_NAMES.len()).flat_map(of_axis))
+                .collect();
             if let Some(axis) = (0..AXIS_NAMES.len()).find(uncontrolled) {
                 let axis = AXIS_NAMES[axis];
                 let message =
@@ -54,8 +56,9 @@ pub(crate) fn check(task: &TaskDefinition, robot: &RobotDefinition) -> Result<()
                 return refuse(format!("unknown metric `{metric}` of a Cartesian task"), Some(help));
             }
         }
-        if is_joint && !is_task && !keys(&JointMetrics::default()).iter().any(|key| key == metric) {
-            let help = choices(metric, &keys(&JointMetrics::default()));
+        let of_joints = keys(&JointMetrics::rows());
+        if is_joint && !is_task && !of_joints.iter().any(|key| key == metric) {
+            let help = choices(metric, &of_joints);
             return refuse(format!("unknown metric `{metric}` of a joint"), Some(help));
         }
         if !is_joint && !is_task {
@@ -89,19 +92,9 @@ fn of_axis(axis: usize) -> Vec<String> {
     error_names(axis).into_iter().chain(range).collect()
 }
 
-/// Names of the metrics of a task.
-fn of_tasks() -> Vec<String> {
-    let mut names = keys(&TaskMetrics::default());
-    names.retain(|name| name != "kind" && name != "elements");
-    names
-}
-
-/// Names of the fields of a table of metrics.
-fn keys(metrics: &impl Serialize) -> Vec<String> {
-    match serde_json::to_value(metrics) {
-        Ok(Value::Object(map)) => map.keys().cloned().collect(),
-        _ => Vec::new(),
-    }
+/// Keys of metrics.
+fn keys<'a>(metrics: impl IntoIterator<Item = &'a Metric>) -> Vec<String> {
+    metrics.into_iter().map(|metric| metric.key.to_owned()).collect()
 }
 
 /// Describes each expectation of a task that a run missed.
@@ -119,21 +112,15 @@ pub(crate) fn missed(task: &TaskDefinition, evaluation: &Evaluation) -> Vec<Stri
 
 /// Value of a metric by its name in an expectation; `None` if the run does not have it.
 fn value_of(evaluation: &Evaluation, name: &str) -> Option<f64> {
-    let Some((owner, metric)) = name.split_once('.') else { return field(&evaluation.metrics, name) };
+    let Some((owner, metric)) = name.split_once('.') else { return evaluation.metrics.get(name) };
     if let Some(task) = evaluation.tasks.get(owner) {
         let of_axis = || task.axes.get(metric).copied();
-        return field::<TaskMetrics>(task, metric)
-            .or_else(of_axis)
-            .or_else(|| element(&task.elements, metric));
+        return task.value(metric).or_else(of_axis).or_else(|| element(&task.elements, metric));
     }
-    field(evaluation.joints.get(owner)?, metric)
+    evaluation.joints.get(owner)?.value(metric)
 }
 
 /// Rms error of an element of a task.
 fn element(elements: &[ElementError], name: &str) -> Option<f64> {
     elements.iter().find(|element| element.name == name).map(|element| element.rms)
-}
-
-fn field<T: Serialize>(metrics: &T, name: &str) -> Option<f64> {
-    serde_json::to_value(metrics).ok()?.get(name)?.as_f64()
 }
