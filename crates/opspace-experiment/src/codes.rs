@@ -4,7 +4,8 @@
 //! has none: its message says all. The pages are in `codes.md`, one section for each code.
 
 use crate::suggest::nearest;
-use serde::{Deserialize, Serialize};
+use serde::de::Error;
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use std::fmt;
 use std::str::FromStr;
 
@@ -15,8 +16,12 @@ const PAGES: &str = include_str!("codes.md");
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Effect {
-    /// It is reported; nothing is refused.
+    /// It is reported before a run; nothing is refused.
     Reported,
+    /// It is noted after a run.
+    Noted,
+    /// It is reported after a run, which has failed.
+    Failed,
     /// A run is refused, unless the code is allowed.
     Refused,
     /// A run on a real robot is refused, unless the code is allowed; in simulation it is reported.
@@ -35,6 +40,8 @@ macro_rules! codes {
                 #[doc = concat!("`", $name, "`: see its page.")]
                 $kind,
             )*
+            /// Code of a check that a program has added.
+            Added(&'static str),
         }
 
         impl Code {
@@ -46,6 +53,7 @@ macro_rules! codes {
             pub fn name(self) -> &'static str {
                 match self {
                     $(Self::$kind => $name,)*
+                    Self::Added(name) => name,
                 }
             }
 
@@ -54,6 +62,7 @@ macro_rules! codes {
             pub fn effect(self) -> Effect {
                 match self {
                     $(Self::$kind => $effect,)*
+                    Self::Added(_) => Effect::Reported,
                 }
             }
         }
@@ -110,6 +119,14 @@ codes! {
     NoPassivityControl "no-passivity-control" Effect::Reported,
     LatePackets "late-packets" Effect::Refused,
     ActiveWaves "active-waves" Effect::Refused,
+    // Found in the log of a run.
+    NeverTouched "never-touched" Effect::Failed,
+    ContactLost "contact-lost" Effect::Failed,
+    CyclesMissed "cycles-missed" Effect::Failed,
+    JointsHeld "joints-held" Effect::Failed,
+    GoalNotReached "goal-not-reached" Effect::Noted,
+    ReferenceLimited "reference-limited" Effect::Noted,
+    EscapedSingularity "escaped-singularity" Effect::Noted,
     // Robots.
     FrictionObserverWithoutSensor "friction-observer-without-sensor" Effect::Refused,
     ComparisonOnly "comparison-only" Effect::Never("it exists for comparisons in simulation and can damage a real robot"),
@@ -159,6 +176,18 @@ impl Code {
     }
 }
 
+impl Serialize for Code {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.serialize_str(self.name())
+    }
+}
+
+impl<'de> Deserialize<'de> for Code {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        String::deserialize(deserializer)?.parse().map_err(D::Error::custom)
+    }
+}
+
 impl fmt::Display for Code {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(self.name())
@@ -186,7 +215,9 @@ pub fn allowed_code(name: &str) -> Result<Code, String> {
     let code: Code = name.parse()?;
     match code.effect() {
         Effect::Refused | Effect::RefusedOnRealRobot => Ok(code),
-        Effect::Reported => Err(format!("'{code}' is only reported: it refuses no run")),
+        Effect::Reported | Effect::Noted | Effect::Failed => {
+            Err(format!("'{code}' is only reported: it refuses no run"))
+        }
         Effect::Never(reason) => Err(format!("'{code}' cannot be allowed: {reason}")),
     }
 }

@@ -64,12 +64,12 @@ mod variation;
 
 use crate::codes::Code;
 use crate::files::controller_kind::ControllerKind;
+pub use crate::finding::Finding;
 use crate::run::experiment::Experiment;
 use crate::run::rollout::Rollout;
 use case::PreflightCase;
 pub use couplings::coupling_diagnostics;
 pub use detectable_force::DetectableForce;
-pub use diagnostic::Diagnostic;
 pub use freedom::SingularPostures;
 pub use gear_resonance::GearResonance;
 pub use gears::{GearMargin, GearScale, gear_margin};
@@ -84,7 +84,7 @@ pub use variation::Variation;
 /// Computes all diagnostics that need no simulation; most tasks have none. [`GainMargin::finding`] gives the
 /// diagnostic about the gain margin.
 #[must_use]
-pub fn diagnostics(experiment: &Experiment) -> Vec<Diagnostic> {
+pub fn diagnostics(experiment: &Experiment) -> Vec<Finding> {
     let Some(case) = PreflightCase::new(experiment) else {
         return Vec::new();
     };
@@ -117,11 +117,11 @@ pub fn diagnostics(experiment: &Experiment) -> Vec<Diagnostic> {
 /// Computes those of the [`diagnostics`] that do not follow the references: they concern the start posture, gains and
 /// contacts. They take some 20 ms; references out of reach can take five times as long, and long runs more.
 #[must_use]
-pub fn start_diagnostics(experiment: &Experiment) -> Vec<Diagnostic> {
+pub fn start_diagnostics(experiment: &Experiment) -> Vec<Finding> {
     PreflightCase::new(experiment).map_or_else(Vec::new, |case| of_start(&case))
 }
 
-fn of_start(case: &PreflightCase<'_>) -> Vec<Diagnostic> {
+fn of_start(case: &PreflightCase<'_>) -> Vec<Finding> {
     let mut found = limits::of_start(case);
     found.extend(objects::misplaced(case));
     found.extend(freedom::singular_start(case));
@@ -177,7 +177,7 @@ pub fn collision_thresholds(experiment: &Experiment) -> Vec<(String, f64)> {
 
 /// Lists the tasks that lack information for [`diagnostics`]; their diagnostics are incomplete.
 #[must_use]
-pub fn not_checked(experiment: &Experiment) -> Vec<Diagnostic> {
+pub fn not_checked(experiment: &Experiment) -> Vec<Finding> {
     let Some(case) = PreflightCase::new(experiment) else { return Vec::new() };
     let mut found = admittance::unknown_contacts(&case);
     if experiment.options().controller == ControllerKind::Osc {

@@ -20,7 +20,7 @@ use opspace_experiment::preflight::{
 };
 use opspace_experiment::run::collision::KeptDistances;
 use opspace_experiment::{
-    Code, ControllerKind, CoupledExperiment, Diagnostic, Experiment, Extensions, FileError, Files,
+    Code, ControllerKind, CoupledExperiment, Experiment, Extensions, FileError, Files, Finding,
     RobotDefinition, RunOptions, Source, Suite, diagnostics,
 };
 use opspace_model::collision::DropReason;
@@ -162,14 +162,14 @@ impl fmt::Display for Warning {
     }
 }
 
-/// Diagnostic with its place.
+/// Finding with its place.
 struct Found {
-    finding: Diagnostic,
+    finding: Finding,
     place: FileError,
 }
 
 impl Found {
-    fn new(finding: Diagnostic, experiment: &Experiment) -> Self {
+    fn new(finding: Finding, experiment: &Experiment) -> Self {
         let place = finding.placed(experiment);
         Self { finding, place }
     }
@@ -185,7 +185,7 @@ impl fmt::Display for Found {
 /// the same ones.
 fn find<'a>(
     experiments: impl IntoIterator<Item = &'a Experiment>,
-    diagnostics: fn(&Experiment) -> Vec<Diagnostic>,
+    diagnostics: fn(&Experiment) -> Vec<Finding>,
 ) -> Vec<Found> {
     let (mut looked_at, mut found) = (HashSet::new(), Vec::<Found>::new());
     for experiment in experiments {
@@ -460,7 +460,7 @@ fn as_json(path: &Path, checked: &Result<Checked, FileError>) -> Value {
             "code": found.finding.code.name(),
             "at": found.place.path(),
             "line": found.place.line(),
-            "key": found.finding.key,
+            "key": found.finding.key(),
             "message": found.finding.message,
             "help": found.finding.help,
         })

@@ -22,6 +22,8 @@ fn page(code: Code) -> String {
             format!("Refuses a run; --allow {code} turns the refusal into a warning that results carry.")
         }
         Effect::Never(reason) => format!("Refuses a run; this cannot be allowed: {reason}."),
+        Effect::Noted => "Is noted after a run.".to_owned(),
+        Effect::Failed => "Is reported after a run, which has failed.".to_owned(),
         _ => "Is reported; refuses no run.".to_owned(),
     };
     format!("{code}\n\n{}\n{}", wrapped(&effect), text(code.page()))
@@ -47,6 +49,8 @@ fn list() -> String {
         let effect = match code.effect() {
             Effect::Refused | Effect::RefusedOnRealRobot => "refused, can be allowed",
             Effect::Never(_) => "refused",
+            Effect::Noted => "noted after a run",
+            Effect::Failed => "failure of a run",
             _ => "reported",
         };
         format!("{:<NAME_WIDTH$}  {effect:<23}  {}\n", code.name(), code.summary())

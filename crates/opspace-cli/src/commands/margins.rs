@@ -4,7 +4,7 @@ use opspace_experiment::preflight::{
     GearMargin, GearScale, JointFloor, JointImpedance, Margins, StableRange, TORQUE_HZ, floors, impedances,
     margins,
 };
-use opspace_experiment::{Diagnostic, Experiment};
+use opspace_experiment::{Experiment, Finding};
 use serde_json::{Value, json};
 use std::fmt::Write as _;
 
@@ -26,7 +26,7 @@ impl Strength {
         })
     }
 
-    pub fn diagnostics(&self, experiment: &Experiment) -> Vec<Diagnostic> {
+    pub fn diagnostics(&self, experiment: &Experiment) -> Vec<Finding> {
         let used = self.margins.first().and_then(|margins| margins.gears.as_ref());
         let gears = used.and_then(|gears| gears.finding(experiment));
         let active = JointImpedance::finding(&self.impedances, experiment);

@@ -1,6 +1,7 @@
 //! Failures that no single metric shows: a run that ended as planned and still missed the purpose of its task.
 
-use crate::evaluate::unreached::UnreachedGoal;
+use crate::codes::Code;
+use crate::finding::{Finding, Place};
 use crate::metrics::metric_tables::Evaluation;
 use crate::run::experiment::Experiment;
 use opspace_backend::signal_names::{self, PHASE, REFERENCE, TICK_CHANNEL};
@@ -19,29 +20,36 @@ const MIN_CHANGE: f64 = 0.01;
 const MIN_MOTION: f64 = 0.1;
 
 /// Describes the failures of a run. Joints of the tasks in `unreached` are not held by friction.
-pub(super) fn failures(
-    evaluation: &Evaluation,
-    held: &HeldJoints,
-    unreached: &[UnreachedGoal],
-) -> Vec<String> {
+pub(super) fn failures(evaluation: &Evaluation, held: &HeldJoints, unreached: &[Finding]) -> Vec<Finding> {
     let mut failures = Vec::new();
     for (name, task) in &evaluation.tasks {
         if task.contact.in_contact_fraction == Some(0.0) {
-            failures.push(match task.contact.contact_begin_s {
-                None => format!("task '{name}' never touched anything, although it controls a force"),
-                Some(_) => format!("task '{name}' lost contact before settle_s, and never touched again"),
-            });
+            let (code, message) = match task.contact.contact_begin_s {
+                None => {
+                    let text = format!("task '{name}' never touched anything, although it controls a force");
+                    (Code::NeverTouched, text)
+                }
+                Some(_) => {
+                    let text = format!("task '{name}' lost contact before settle_s, and never touched again");
+                    (Code::ContactLost, text)
+                }
+            };
+            failures.push(Finding::of(code, Place::Task(name.clone()), message));
         }
     }
     if let Some(missed) = evaluation.metrics.missed_fraction.filter(|missed| *missed > MAX_MISSED) {
-        failures.push(format!("{:.0} % of the interface cycles were missed", 100.0 * missed));
+        let message = format!("{:.0} % of the interface cycles were missed", 100.0 * missed);
+        let finding = Finding::of(Code::CyclesMissed, Place::Run(()), message);
+        failures.push(finding.with("missed_fraction", Some(missed)));
     }
     let held = held.names(unreached);
     if !held.is_empty() {
-        failures.push(format!(
+        let message = format!(
             "the reference moves, but not {}: friction or a brake may hold it",
             held.iter().map(|joint| format!("joint '{joint}'")).collect::<Vec<_>>().join(", ")
-        ));
+        );
+        let joints = held.iter().map(|&joint| joint.to_owned()).collect();
+        failures.push(Finding::of(Code::JointsHeld, Place::Joints(joints), message));
     }
     failures
 }
@@ -102,9 +110,9 @@ impl HeldJoints {
     }
 
     /// Joints that hardly move although their reference does, except those of the tasks in `unreached`.
-    fn names(&self, unreached: &[UnreachedGoal]) -> Vec<&str> {
+    fn names(&self, unreached: &[Finding]) -> Vec<&str> {
         let explained: Vec<String> =
-            unreached.iter().map(|goal| signal_names::of(&goal.task, REFERENCE)).collect();
+            unreached.iter().filter_map(|goal| Some(signal_names::of(goal.task()?, REFERENCE))).collect();
         let is_held = |ranges: &&JointRanges| {
             let (asked, moved) = (width(ranges.asked.as_ref()), width(ranges.moved.as_ref()));
             asked > MIN_CHANGE && moved < MIN_MOTION * asked

@@ -31,10 +31,9 @@ pub use crate::metrics::metric_tables::{
     Timing,
 };
 
-use crate::evaluate::escape_record::EscapeRecord;
 use crate::evaluate::failures::{HeldJoints, failures};
-use crate::evaluate::limited_reference::LimitedReference;
-use crate::evaluate::unreached::UnreachedGoal;
+use crate::evaluate::findings::Findings;
+use crate::finding::Finding;
 use crate::metrics::metric::LogMetric;
 use crate::run::experiment::Experiment;
 use cycles::Cycles;
@@ -97,10 +96,7 @@ pub(crate) struct Evaluator<'a> {
 /// Result of an [`Evaluator`].
 pub(crate) struct Evaluated {
     pub(crate) evaluation: Evaluation,
-    pub(crate) failures: Vec<String>,
-    pub(crate) unreached: Vec<UnreachedGoal>,
-    pub(crate) limited: Vec<LimitedReference>,
-    pub(crate) escapes: Vec<EscapeRecord>,
+    pub(crate) findings: Findings,
     pub(crate) interruptions: Interruptions,
     pub(crate) times: CycleTimes,
 }
@@ -175,15 +171,21 @@ impl<'a> Evaluator<'a> {
         let unreached = self.unreached.finish();
         let failures = failures(&evaluation, &self.held_joints, &unreached);
         // A task that rests while a slow reference moves is already listed as one that does not reach its goal.
-        let is_listed = |limited: &LimitedReference| {
-            let end_s = |goal: &UnreachedGoal| goal.end_s.unwrap_or(f64::INFINITY);
-            let covers = |goal: &UnreachedGoal| (goal.begin_s..=end_s(goal)).contains(&limited.largest_s);
-            unreached.iter().any(|goal| goal.task == limited.task && covers(goal))
+        let is_listed = |limited: &Finding| {
+            let covers = |goal: &Finding| {
+                let end_s = goal.number("end_s").unwrap_or(f64::INFINITY);
+                goal.number("begin_s") <= limited.number("largest_s")
+                    && limited.number("largest_s") <= Some(end_s)
+            };
+            unreached.iter().any(|goal| goal.place == limited.place && covers(goal))
         };
         let mut limited = self.limited.finish();
         limited.retain(|limited| !is_listed(limited));
-        let (escapes, interruptions, times) = (self.escapes.finish(), self.interruptions, self.times);
-        Evaluated { evaluation, failures, unreached, limited, escapes, interruptions, times }
+        let mut findings = Findings::default();
+        for found in [failures, unreached, limited, self.escapes.finish()] {
+            findings.extend(found);
+        }
+        Evaluated { evaluation, findings, interruptions: self.interruptions, times: self.times }
     }
 }
 

@@ -1,5 +1,6 @@
 //! Notes under the tables of results: they explain terms, columns and what is missing.
 
+use crate::codes::Code;
 use crate::evaluate::results::{error_of_desired, group, has_value, task_table};
 use crate::evaluate::summary::Summary;
 use crate::files::source::KeyPath;
@@ -193,8 +194,10 @@ pub fn final_notes(summary: &Summary) -> Vec<String> {
     if summary.faulted.is_some() || summary.interrupted {
         return Vec::new();
     }
-    let is_explained =
-        |name: &str| summary.unreached_goals.iter().any(|goal| goal.task == name && goal.end_s.is_none());
+    let is_explained = |name: &str| {
+        let mut goals = summary.findings.of(Code::GoalNotReached);
+        goals.any(|goal| goal.task() == Some(name) && goal.number("end_s").is_none())
+    };
     let tasks = summary.tasks.iter().filter(|(name, _)| !is_explained(name));
     let note = |(name, task): (&String, &TaskMetrics)| {
         let errors = [task.pose.position_final_m, task.pose.orientation_final_rad];
@@ -260,10 +263,11 @@ pub fn joint_notes(summary: &Summary) -> Vec<String> {
 #[cfg(test)]
 mod tests {
     use super::{final_notes, joint_notes, notes, task_notes};
+    use crate::codes::Code;
     use crate::evaluate::results::tests::summary;
     use crate::evaluate::results::{joint_table, task_table};
-    use crate::evaluate::unreached::UnreachedGoal;
     use crate::extensions::Entry;
+    use crate::finding::{Finding, Place};
     use crate::metrics::metric::Metric;
     use crate::metrics::metric_tables::{JointMetrics, TaskMetrics};
 
@@ -318,7 +322,11 @@ mod tests {
             task.pose.position_final_m = final_m;
             run.tasks.insert(name.to_owned(), task);
         }
-        run.unreached_goals.push(UnreachedGoal { task: "known".to_owned(), ..UnreachedGoal::default() });
+        run.findings.extend([Finding::of(
+            Code::GoalNotReached,
+            Place::Task("known".to_owned()),
+            String::new(),
+        )]);
         assert_eq!(final_notes(&run), ["task 'far': goal not reached, 12.0 mm away at the end of the run"]);
         run.tasks.retain(|name, _| name == "moving");
         let pose = &mut run.tasks.entry("moving".to_owned()).or_default().pose;

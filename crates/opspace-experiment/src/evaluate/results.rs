@@ -214,7 +214,7 @@ pub fn failures(summaries: &[Summary]) -> Vec<String> {
     const MOST: usize = 10;
     let of_run = |summary: &Summary| {
         let missed = summary.missed_expectations.iter().map(|missed| format!("expectation missed: {missed}"));
-        let all: Vec<String> = summary.failures.iter().cloned().chain(missed).collect();
+        let all: Vec<String> = summary.findings.failures().map(ToString::to_string).chain(missed).collect();
         let run = format!(
             "{}, {} robot, {}, seed {}",
             summary.task,
@@ -374,11 +374,7 @@ pub(crate) mod tests {
             rows_lost: 0,
             not_saved: Vec::new(),
             missed_expectations: Vec::new(),
-            failures: Vec::new(),
-            unreached_goals: Vec::new(),
-            limited_references: Vec::new(),
-            ignored_compliance: Vec::new(),
-            escapes: Vec::new(),
+            findings: Default::default(),
             tasks: Default::default(),
             joints: Default::default(),
             missed_cycles: 0,

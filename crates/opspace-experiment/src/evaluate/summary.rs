@@ -1,11 +1,11 @@
 //! Summary of a run: one row of a table, and `summary.json`.
 
 use crate::codes::AllowedRefusal;
-use crate::evaluate::escape_record::EscapeRecord;
-use crate::evaluate::limited_reference::LimitedReference;
+use crate::codes::Code;
+use crate::evaluate::findings::Findings;
 use crate::evaluate::metrics::{Evaluated, Evaluator, JointMetrics, Metrics, TaskMetrics, Timing};
-use crate::evaluate::unreached::UnreachedGoal;
 use crate::files::controller_kind::ControllerKind;
+use crate::finding::{Finding, Place};
 use crate::run::compliance::compliance;
 use crate::run::error::RunError;
 use crate::run::execute::Progress;
@@ -79,20 +79,10 @@ pub struct Summary {
     pub resumed: u64,
     /// Expectations of the task file that the run missed.
     pub missed_expectations: Vec<String>,
-    /// Failures that no single metric shows: a force task without contact, for example.
-    pub failures: Vec<String>,
-    /// Goals that tasks did not reach, each with the limits that prevent it, in order of time.
-    #[serde(default)]
-    pub unreached_goals: Vec<UnreachedGoal>,
-    /// Moving references that tasks did not follow, each with the limits that prevent it, in order of time.
-    #[serde(default)]
-    pub limited_references: Vec<LimitedReference>,
-    /// Escapes of tasks from singular poses, in order of time.
-    #[serde(default)]
-    pub escapes: Vec<EscapeRecord>,
-    /// Tasks whose impedance or compliant axes the controller ignores, because it is inverse kinematics: text for each.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub ignored_compliance: Vec<String>,
+    /// Findings of the run: failures that no single metric shows, goals that tasks did not reach, moving references that they did
+    /// not follow, escapes from singular poses, and compliance that the controller ignores.
+    #[serde(flatten)]
+    pub findings: Findings,
     /// Metrics of the run.
     pub metrics: Metrics,
     /// Metrics of the tasks that have a priority at the start, by name.
@@ -177,7 +167,7 @@ impl Experiment {
     }
 
     /// Describes the tasks of the run whose compliance the controller ignores.
-    fn ignored_compliance(&self) -> Vec<String> {
+    fn ignored_compliance(&self) -> Vec<Finding> {
         let controller = self.options().controller;
         if controller == ControllerKind::Osc {
             return Vec::new();
@@ -186,7 +176,8 @@ impl Experiment {
         let text = |(name, task): (&str, &TaskParameters)| {
             let (what, _) = compliance(task)?;
             let controller = controller.name();
-            Some(format!("task '{name}': {what} has no effect with controller '{controller}'"))
+            let message = format!("task '{name}': {what} has no effect with controller '{controller}'");
+            Some(Finding::of(Code::IgnoredCompliance, Place::Task(name.to_owned()), message))
         };
         tasks.filter_map(|(name, task)| text((name, task))).collect()
     }
@@ -199,7 +190,8 @@ impl Experiment {
         outcome: &OutcomeRecord,
         realtime_factor: Option<f64>,
     ) -> Summary {
-        let Evaluated { evaluation, failures, unreached, limited, escapes, interruptions, times } = evaluated;
+        let Evaluated { evaluation, mut findings, interruptions, times } = evaluated;
+        findings.extend(self.ignored_compliance());
         Summary {
             task: self.task().name(),
             robot: self.robot().name(),
@@ -228,11 +220,7 @@ impl Experiment {
             stale_target_cycles: interruptions.stale_target_cycles,
             resumed: interruptions.resumed,
             missed_expectations: expectations::missed(self.task(), &evaluation),
-            failures,
-            unreached_goals: unreached,
-            limited_references: limited,
-            escapes,
-            ignored_compliance: self.ignored_compliance(),
+            findings,
             metrics: evaluation.metrics,
             tasks: evaluation.tasks,
             joints: evaluation.joints,

@@ -158,7 +158,7 @@ impl FileError {
                 Some(format!("--allow {code} runs it nevertheless; results carry a warning"))
             }
             Effect::Never(reason) => Some(format!("this cannot be allowed: {reason}")),
-            Effect::Reported => None,
+            Effect::Reported | Effect::Noted | Effect::Failed => None,
         };
         self.0.help = join(self.0.help.take(), note);
         self.coded(code)

@@ -4,9 +4,10 @@
 //! M q̈ + C q̇ + g, without friction.
 
 use super::case::PreflightCase;
-use super::diagnostic::{Diagnostic, at_least, short};
+use super::diagnostic::{at_least, short};
 use super::speeds::key_of_fastest;
 use crate::codes::Code;
+use crate::finding::Finding;
 use crate::run::rollout::{Instant, Rollout};
 use opspace_backend::GravityCompensation;
 use opspace_model::{JointKind, kinematics, rnea};
@@ -35,7 +36,7 @@ impl Worst<'_> {
 }
 
 /// Reports the joint whose acceleration limit, and the one whose torque limit, the references exceed most.
-pub(crate) fn of_joints(case: &PreflightCase<'_>, followed: &Rollout) -> Vec<Diagnostic> {
+pub(crate) fn of_joints(case: &PreflightCase<'_>, followed: &Rollout) -> Vec<Finding> {
     let limits = case.experiment.task().file.limits;
     let share = if limits.enforce { limits.torque_fraction.get().min(1.0) } else { 1.0 };
     let of_robot = case.experiment.robot().joint_limits();
@@ -91,7 +92,7 @@ fn keep_larger<'a>(worst: &mut Option<Worst<'a>>, new: Worst<'a>) {
     }
 }
 
-fn acceleration(case: &PreflightCase<'_>, worst: &Worst<'_>) -> Option<Diagnostic> {
+fn acceleration(case: &PreflightCase<'_>, worst: &Worst<'_>) -> Option<Finding> {
     let Worst { instant, joint, asked, limit } = *worst;
     let key = key_of_fastest(case, instant)?;
     let unit = if is_prismatic(case, joint) { "m/s²" } else { "rad/s²" };
@@ -103,10 +104,10 @@ fn acceleration(case: &PreflightCase<'_>, worst: &Worst<'_>) -> Option<Diagnosti
         short(limit),
     );
     let help = format!("make the motion {} times as long, or smaller", at_least(worst.ratio().sqrt()));
-    Some(Diagnostic::new(Code::AccelerationAboveLimit, &key, message, help))
+    Some(Finding::new(Code::AccelerationAboveLimit, &key, message, help))
 }
 
-fn torque(case: &PreflightCase<'_>, worst: &Worst<'_>) -> Option<Diagnostic> {
+fn torque(case: &PreflightCase<'_>, worst: &Worst<'_>) -> Option<Finding> {
     let Worst { instant, joint, asked, limit } = *worst;
     let key = key_of_fastest(case, instant)?;
     let unit = if is_prismatic(case, joint) { "N" } else { "Nm" };
@@ -119,7 +120,7 @@ fn torque(case: &PreflightCase<'_>, worst: &Worst<'_>) -> Option<Diagnostic> {
     );
     let help =
         "make the motion longer or smaller, or choose a posture with less weight on this joint".to_owned();
-    Some(Diagnostic::new(Code::TorqueAboveLimit, &key, message, help))
+    Some(Finding::new(Code::TorqueAboveLimit, &key, message, help))
 }
 
 fn is_prismatic(case: &PreflightCase<'_>, joint: usize) -> bool {

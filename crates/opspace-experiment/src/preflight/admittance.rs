@@ -13,11 +13,12 @@
 //! bandwidth are not included.
 
 use super::case::PreflightCase;
-use super::diagnostic::{Diagnostic, short};
+use super::diagnostic::short;
 use super::phase_margin::{Margin, hold, least_margin, rounded_down};
 use super::surfaces::{Surface, surfaces};
 use crate::codes::Code;
 use crate::files::controller_kind::ControllerKind;
+use crate::finding::Finding;
 use nalgebra::{Complex, DMatrix, DVector, Matrix6xX, RowDVector, Vector3};
 use opspace_backend::Setpoints;
 use opspace_backend::quantity::Positive;
@@ -56,8 +57,8 @@ struct ForceLoop {
 }
 
 /// Finds admittances that are too small for the objects that the task's frame touches.
-pub(super) fn unstable_contacts(case: &PreflightCase<'_>) -> Vec<Diagnostic> {
-    let mut found: Vec<Diagnostic> = Vec::new();
+pub(super) fn unstable_contacts(case: &PreflightCase<'_>) -> Vec<Finding> {
+    let mut found: Vec<Finding> = Vec::new();
     for_each_loop(case, |stack, name, parameters, force_loop| {
         for (object, contact) in surfaces(case, &parameters.frame, &force_loop.direction) {
             let Some(margin) = force_loop.margin(contact, force_loop.admittance_ns_per_m) else { continue };
@@ -70,8 +71,8 @@ pub(super) fn unstable_contacts(case: &PreflightCase<'_>) -> Vec<Diagnostic> {
 }
 
 /// Lists force axes for which the environment has no object, with the stiffness up to which they are stable.
-pub(super) fn unknown_contacts(case: &PreflightCase<'_>) -> Vec<Diagnostic> {
-    let mut found: Vec<Diagnostic> = Vec::new();
+pub(super) fn unknown_contacts(case: &PreflightCase<'_>) -> Vec<Finding> {
+    let mut found: Vec<Finding> = Vec::new();
     for_each_loop(case, |stack, name, parameters, force_loop| {
         if !surfaces(case, &parameters.frame, &force_loop.direction).is_empty() {
             return;
@@ -85,7 +86,7 @@ pub(super) fn unknown_contacts(case: &PreflightCase<'_>) -> Vec<Diagnostic> {
             rounded_down(stiffness),
         );
         let help = "raise admittance_ns_per_m for stiffer objects".to_owned();
-        found.push(Diagnostic::new(Code::UnknownContact, &key(case, stack, name), message, help));
+        found.push(Finding::new(Code::UnknownContact, &key(case, stack, name), message, help));
     });
     found
 }
@@ -225,7 +226,7 @@ impl ForceLoop {
         object: &str,
         contact: Surface,
         margin: Margin,
-    ) -> Diagnostic {
+    ) -> Finding {
         let axis = AXIS_NAMES[self.axis];
         let how = if margin.degrees < 0.0 { "would be unstable" } else { "would oscillate" };
         let message = format!(
@@ -246,7 +247,7 @@ impl ForceLoop {
             }
             None => "the object is too stiff for this robot".to_owned(),
         };
-        Diagnostic::new(Code::UnstableAdmittance, &key(case, stack, name), message, help)
+        Finding::new(Code::UnstableAdmittance, &key(case, stack, name), message, help)
     }
 }
 

@@ -1,8 +1,9 @@
 //! Start postures and references at which links are closer to each other, or to an obstacle, than the margin.
 
 use super::case::PreflightCase;
-use super::diagnostic::{Diagnostic, short};
+use super::diagnostic::short;
 use crate::codes::Code;
+use crate::finding::Finding;
 use crate::run::collision::KeptDistances;
 use crate::run::rollout::{Instant, Rollout};
 use opspace_model::collision::{CollisionData, collision_distances};
@@ -12,18 +13,18 @@ use opspace_model::{Data, Model, forward_kinematics};
 const ROUNDING_M: f64 = 1e-9;
 
 /// Finds a start that is closer to a collision than the margin.
-pub(crate) fn at_start(case: &PreflightCase<'_>) -> Option<Diagnostic> {
+pub(crate) fn at_start(case: &PreflightCase<'_>) -> Option<Finding> {
     let distances =
         case.experiment.kept_distances().filter(|_| case.experiment.task().file.limits.enforce)?;
     let found = Closest::new(case, distances).within_margin(&case.start)?;
     let message = format!("in the start posture, {found}: they move apart as soon as control starts");
     let help = "choose another start, or correct the capsules (`opspace model ROBOT --capsules`)".to_owned();
-    Some(Diagnostic::new(Code::StartInCollision, &["start_rad"], message, help))
+    Some(Finding::new(Code::StartInCollision, &["start_rad"], message, help))
 }
 
 /// Finds a posture on the references that is closer to a collision than the margin, unless the start is. The posture is the
 /// one in which the joints follow the references; a redundant arm may have others.
-pub(crate) fn on_the_way(case: &PreflightCase<'_>, followed: &Rollout) -> Vec<Diagnostic> {
+pub(crate) fn on_the_way(case: &PreflightCase<'_>, followed: &Rollout) -> Vec<Finding> {
     let limits = &case.experiment.task().file.limits;
     let Some(distances) = case.experiment.kept_distances().filter(|_| limits.enforce) else {
         return Vec::new();
@@ -54,7 +55,7 @@ pub(crate) fn on_the_way(case: &PreflightCase<'_>, followed: &Rollout) -> Vec<Di
     } else {
         "the arm passes the place if it can, with errors of its tasks: give the path more distance"
     };
-    vec![Diagnostic::new(Code::ReferenceInCollision, &key, message, help.to_owned())]
+    vec![Finding::new(Code::ReferenceInCollision, &key, message, help.to_owned())]
 }
 
 /// Search for the closest pair of a posture.

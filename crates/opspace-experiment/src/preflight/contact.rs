@@ -11,9 +11,10 @@
 //! impact with the speed v and the target F is 1.5 F + 0.5 v √(K Λ), a bound of the peaks of simulated impacts.
 
 use super::case::PreflightCase;
-use super::diagnostic::{Diagnostic, at_least, short};
+use super::diagnostic::{at_least, short};
 use super::surfaces::{Surface, surfaces};
 use crate::codes::Code;
+use crate::finding::Finding;
 use nalgebra::{DVector, Matrix6xX};
 use opspace_control::{AXIS_NAMES, AxisMode, CartesianParameters, ForceParameters, Task, TaskParameters};
 use opspace_model::OperationalSpace;
@@ -34,7 +35,7 @@ struct PressingAxis<'a> {
 }
 
 /// Returns a diagnostic for each force axis whose contact is predicted to oscillate or to exceed the torque limits.
-pub(crate) fn contacts(case: &PreflightCase<'_>) -> Vec<Diagnostic> {
+pub(crate) fn contacts(case: &PreflightCase<'_>) -> Vec<Finding> {
     let mut found = Vec::new();
     for (task_set, active) in case.task_sets.iter().enumerate() {
         for task in active.tasks.tasks() {
@@ -119,7 +120,7 @@ impl PressingAxis<'_> {
         self.case.experiment.profile().1.period_s()
     }
 
-    fn oscillation(&self) -> Option<Diagnostic> {
+    fn oscillation(&self) -> Option<Finding> {
         let Surface { stiffness, damping } = self.surface;
         let gain = self.force.force_gain(self.axis, self.period_s());
         let (delay_s, c) = (self.delay_s(), self.damping_per_s());
@@ -148,10 +149,10 @@ impl PressingAxis<'_> {
             short(0.9 * largest),
             at_least(needed)
         );
-        Some(Diagnostic::new(Code::ContactOscillation, &self.key("gain"), message, help))
+        Some(Finding::new(Code::ContactOscillation, &self.key("gain"), message, help))
     }
 
-    fn impact(&self) -> Option<Diagnostic> {
+    fn impact(&self) -> Option<Finding> {
         let target = self.force.largest_target(self.axis);
         let speed = match &self.force.contact {
             Some(contact) => contact.approach_m_per_s.get(),
@@ -186,6 +187,6 @@ impl PressingAxis<'_> {
         } else {
             format!("reduce the target, to at most {} N", short(largest / 1.5))
         };
-        Some(Diagnostic::new(Code::ContactImpact, &self.key("contact"), message, help))
+        Some(Finding::new(Code::ContactImpact, &self.key("contact"), message, help))
     }
 }

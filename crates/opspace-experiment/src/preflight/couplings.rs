@@ -1,13 +1,13 @@
 //! Diagnostics of the couplings of an experiment with several robots.
 
 use crate::codes::Code;
-use crate::preflight::diagnostic::Diagnostic;
+use crate::finding::Finding;
 use crate::run::coupled_experiment::{CoupledExperiment, Coupling};
 use opspace_control::{Passivity, Reflected};
 
 /// Predicts problems of the couplings. Those of the robots are [`crate::diagnostics`] of each of them.
 #[must_use]
-pub fn coupling_diagnostics(experiment: &CoupledExperiment) -> Vec<Diagnostic> {
+pub fn coupling_diagnostics(experiment: &CoupledExperiment) -> Vec<Finding> {
     // Wave variables are passive by themselves.
     let is_off = |coupling: &&Coupling| {
         coupling.teleoperation().is_some_and(|law| {
@@ -15,7 +15,7 @@ pub fn coupling_diagnostics(experiment: &CoupledExperiment) -> Vec<Diagnostic> {
         })
     };
     let without_limit = experiment.couplings.iter().filter(is_off).map(|coupling| {
-        Diagnostic::new(
+        Finding::new(
             Code::NoPassivityControl,
             &["couplings", &coupling.name, "teleoperation", "passivity"],
             "passivity control is off: with a delay, or at a stiff surface, the robots can give more energy to the operator and \

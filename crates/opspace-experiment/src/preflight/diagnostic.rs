@@ -1,8 +1,7 @@
-//! Diagnostics: predicted failures of a run, with their place and a remedy.
+//! Numbers in the texts of diagnostics, and the places of diagnostics in the files of an experiment.
 
-use crate::codes::Code;
-use crate::files::source::{FileError, Source};
-use crate::files::toml_path::dotted;
+use crate::files::source::FileError;
+use crate::finding::{Finding, Place};
 use crate::run::experiment::Experiment;
 pub(super) use crate::text::format_short as short;
 use crate::text::format_trimmed as trimmed;
@@ -34,52 +33,14 @@ pub(super) fn distinct<const N: usize>(numbers: [f64; N]) -> [String; N] {
     (3..MOST_DIGITS).map(texts).find(|texts| texts[0] != texts[1]).unwrap_or_else(|| texts(MOST_DIGITS))
 }
 
-/// A predicted failure of a run.
-#[derive(Clone, Debug, PartialEq, Eq)]
-#[non_exhaustive]
-pub struct Diagnostic {
-    /// Kind of the failure.
-    pub code: Code,
-    /// Key of the value at fault, as a dotted path into its file: `task.hand.cartesian.gains`.
-    pub key: String,
-    /// Description of the failure, with the numbers.
-    pub message: String,
-    /// Remedy.
-    pub help: String,
-    file: File,
-}
-
-/// File that contains the key of a diagnostic.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum File {
-    Task,
-    Robot,
-}
-
-impl Diagnostic {
-    pub(super) fn new<S: AsRef<str>>(code: Code, key: &[S], message: String, help: String) -> Self {
-        let key = dotted(&key.iter().map(|part| part.as_ref().to_owned()).collect::<Vec<_>>());
-        Self { code, key, message, help, file: File::Task }
-    }
-
-    pub(super) fn of_robot(self) -> Self {
-        Self { file: File::Robot, ..self }
-    }
-
-    /// Returns the diagnostic with its place in the files of the experiment.
+impl Finding {
+    /// Returns the finding with its place in the files of the experiment.
     #[must_use]
     pub fn placed(&self, experiment: &Experiment) -> FileError {
-        let source = match self.file {
-            File::Task => &experiment.task().source,
-            File::Robot => &experiment.robot().source,
-        };
-        self.placed_in(source)
-    }
-
-    /// Returns the diagnostic with its place in a file that has its key.
-    #[must_use]
-    pub fn placed_in(&self, source: &Source) -> FileError {
-        FileError::at_key(source, self.key.as_str(), &self.message, Some(self.help.clone())).coded(self.code)
+        self.placed_in(match self.place {
+            Place::RobotFile(_) => &experiment.robot().source,
+            _ => &experiment.task().source,
+        })
     }
 }
 

@@ -1,10 +1,11 @@
 //! Directions in which a task cannot move at its start (singularities), and degrees of freedom without a task.
 
 use super::case::PreflightCase;
-use super::diagnostic::{Diagnostic, short};
+use super::diagnostic::short;
 use crate::codes::Code;
 use crate::evaluate::direction::direction;
 use crate::files::controller_kind::ControllerKind;
+use crate::finding::Finding;
 use nalgebra::{DMatrix, Matrix6xX, SymmetricEigen, Vector6};
 use opspace_control::tasks::task::DEFAULT_INVERSION;
 use opspace_control::{AXIS_NAMES, AxisMode, SingularEscape, TaskParameters};
@@ -19,7 +20,7 @@ const FARTHEST_BENDS: u32 = 30;
 const FARTHEST_BENDS_OF_TWO: u32 = 10;
 
 /// Finds degrees of freedom that no task controls.
-pub(crate) fn uncontrolled(case: &PreflightCase<'_>) -> Option<Diagnostic> {
+pub(crate) fn uncontrolled(case: &PreflightCase<'_>) -> Option<Finding> {
     let n = case.model.n();
     (0..case.task_sets.len()).find_map(|number| {
         let stack = &case.task_sets[number];
@@ -41,14 +42,14 @@ pub(crate) fn uncontrolled(case: &PreflightCase<'_>) -> Option<Diagnostic> {
             0 => vec!["priority".to_owned()],
             event => vec!["event".to_owned(), (event - 1).to_string(), "set".to_owned()],
         };
-        Some(Diagnostic::new(Code::UncontrolledFreedom, &key, message, help.to_owned()))
+        Some(Finding::new(Code::UncontrolledFreedom, &key, message, help.to_owned()))
     })
 }
 
 /// Finds tasks with compliant axes that nothing brings back after a push: no force is regulated, and no object of the
 /// environment holds the frame.
-pub(crate) fn drifting(case: &PreflightCase<'_>) -> Vec<Diagnostic> {
-    let mut found: Vec<Diagnostic> = Vec::new();
+pub(crate) fn drifting(case: &PreflightCase<'_>) -> Vec<Finding> {
+    let mut found: Vec<Finding> = Vec::new();
     let mut named: Vec<&str> = Vec::new();
     for (number, stack) in case.task_sets.iter().enumerate() {
         for motion in &stack.motions {
@@ -83,7 +84,7 @@ pub(crate) fn drifting(case: &PreflightCase<'_>) -> Vec<Diagnostic> {
             );
             let kind = stack.task.get(motion.name).map_or("", TaskParameters::kind);
             let key = case.key(number, motion.name, &[kind, "axes"]);
-            found.push(Diagnostic::new(Code::CompliantDrift, &key, message, help));
+            found.push(Finding::new(Code::CompliantDrift, &key, message, help));
         }
     }
     found
@@ -148,7 +149,7 @@ pub(super) fn singular_postures_of(case: &PreflightCase<'_>) -> Vec<SingularPost
 }
 
 /// Finds tasks that can hardly move in a direction at the start, given the tasks of higher priority.
-pub(crate) fn singular_start(case: &PreflightCase<'_>) -> Vec<Diagnostic> {
+pub(crate) fn singular_start(case: &PreflightCase<'_>) -> Vec<Finding> {
     let spectra = spectra(case, &case.data);
     let is_osc = case.experiment.options().controller == ControllerKind::Osc;
     let weak = spectra.iter().enumerate().filter(|(_, spectrum)| spectrum.share < WHOLE);
@@ -181,7 +182,7 @@ pub(crate) fn singular_start(case: &PreflightCase<'_>) -> Vec<Diagnostic> {
                 "; or set {key} = \"nullspace-step\": the arm then leaves by motion in the null space"
             );
         }
-        Diagnostic::new(Code::SingularStart, &["start_rad"], message, help)
+        Finding::new(Code::SingularStart, &["start_rad"], message, help)
     })
     .collect()
 }

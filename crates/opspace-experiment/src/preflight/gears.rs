@@ -11,10 +11,11 @@
 //! rotor is not held; rotor and link resonate at f √(1 + (M − B)/B). The gears have no damping of their own. On stiff
 //! ones, drives with constant setpoints may oscillate: that is no matter of the transformer and not reported.
 
-use super::diagnostic::{Diagnostic, short};
+use super::diagnostic::short;
 use super::nudge::{Nudge, NudgedArm};
 use super::variation::Variation;
 use crate::codes::Code;
+use crate::finding::Finding;
 use crate::run::experiment::Experiment;
 use opspace_backend::quantity::Positive;
 use opspace_model::{Data, update};
@@ -68,7 +69,7 @@ impl GearMargin {
 
     /// Returns a diagnostic if the arm oscillates with gears that it may have.
     #[must_use]
-    pub fn finding(&self, experiment: &Experiment) -> Option<Diagnostic> {
+    pub fn finding(&self, experiment: &Experiment) -> Option<Finding> {
         let transformer = experiment.transformer_kind()?;
         if experiment.robot().gears() == Gears::Rigid
             || !self.oscillates.iter().any(|(value, _)| self.is_possible(*value))
@@ -95,7 +96,7 @@ impl GearMargin {
         };
         let profile = experiment.profile().0;
         Some(
-            Diagnostic::new(Code::GearOscillation, &["profile", profile, "transformer"], message, help)
+            Finding::new(Code::GearOscillation, &["profile", profile, "transformer"], message, help)
                 .of_robot(),
         )
     }

@@ -1,9 +1,10 @@
 //! References that are out of reach of the arm.
 
 use super::case::PreflightCase;
-use super::diagnostic::{Diagnostic, at_least, short};
+use super::diagnostic::{at_least, short};
 use super::motion::Motion;
 use crate::codes::Code;
+use crate::finding::Finding;
 use crate::run::rollout::{Instant, Rollout, error};
 use crate::setup::posture_at::{PostureSearch, REACHED_M, norm_in};
 use nalgebra::Vector6;
@@ -18,7 +19,7 @@ const PARTS: usize = 8;
 const MANY_REACHES: f64 = 20.0;
 
 /// Returns a diagnostic for each task whose reference is out of reach.
-pub(crate) fn out_of_reach(case: &PreflightCase<'_>, followed: &Rollout) -> Vec<Diagnostic> {
+pub(crate) fn out_of_reach(case: &PreflightCase<'_>, followed: &Rollout) -> Vec<Finding> {
     let mut names: Vec<&str> = Vec::new();
     for task in case.task_sets.iter().flat_map(|stack| stack.tasks.tasks()) {
         if !names.contains(&task.name()) {
@@ -32,7 +33,7 @@ pub(crate) fn out_of_reach(case: &PreflightCase<'_>, followed: &Rollout) -> Vec<
         let doubtful = if finding.is_none() { doubtful(case, &asked) } else { Vec::new() };
         (finding, doubtful)
     });
-    let (found, doubtful): (Vec<Option<Diagnostic>>, Vec<Vec<Asked<'_>>>) = all.unzip();
+    let (found, doubtful): (Vec<Option<Finding>>, Vec<Vec<Asked<'_>>>) = all.unzip();
     let nearest = nearest_postures(case, &doubtful);
     let unattainable = nearest.into_iter().map(|nearest| unattainable(case, nearest));
     found.into_iter().zip(unattainable).filter_map(|(found, unattainable)| found.or(unattainable)).collect()
@@ -80,7 +81,7 @@ impl<'a> Asked<'a> {
 }
 
 /// Finds references whose distance from the first joint is larger than the length of all links.
-fn too_far(case: &PreflightCase<'_>, asked: &[Asked<'_>]) -> Option<Diagnostic> {
+fn too_far(case: &PreflightCase<'_>, asked: &[Asked<'_>]) -> Option<Finding> {
     let (mut worst, mut most) = (None, 1.0 + 1e-6);
     for asked in asked {
         let motions = &case.task_sets[asked.instant.task_set].motions;
@@ -108,7 +109,7 @@ fn too_far(case: &PreflightCase<'_>, asked: &[Asked<'_>]) -> Option<Diagnostic> 
         ""
     };
     let help = format!("move it {} m closer, or reduce the motion{in_mm}", at_least(distance_m - reach_m));
-    Some(Diagnostic::new(Code::GoalOutOfReach, &asked.key(case), message, help))
+    Some(Finding::new(Code::GoalOutOfReach, &asked.key(case), message, help))
 }
 
 /// First joint that moves a frame, and the distance of the target from this joint, m. Only the motion axes count,
@@ -162,7 +163,7 @@ fn nearest_postures<'a>(
 }
 
 /// Finds references within the arm's length for which the search finds no posture within the joint ranges.
-fn unattainable(case: &PreflightCase<'_>, nearest: Vec<(Asked<'_>, Nearest)>) -> Option<Diagnostic> {
+fn unattainable(case: &PreflightCase<'_>, nearest: Vec<(Asked<'_>, Nearest)>) -> Option<Finding> {
     let (asked, nearest) = first_of_largest(nearest.into_iter().map(|tried| (tried.1.missed, tried)))?;
     if nearest.missed <= REACHED_M {
         return None;
@@ -193,7 +194,7 @@ fn unattainable(case: &PreflightCase<'_>, nearest: Vec<(Asked<'_>, Nearest)>) ->
     } else {
         "choose a closer goal, or free an axis that the task does not need".to_owned()
     };
-    Some(Diagnostic::new(Code::GoalOutOfReach, &asked.key(case), message, help))
+    Some(Finding::new(Code::GoalOutOfReach, &asked.key(case), message, help))
 }
 
 /// Returns the item with the largest number, or an earlier one whose number is at most 1 % smaller.

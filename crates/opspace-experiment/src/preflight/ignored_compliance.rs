@@ -1,21 +1,21 @@
 //! Impedances and compliant axes of tasks whose controller, inverse kinematics, has neither, or whose transformer damps them.
 
 use super::case::PreflightCase;
-use super::diagnostic::Diagnostic;
 use crate::codes::Code;
 use crate::files::controller_kind::ControllerKind;
+use crate::finding::Finding;
 use crate::run::compliance::compliance;
 use crate::run::experiment::Experiment;
 use opspace_transformer::{Method, TransformerKind};
 
 /// Reports each task whose compliance the controller ignores, or the transformer damps, once.
-pub(crate) fn ignored(case: &PreflightCase<'_>) -> Vec<Diagnostic> {
+pub(crate) fn ignored(case: &PreflightCase<'_>) -> Vec<Finding> {
     let controller = case.experiment.options().controller;
     let damping = damping(case.experiment);
     if controller == ControllerKind::Osc && damping.is_none() {
         return Vec::new();
     }
-    let mut found: Vec<(&str, Diagnostic)> = Vec::new();
+    let mut found: Vec<(&str, Finding)> = Vec::new();
     for (number, stack) in case.task_sets.iter().enumerate() {
         for name in stack.priority {
             let Some(parameters) = stack.task.get(name) else { continue };
@@ -32,7 +32,7 @@ pub(crate) fn ignored(case: &PreflightCase<'_>) -> Vec<Diagnostic> {
                 let help = "compare with --backend torque; after `opspace identify`, --transformer extrapolation damps less; gears \
                             that are rigid, or a measured motor current, have other defaults"
                     .to_owned();
-                found.push((name, Diagnostic::new(Code::DampedCompliance, &key, message, help)));
+                found.push((name, Finding::new(Code::DampedCompliance, &key, message, help)));
                 continue;
             }
             let message = format!(
@@ -40,7 +40,7 @@ pub(crate) fn ignored(case: &PreflightCase<'_>) -> Vec<Diagnostic> {
                 controller.name()
             );
             let help = "run it with controller 'osc', the default, for axes that yield".to_owned();
-            found.push((name, Diagnostic::new(Code::IgnoredCompliance, &key, message, help)));
+            found.push((name, Finding::new(Code::IgnoredCompliance, &key, message, help)));
         }
     }
     found.into_iter().map(|(_, diagnostic)| diagnostic).collect()

@@ -4,8 +4,9 @@
 //! ([`opspace_transformer::impedance`]). Where the real part of the impedance and the viscous friction of the joint add up
 //! to less than zero, a resonance of gear, link or contact at that frequency may grow.
 
-use super::diagnostic::{Diagnostic, short};
+use super::diagnostic::short;
 use crate::codes::Code;
+use crate::finding::Finding;
 use crate::run::experiment::Experiment;
 use opspace_backend::Sample;
 use opspace_model::{Data, update};
@@ -95,7 +96,7 @@ impl JointImpedance {
     /// Returns a diagnostic about the joint that is the most active for its friction, if any is, unless the gears are
     /// declared rigid.
     #[must_use]
-    pub fn finding(impedances: &[Self], experiment: &Experiment) -> Option<Diagnostic> {
+    pub fn finding(impedances: &[Self], experiment: &Experiment) -> Option<Finding> {
         if experiment.robot().gears() == Gears::Rigid {
             return None;
         }
@@ -117,7 +118,7 @@ impl JointImpedance {
         let help = "use 'extrapolation' or 'extrapolation+current'".to_owned();
         let profile = experiment.profile().0;
         Some(
-            Diagnostic::new(Code::ActiveImpedance, &["profile", profile, "transformer"], message, help)
+            Finding::new(Code::ActiveImpedance, &["profile", profile, "transformer"], message, help)
                 .of_robot(),
         )
     }

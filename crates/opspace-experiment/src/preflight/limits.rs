@@ -1,8 +1,9 @@
 //! Limits that contradict each other, the start posture, or the arm's weight.
 
 use super::case::PreflightCase;
-use super::diagnostic::{Diagnostic, at_least, at_most, distinct, short};
+use super::diagnostic::{at_least, at_most, distinct, short};
 use crate::codes::Code;
+use crate::finding::Finding;
 use crate::run::rollout::Rollout;
 use opspace_backend::GravityCompensation;
 use opspace_control::TaskParameters;
@@ -10,8 +11,8 @@ use opspace_model::JointKind;
 use std::collections::BTreeSet;
 
 /// Diagnostics that depend only on the start posture.
-pub(crate) fn of_start(case: &PreflightCase<'_>) -> Vec<Diagnostic> {
-    let mut found: Vec<Diagnostic> = Vec::new();
+pub(crate) fn of_start(case: &PreflightCase<'_>) -> Vec<Finding> {
+    let mut found: Vec<Finding> = Vec::new();
     found.extend(shares(case));
     for joint in 0..case.model.n() {
         found.extend(range(case, joint).or_else(|| start_in_margin(case, joint)));
@@ -22,7 +23,7 @@ pub(crate) fn of_start(case: &PreflightCase<'_>) -> Vec<Diagnostic> {
 }
 
 /// Finds limit fractions above 1, which count as 1.
-fn shares(case: &PreflightCase<'_>) -> Vec<Diagnostic> {
+fn shares(case: &PreflightCase<'_>) -> Vec<Finding> {
     let limits = case.experiment.task().file.limits;
     let all = [("velocity_fraction", limits.velocity_fraction), ("torque_fraction", limits.torque_fraction)];
     all.into_iter()
@@ -30,13 +31,13 @@ fn shares(case: &PreflightCase<'_>) -> Vec<Diagnostic> {
         .map(|(key, share)| {
             let message = format!("{key} is {}, above 1: 1 is used", short(share.get()));
             let help = format!("give a fraction from 0 to 1: {key} = 0.9");
-            Diagnostic::new(Code::FractionAboveOne, &["limits", key], message, help)
+            Finding::new(Code::FractionAboveOne, &["limits", key], message, help)
         })
         .collect()
 }
 
 /// Finds a joint range that is not larger than its two margins.
-fn range(case: &PreflightCase<'_>, joint: usize) -> Option<Diagnostic> {
+fn range(case: &PreflightCase<'_>, joint: usize) -> Option<Finding> {
     let limits = &case.model.joints()[joint].limits;
     let (width, margin) = (limits.upper - limits.lower, case.margin());
     if width > 2.0 * margin {
@@ -49,11 +50,11 @@ fn range(case: &PreflightCase<'_>, joint: usize) -> Option<Diagnostic> {
         short(width),
     );
     let help = format!("give a margin well below {}", short(0.5 * width));
-    Some(Diagnostic::new(Code::MarginAboveRange, &["limits", "position_margin_rad"], message, help))
+    Some(Finding::new(Code::MarginAboveRange, &["limits", "position_margin_rad"], message, help))
 }
 
 /// Finds a start position within the margin; the joint moves away from there immediately.
-fn start_in_margin(case: &PreflightCase<'_>, joint: usize) -> Option<Diagnostic> {
+fn start_in_margin(case: &PreflightCase<'_>, joint: usize) -> Option<Finding> {
     let (q, (lower, upper)) = (case.start[joint], case.range(joint));
     if q >= lower && q <= upper {
         return None;
@@ -69,12 +70,12 @@ fn start_in_margin(case: &PreflightCase<'_>, joint: usize) -> Option<Diagnostic>
     );
     let inside = if q < lower { at_least(inside) } else { at_most(inside) };
     let help = format!("start it at {inside} or further inside, or give a smaller margin");
-    Some(Diagnostic::new(Code::StartInMargin, &["start_rad", case.joint(joint)], message, help))
+    Some(Finding::new(Code::StartInMargin, &["start_rad", case.joint(joint)], message, help))
 }
 
 /// Finds a joint whose torque limit is too low for the weight of the arm: at the start, or at a time on the
 /// references.
-fn weight(case: &PreflightCase<'_>, joint: usize, gravity: f64, time_s: Option<f64>) -> Option<Diagnostic> {
+fn weight(case: &PreflightCase<'_>, joint: usize, gravity: f64, time_s: Option<f64>) -> Option<Finding> {
     if case.experiment.robot().file.interface.gravity_compensated_by == GravityCompensation::Robot {
         return None;
     }
@@ -102,18 +103,15 @@ fn weight(case: &PreflightCase<'_>, joint: usize, gravity: f64, time_s: Option<f
     let name = case.joint(joint);
     if gravity.abs() <= limit {
         let help = format!("set torque_fraction to at least {}", at_least(gravity.abs() / limit));
-        return Some(Diagnostic::new(Code::WeightAboveLimit, &["limits", "torque_fraction"], message, help));
+        return Some(Finding::new(Code::WeightAboveLimit, &["limits", "torque_fraction"], message, help));
     }
     let help = "choose a posture with less gravity torque on this joint, or check the limit and the masses"
         .to_owned();
-    Some(
-        Diagnostic::new(Code::WeightAboveLimit, &["joint", name, "torque_limit_nm"], message, help)
-            .of_robot(),
-    )
+    Some(Finding::new(Code::WeightAboveLimit, &["joint", name, "torque_limit_nm"], message, help).of_robot())
 }
 
 /// Finds an acceleration limit so low that braking from the velocity limit requires more than the joint range.
-fn braking(case: &PreflightCase<'_>, joint: usize) -> Option<Diagnostic> {
+fn braking(case: &PreflightCase<'_>, joint: usize) -> Option<Finding> {
     let acceleration = case.experiment.robot().joint_limits().acceleration[joint];
     let limits = &case.model.joints()[joint].limits;
     let (width, way) =
@@ -133,7 +131,7 @@ fn braking(case: &PreflightCase<'_>, joint: usize) -> Option<Diagnostic> {
     let least = at_least(limits.velocity * limits.velocity / (2.0 * width));
     let help = format!("give it in rad/s² (m/s²); at least {least} lets the joint reach its velocity limit");
     Some(
-        Diagnostic::new(
+        Finding::new(
             Code::UnreachableSpeed,
             &["joint", case.joint(joint), "acceleration_limit_rad_per_s2"],
             message,
@@ -144,8 +142,8 @@ fn braking(case: &PreflightCase<'_>, joint: usize) -> Option<Diagnostic> {
 }
 
 /// Finds target positions of posture tasks and joint references outside the joint ranges.
-pub(crate) fn of_postures(case: &PreflightCase<'_>, followed: &Rollout) -> Vec<Diagnostic> {
-    let mut found: Vec<Diagnostic> = Vec::new();
+pub(crate) fn of_postures(case: &PreflightCase<'_>, followed: &Rollout) -> Vec<Finding> {
+    let mut found: Vec<Finding> = Vec::new();
     let mut seen = BTreeSet::new();
     let mut note =
         |stack: usize, name: &str, rest: &[&str], joint: usize, asked: f64, time_s: Option<f64>| {
@@ -199,7 +197,7 @@ fn beyond(
     joint: usize,
     asked: f64,
     time_s: Option<f64>,
-) -> Diagnostic {
+) -> Finding {
     let (lower, upper) = case.range(joint);
     let when = time_s.map_or(String::new(), |t| format!("at {} s ", short(t)));
     let kept = if case.margin() > 0.0 {
@@ -219,12 +217,12 @@ fn beyond(
     } else {
         format!("give a target of at least {}", at_least(lower))
     };
-    Diagnostic::new(Code::TargetBeyondLimits, &key, message, help)
+    Finding::new(Code::TargetBeyondLimits, &key, message, help)
 }
 
 /// Diagnostics along the references: weight above the torque limit of a joint, or changing faster than its torque
 /// rate limit.
-pub(crate) fn on_the_way(case: &PreflightCase<'_>, followed: &Rollout) -> Vec<Diagnostic> {
+pub(crate) fn on_the_way(case: &PreflightCase<'_>, followed: &Rollout) -> Vec<Finding> {
     let mut found = Vec::new();
     for joint in 0..case.model.n() {
         let heaviest =
@@ -240,7 +238,7 @@ pub(crate) fn on_the_way(case: &PreflightCase<'_>, followed: &Rollout) -> Vec<Di
 }
 
 /// Finds a joint whose gravity torque changes faster than its torque rate limit.
-fn torque_rate(case: &PreflightCase<'_>, followed: &Rollout, joint: usize) -> Option<Diagnostic> {
+fn torque_rate(case: &PreflightCase<'_>, followed: &Rollout, joint: usize) -> Option<Finding> {
     let rate = case.experiment.robot().joint_limits().torque_rate[joint];
     if rate == f64::INFINITY
         || case.experiment.robot().file.interface.gravity_compensated_by == GravityCompensation::Robot
@@ -268,7 +266,7 @@ fn torque_rate(case: &PreflightCase<'_>, followed: &Rollout, joint: usize) -> Op
         at_least(change(fastest) / rate)
     );
     Some(
-        Diagnostic::new(
+        Finding::new(
             Code::WeightAboveRate,
             &["joint", case.joint(joint), "torque_rate_limit_nm_per_s"],
             message,

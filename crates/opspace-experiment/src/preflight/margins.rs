@@ -3,11 +3,12 @@
 //! All joints are varied together, and one quantity at a time. The [simulation](super::nudge) is that of the gain margin.
 
 use super::boundary::{Boundary, boundary};
-use super::diagnostic::{Diagnostic, at_least, at_most, short};
+use super::diagnostic::{at_least, at_most, short};
 use super::gears::{GearMargin, examine};
 use super::nudge::{Nudge, NudgedArm};
 use super::variation::{Variation, delayed};
 use crate::codes::Code;
+use crate::finding::Finding;
 use crate::run::experiment::Experiment;
 use opspace_backend::CommandKind;
 use opspace_transformer::TransformerKind;
@@ -78,7 +79,7 @@ pub struct RangeEnd {
 impl Margins {
     /// Returns a diagnostic if a true value of the simulated robot is outside the range in which the arm is stable.
     #[must_use]
-    pub fn finding(&self, experiment: &Experiment) -> Option<Diagnostic> {
+    pub fn finding(&self, experiment: &Experiment) -> Option<Finding> {
         let scale = &experiment.robot().file.simulated.as_ref()?.true_over_nominal;
         self.ranges.iter().find_map(|range| {
             let (key, value) = match range.quantity {
@@ -104,7 +105,7 @@ impl Margins {
                 "{key} = {allowed} or nearer to 1, or correct the nominal values to those of the simulated robot"
             );
             let key = ["simulated", "true_over_nominal", key];
-            Some(Diagnostic::new(Code::UnstableSimulation, &key, message, help).of_robot())
+            Some(Finding::new(Code::UnstableSimulation, &key, message, help).of_robot())
         })
     }
 }

@@ -1,8 +1,9 @@
 //! Objects of the simulated environment in which the hand starts, or which it cannot reach.
 
 use super::case::PreflightCase;
-use super::diagnostic::{Diagnostic, at_least, short};
+use super::diagnostic::{at_least, short};
 use crate::codes::Code;
+use crate::finding::Finding;
 use nalgebra::Vector3;
 use opspace_control::reach;
 use opspace_model::frame_placement;
@@ -12,7 +13,7 @@ use opspace_sim::EnvironmentObjectParameters;
 const CONTACT_M: f64 = 1e-3;
 
 /// Diagnostics of all objects.
-pub(crate) fn misplaced(case: &PreflightCase<'_>) -> Vec<Diagnostic> {
+pub(crate) fn misplaced(case: &PreflightCase<'_>) -> Vec<Finding> {
     let objects = case.experiment.task().file.environment.iter();
     objects.filter_map(|(name, object)| misplaced_object(case, name, object)).collect()
 }
@@ -21,7 +22,7 @@ fn misplaced_object(
     case: &PreflightCase<'_>,
     name: &str,
     object: &EnvironmentObjectParameters,
-) -> Option<Diagnostic> {
+) -> Option<Finding> {
     let frame = case.model.frame_id(object.frame()).ok()?;
     let at = frame_placement(case.model, &case.data, frame).translation;
     let first = &case.model.bodies()[case.model.ancestors(frame).last()?];
@@ -36,7 +37,7 @@ fn misplaced_object(
             short(stiffness * depth_m),
         );
         let help = format!("move '{name}' by {} m or more, or start elsewhere", at_least(depth_m));
-        return Some(Diagnostic::new(Code::StartInObject, &key, message, help));
+        return Some(Finding::new(Code::StartInObject, &key, message, help));
     }
     let reach_m = reach(case.model, frame);
     let away_m = -depth(object, &base)?.0;
@@ -48,7 +49,7 @@ fn misplaced_object(
             short(reach_m),
         );
         let help = format!("move '{name}' {} m closer", at_least(away_m - reach_m));
-        return Some(Diagnostic::new(Code::ObjectOutOfReach, &key, message, help));
+        return Some(Finding::new(Code::ObjectOutOfReach, &key, message, help));
     }
     None
 }

@@ -5,9 +5,10 @@
 //! the limits, which shows whether the task misses its reference for that reason. A redundant arm often does not.
 
 use super::case::PreflightCase;
-use super::diagnostic::{Diagnostic, short};
+use super::diagnostic::short;
 use super::motion::Motion;
 use crate::codes::Code;
+use crate::finding::Finding;
 use crate::run::rollout::{Instant, Rollout, RolloutCase};
 use crate::setup::posture_at::norm_in;
 use nalgebra::Rotation3;
@@ -20,7 +21,7 @@ const ROUNDING: f64 = 1e-6;
 const MISSED: [f64; 2] = [5e-3, 20e-3];
 
 /// Reports the task that position limits keep farthest from its reference, if any.
-pub(crate) fn beyond_on_the_way(case: &PreflightCase<'_>, followed: &Rollout) -> Option<Diagnostic> {
+pub(crate) fn beyond_on_the_way(case: &PreflightCase<'_>, followed: &Rollout) -> Option<Finding> {
     let leaves =
         |instant: &Instant| (0..case.model.n()).any(|joint| outside(case, joint, instant) > ROUNDING);
     if !followed.instants.iter().any(leaves) {
@@ -73,7 +74,7 @@ pub(crate) fn beyond_on_the_way(case: &PreflightCase<'_>, followed: &Rollout) ->
         miss.text(),
     );
     let key = case.reference_key(miss.kept.task_set, miss.name);
-    Some(Diagnostic::new(Code::LimitOnTheWay, &key, message, help(case, miss.kept.task_set, miss.name)))
+    Some(Finding::new(Code::LimitOnTheWay, &key, message, help(case, miss.kept.task_set, miss.name)))
 }
 
 /// Remedy for a task.

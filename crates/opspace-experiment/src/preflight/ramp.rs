@@ -8,8 +8,9 @@
 //! ```
 
 use super::case::PreflightCase;
-use super::diagnostic::{Diagnostic, short};
+use super::diagnostic::short;
 use crate::codes::Code;
+use crate::finding::Finding;
 use crate::run::rollout::{Instant, Rollout};
 
 /// Natural frequency of a task, rad/s: that of the first task of a new robot.
@@ -22,7 +23,7 @@ const LEAST_M: f64 = 0.01;
 const STEP_S: f64 = 1e-3;
 
 /// Reports the reference that gets farthest ahead of the arm while the torque ramps in, if any.
-pub(crate) fn of_references(case: &PreflightCase<'_>, followed: &Rollout) -> Option<Diagnostic> {
+pub(crate) fn of_references(case: &PreflightCase<'_>, followed: &Rollout) -> Option<Finding> {
     let ramp_s = case.experiment.robot().file.safety.torque_ramp_s.get();
     let first: Vec<&Instant> = followed.instants.iter().filter(|instant| instant.task_set == 0).collect();
     let tasks = first.first()?.tasks.len();
@@ -42,7 +43,7 @@ pub(crate) fn of_references(case: &PreflightCase<'_>, followed: &Rollout) -> Opt
     );
     let help =
         "hold the start until then, and set the reference by an [[event]], or begin more slowly".to_owned();
-    Some(Diagnostic::new(Code::MovesDuringRamp, &key, message, help))
+    Some(Finding::new(Code::MovesDuringRamp, &key, message, help))
 }
 
 /// Largest error of an arm whose torque ramps in over `ramp_s` (s), for a reference with these times (s) and speeds (m/s).

@@ -10,12 +10,12 @@
 //!
 //! Velocity feed-forward with held setpoints is refused if its impulses exceed a torque limit.
 
-use super::diagnostic::Diagnostic;
 use super::gears::first_oscillation;
 use super::nudge::{Nudge, NudgedArm};
 use super::servo_gain::{ServoLoop, gain_margin};
 use super::torque_floor::feed_forward_impulses;
 use crate::files::source::FileError;
+use crate::finding::Finding;
 use crate::run::experiment::Experiment;
 use opspace_transformer::Gears;
 
@@ -25,7 +25,7 @@ pub const LEAST_EXCESS: f64 = 0.01;
 /// Returns the reasons why an experiment should not run on a real robot: margins that are too small. Empty if there is none, or
 /// if commands pass without a transformer.
 #[must_use]
-pub fn refusals(experiment: &Experiment) -> Vec<Diagnostic> {
+pub fn refusals(experiment: &Experiment) -> Vec<Finding> {
     let found = [feed_forward_impulses(experiment), small_gain_margin(experiment), oscillation(experiment)];
     found.into_iter().flatten().collect()
 }
@@ -46,7 +46,7 @@ fn nudged(experiment: &Experiment) -> Option<NudgedArm> {
     NudgedArm::new(experiment, experiment.transformer_kind()?)
 }
 
-fn small_gain_margin(experiment: &Experiment) -> Option<Diagnostic> {
+fn small_gain_margin(experiment: &Experiment) -> Option<Finding> {
     let (nudged, servo_loop) = (nudged(experiment)?, ServoLoop::of(experiment.command_kind())?);
     let varied = servo_loop.varied().of(nudged.nominal(), 1.0 + LEAST_EXCESS)?;
     let Nudge::Grows(_) = nudged.nudge(&varied)? else { return None };
@@ -55,7 +55,7 @@ fn small_gain_margin(experiment: &Experiment) -> Option<Diagnostic> {
     Some(found)
 }
 
-fn oscillation(experiment: &Experiment) -> Option<Diagnostic> {
+fn oscillation(experiment: &Experiment) -> Option<Finding> {
     if experiment.robot().gears() == Gears::Rigid {
         return None;
     }

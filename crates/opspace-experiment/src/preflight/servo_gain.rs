@@ -32,10 +32,11 @@
 //! slope of a compensation at rest, Fc/v₀, is a negative damping while the joint moves only in presliding.
 
 use super::boundary::boundary;
-use super::diagnostic::{Diagnostic, short};
+use super::diagnostic::short;
 use super::nudge::NudgedArm;
 use super::variation::Variation;
 use crate::codes::Code;
+use crate::finding::Finding;
 use crate::run::experiment::Experiment;
 use opspace_backend::{CommandKind, Measured};
 use opspace_transformer::Gears;
@@ -144,7 +145,7 @@ impl fmt::Display for GainMargin {
 impl GainMargin {
     /// Returns a diagnostic if the margin is too small.
     #[must_use]
-    pub fn finding(&self, experiment: &Experiment) -> Option<Diagnostic> {
+    pub fn finding(&self, experiment: &Experiment) -> Option<Finding> {
         let excess = self.excess.filter(|excess| *excess < LEAST_EXCESS)?;
         let joint = self.joint.as_ref()?;
         let message = format!(
@@ -185,7 +186,7 @@ impl GainMargin {
         };
         let help = format!("{current}{relief}");
         Some(
-            Diagnostic::new(Code::SmallGainMargin, &["profile", profile, "transformer"], message, help)
+            Finding::new(Code::SmallGainMargin, &["profile", profile, "transformer"], message, help)
                 .of_robot(),
         )
     }

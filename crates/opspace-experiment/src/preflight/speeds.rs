@@ -1,8 +1,9 @@
 //! References that are faster than the joints or the speed limit of their task allow.
 
 use super::case::PreflightCase;
-use super::diagnostic::{Diagnostic, at_least, distinct, short};
+use super::diagnostic::{at_least, distinct, short};
 use crate::codes::Code;
+use crate::finding::Finding;
 use crate::run::rollout::{Instant, Rollout};
 use opspace_control::TaskParameters;
 
@@ -10,7 +11,7 @@ use opspace_control::TaskParameters;
 const TOLERANCE: f64 = 1.001;
 
 /// Reports the joint whose required speed exceeds its limit most, if any.
-pub(crate) fn of_joints(case: &PreflightCase<'_>, followed: &Rollout) -> Option<Diagnostic> {
+pub(crate) fn of_joints(case: &PreflightCase<'_>, followed: &Rollout) -> Option<Finding> {
     let share = case.experiment.velocity_fraction();
     let (mut worst, mut most) = (None, TOLERANCE);
     for instant in &followed.instants {
@@ -36,7 +37,7 @@ pub(crate) fn of_joints(case: &PreflightCase<'_>, followed: &Rollout) -> Option<
         case.joint(joint),
     );
     let help = format!("make the motion {} times as long, or smaller", at_least(most));
-    Some(Diagnostic::new(Code::JointTooFast, &key, message, help))
+    Some(Finding::new(Code::JointTooFast, &key, message, help))
 }
 
 /// Key of the moving reference of highest priority.
@@ -53,8 +54,8 @@ pub(super) fn key_of_fastest(case: &PreflightCase<'_>, instant: &Instant) -> Opt
 }
 
 /// Finds references that exceed the speed limit of their task.
-pub(crate) fn of_tasks(case: &PreflightCase<'_>, followed: &Rollout) -> Vec<Diagnostic> {
-    let mut found: Vec<Diagnostic> = Vec::new();
+pub(crate) fn of_tasks(case: &PreflightCase<'_>, followed: &Rollout) -> Vec<Finding> {
+    let mut found: Vec<Finding> = Vec::new();
     for (number, stack) in case.task_sets.iter().enumerate() {
         for (place, task) in stack.tasks.tasks().enumerate() {
             for (which, key, unit) in
@@ -83,8 +84,8 @@ pub(crate) fn of_tasks(case: &PreflightCase<'_>, followed: &Rollout) -> Vec<Diag
                 let kind = stack.task.get(task.name()).map_or("", TaskParameters::kind);
                 let key = case.key(number, task.name(), &[kind, key]);
                 // An event may leave the task unchanged: it is reported only once.
-                let new = Diagnostic::new(Code::ReferenceTooFast, &key, message, help);
-                if !found.iter().any(|old| old.key == new.key) {
+                let new = Finding::new(Code::ReferenceTooFast, &key, message, help);
+                if !found.iter().any(|old| old.place == new.place) {
                     found.push(new);
                 }
             }

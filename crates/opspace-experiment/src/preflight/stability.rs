@@ -50,9 +50,10 @@
 //! the environment, is not examined, and neither are impedances that vary or shape the mass.
 
 use super::case::PreflightCase;
-use super::diagnostic::{Diagnostic, short};
+use super::diagnostic::short;
 use super::phase_margin::{Margin, hold, least_margin, rounded_down};
 use crate::codes::Code;
+use crate::finding::Finding;
 use nalgebra::{Complex, Matrix6xX};
 use opspace_backend::quantity::NonNegative;
 use opspace_backend::{CommandKind, Sample, Setpoints};
@@ -77,13 +78,13 @@ const GOOD_MARGIN_DEG: f64 = 45.0;
 const IMPEDANCE_DAMPING_RATIO: f64 = 0.7;
 
 /// Finds gains that are too high: for each task the worst axis or joint over all task sets.
-pub(crate) fn stiff_gains(case: &PreflightCase<'_>) -> Vec<Diagnostic> {
-    let mut found: Vec<Diagnostic> = Vec::new();
+pub(crate) fn stiff_gains(case: &PreflightCase<'_>) -> Vec<Finding> {
+    let mut found: Vec<Finding> = Vec::new();
     let responses = responses(case);
     for stack in 0..case.task_sets.len() {
         for name in case.task_sets[stack].priority {
             let finding = stiff_task(case, &responses, stack, name);
-            found.extend(finding.filter(|new| !found.iter().any(|old| old.key == new.key)));
+            found.extend(finding.filter(|new| !found.iter().any(|old| old.place == new.place)));
         }
     }
     found
@@ -113,12 +114,7 @@ fn responses(case: &PreflightCase<'_>) -> Vec<Vec<f64>> {
     responses
 }
 
-fn stiff_task(
-    case: &PreflightCase<'_>,
-    responses: &[Vec<f64>],
-    stack: usize,
-    name: &str,
-) -> Option<Diagnostic> {
+fn stiff_task(case: &PreflightCase<'_>, responses: &[Vec<f64>], stack: usize, name: &str) -> Option<Finding> {
     let worst = followers(case, responses, stack, name).into_iter().filter_map(|follower| {
         let margin = follower.plant.margin(&follower.law)?;
         // If less than half of the margin of the ideal loop remains, the cause is delay and not low damping.
@@ -145,7 +141,7 @@ fn stiff_task(
         ),
         None => "raise damping_ratio: with this one no stiffness has enough margin".to_owned(),
     };
-    Some(Diagnostic::new(Code::GainsTooHigh, &case.key(stack, name, key), message, help))
+    Some(Finding::new(Code::GainsTooHigh, &case.key(stack, name, key), message, help))
 }
 
 /// Control loop of an axis or a joint.
@@ -164,8 +160,8 @@ struct AxisLoop<'a> {
 }
 
 /// Lists tasks with unknown gains: their stability is not checked.
-pub(crate) fn not_checked(case: &PreflightCase<'_>) -> Vec<Diagnostic> {
-    let mut found: Vec<Diagnostic> = Vec::new();
+pub(crate) fn not_checked(case: &PreflightCase<'_>) -> Vec<Finding> {
+    let mut found: Vec<Finding> = Vec::new();
     for (number, stack) in case.task_sets.iter().enumerate() {
         let rows = stack.tasks.tasks().map(|task| {
             let names = task.row_names().into_iter().enumerate();
@@ -197,7 +193,7 @@ pub(crate) fn not_checked(case: &PreflightCase<'_>) -> Vec<Diagnostic> {
                 );
                 (case.key(number, name, &[]), message, "test it in simulation".to_owned())
             };
-            let finding = Diagnostic::new(Code::UnknownGains, &key, message, help);
+            let finding = Finding::new(Code::UnknownGains, &key, message, help);
             if !found.contains(&finding) {
                 found.push(finding);
             }

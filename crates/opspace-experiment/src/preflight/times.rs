@@ -1,8 +1,9 @@
 //! Events and references that end after the run, and statistics that begin too early.
 
 use super::case::{ActiveTasks, PreflightCase};
-use super::diagnostic::{Diagnostic, at_least, at_most, distinct, short};
+use super::diagnostic::{at_least, at_most, distinct, short};
 use crate::codes::Code;
+use crate::finding::Finding;
 use crate::run::experiment::Experiment;
 use crate::run::rollout::Rollout;
 use opspace_control::{
@@ -16,7 +17,7 @@ const ROUNDING_S: f64 = 1e-6;
 /// Speed below which a reference counts as at rest, m/s or rad/s.
 const STANDING: f64 = 1e-4;
 
-pub(crate) fn too_short(case: &PreflightCase<'_>, followed: &Rollout) -> Vec<Diagnostic> {
+pub(crate) fn too_short(case: &PreflightCase<'_>, followed: &Rollout) -> Vec<Finding> {
     let mut found = late_events(case);
     found.extend(settling(case));
     found.extend(unfinished(case, followed));
@@ -24,7 +25,7 @@ pub(crate) fn too_short(case: &PreflightCase<'_>, followed: &Rollout) -> Vec<Dia
 }
 
 /// Finds events after the end of the run.
-fn late_events(case: &PreflightCase<'_>) -> Vec<Diagnostic> {
+fn late_events(case: &PreflightCase<'_>) -> Vec<Finding> {
     let duration_s = case.experiment.duration_s();
     let events = case.experiment.task().events.iter().enumerate();
     let late = events.filter(|(_, event)| event.time_s >= duration_s);
@@ -35,13 +36,13 @@ fn late_events(case: &PreflightCase<'_>) -> Vec<Diagnostic> {
             short(duration_s)
         );
         let help = format!("set its time below {} s, or increase duration_s", at_most(duration_s));
-        Diagnostic::new(Code::LateEvent, &["event", &number.to_string(), "time_s"], message, help)
+        Finding::new(Code::LateEvent, &["event", &number.to_string(), "time_s"], message, help)
     })
     .collect()
 }
 
 /// Reports a `settle_s` that ends before the torque ramp.
-fn settling(case: &PreflightCase<'_>) -> Option<Diagnostic> {
+fn settling(case: &PreflightCase<'_>) -> Option<Finding> {
     let settle_s = case.experiment.task().file.settle_s.get();
     let ramp_s = case.experiment.robot().file.safety.torque_ramp_s.get();
     if settle_s >= ramp_s {
@@ -52,7 +53,7 @@ fn settling(case: &PreflightCase<'_>) -> Option<Diagnostic> {
         short(settle_s),
         short(ramp_s)
     );
-    Some(Diagnostic::new(
+    Some(Finding::new(
         Code::EarlyStatistics,
         &["settle_s"],
         message,
@@ -61,7 +62,7 @@ fn settling(case: &PreflightCase<'_>) -> Option<Diagnostic> {
 }
 
 /// Finds references that still move at the end of the run.
-fn unfinished(case: &PreflightCase<'_>, followed: &Rollout) -> Vec<Diagnostic> {
+fn unfinished(case: &PreflightCase<'_>, followed: &Rollout) -> Vec<Finding> {
     let duration_s = case.experiment.duration_s();
     let last = case.task_sets.len() - 1;
     let stack = &case.task_sets[last];
@@ -92,7 +93,7 @@ fn unfinished(case: &PreflightCase<'_>, followed: &Rollout) -> Vec<Diagnostic> {
             }
             Length::AsFastAsItCan => "increase duration_s, or the limits of the goal's motion".to_owned(),
         };
-        Some(Diagnostic::new(Code::UnfinishedReference, &["duration_s"], message, help))
+        Some(Finding::new(Code::UnfinishedReference, &["duration_s"], message, help))
     });
     unfinished.collect()
 }

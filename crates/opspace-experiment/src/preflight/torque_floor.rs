@@ -11,8 +11,9 @@
 //!
 //! With another delay the first is unknown too (a factor of up to √2); the servo's velocity filter lessens the error.
 
-use super::diagnostic::{Diagnostic, short};
+use super::diagnostic::short;
 use crate::codes::Code;
+use crate::finding::Finding;
 use crate::run::experiment::Experiment;
 use opspace_backend::Setpoints;
 use opspace_backend::quantity::Positive;
@@ -78,7 +79,7 @@ fn amplitude(experiment: &Experiment, law: &ServoLaw, limits: &JointSetpointLimi
 
 /// Finds velocity feed-forward with held setpoints whose torque impulse at the speed limit exceeds the torque limit: a
 /// setpoint that moves on by v T within one servo tick gives R kv φ v.
-pub(crate) fn feed_forward_impulses(experiment: &Experiment) -> Option<Diagnostic> {
+pub(crate) fn feed_forward_impulses(experiment: &Experiment) -> Option<Finding> {
     experiment.transformer_kind()?;
     let (robot, (profile_name, profile)) = (experiment.robot(), experiment.profile());
     if robot.file.interface.setpoints == Setpoints::Interpolated {
@@ -105,7 +106,7 @@ pub(crate) fn feed_forward_impulses(experiment: &Experiment) -> Option<Diagnosti
                 file"
         .to_owned();
     Some(
-        Diagnostic::new(Code::FeedForwardImpulse, &["profile", profile_name, "servo", joint], message, help)
+        Finding::new(Code::FeedForwardImpulse, &["profile", profile_name, "servo", joint], message, help)
             .of_robot(),
     )
 }

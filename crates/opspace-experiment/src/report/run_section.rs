@@ -1,5 +1,6 @@
 //! Section of a page about one run.
 
+use crate::codes::Code;
 use crate::evaluate::notes::final_notes;
 use crate::evaluate::summary::Summary;
 pub use crate::report::collision_moments::{ClosestPair, CollisionMoment, PlacedShape};
@@ -78,15 +79,18 @@ impl RunSection {
                 "The run was stopped at {time:.3} s: {fault}. Tables and figures show what was until the stop."
             ));
         }
-        warnings.extend(summary.failures.iter().map(|failure| format!("Failure: {failure}.")));
+        warnings.extend(summary.findings.failures().map(|failure| format!("Failure: {failure}.")));
         warnings.extend(
             summary.missed_expectations.iter().map(|missed| format!("Expectation missed: {missed}.")),
         );
-        warnings.extend(summary.unreached_goals.iter().map(|goal| format!("Note: {goal}.")));
-        warnings.extend(summary.ignored_compliance.iter().map(|task| format!("Note: {task}.")));
-        warnings.extend(summary.limited_references.iter().map(|reference| format!("Note: {reference}.")));
+        warnings.extend(summary.findings.of(Code::GoalNotReached).map(|goal| format!("Note: {goal}.")));
+        warnings.extend(summary.findings.of(Code::IgnoredCompliance).map(|task| format!("Note: {task}.")));
+        warnings.extend(
+            summary.findings.of(Code::ReferenceLimited).map(|reference| format!("Note: {reference}.")),
+        );
         warnings.extend(final_notes(&summary).iter().map(|note| format!("Note: {note}.")));
-        warnings.extend(summary.escapes.iter().map(|escape| format!("Note: {escape}.")));
+        warnings
+            .extend(summary.findings.of(Code::EscapedSingularity).map(|escape| format!("Note: {escape}.")));
         // Entries for a replay; a robot without a transformer has none to be shown.
         let has_transformer = summary.transformer.is_some();
         let is_shown =

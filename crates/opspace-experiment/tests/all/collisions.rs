@@ -5,7 +5,7 @@ use opspace_experiment::preflight::start_diagnostics;
 use opspace_experiment::run::replay::replay;
 use opspace_experiment::setup::own_body::OwnBody;
 use opspace_experiment::setup::posture_at::posture_at;
-use opspace_experiment::{Code, Experiment, FileError, Files, Progress, RunOptions, diagnostics};
+use opspace_experiment::{Code, Experiment, FileError, Files, Finding, Progress, RunOptions, diagnostics};
 use opspace_log::Recording;
 use opspace_model::collision::{CollisionData, collision_distances};
 use opspace_model::{Data, Postures, forward_kinematics, frame_placement};
@@ -77,7 +77,7 @@ fn collisions_are_predicted() {
     let found = |settings: &[&str]| -> Vec<String> {
         let experiment = load("panda-obstacles", settings).unwrap_or_else(|error| panic!("{error}"));
         let all = diagnostics(&experiment).into_iter();
-        all.map(|finding| format!("{}: {}", finding.key, finding.message))
+        all.map(|finding| format!("{}: {}", finding.key(), finding.message))
             .filter(|f| f.contains("apart") || f.contains("deep"))
             .collect()
     };
@@ -110,12 +110,10 @@ fn kept_distances_are_named_as_the_cause() {
     let result = experiment.run(Cursor::new(Vec::new()), &Progress::default()).expect("a simulation");
     let log = Recording::from_bytes(result.sink.get_ref()).expect("a log");
     let summary = experiment.summary(&log, &result.record, None);
-    let of_goals = summary.unreached_goals.iter().map(|goal| (&goal.kept_distances, goal.to_string()));
-    let of_references =
-        summary.limited_references.iter().map(|held| (&held.kept_distances, held.to_string()));
-    let all: Vec<(&Vec<[String; 2]>, String)> = of_goals.chain(of_references).collect();
-    let names_the_ball = |(pairs, text): &(&Vec<[String; 2]>, String)| {
-        pairs.iter().any(|pair| pair[1] == "ball") && text.contains("distance kept between ")
+    let all: Vec<&Finding> = summary.findings.iter().collect();
+    let names_the_ball = |found: &&Finding| {
+        let pairs = &found.causes.kept_distances;
+        pairs.iter().any(|pair| pair[1] == "ball") && found.to_string().contains("distance kept between ")
     };
     assert!(all.iter().any(names_the_ball), "{all:?}");
 }

@@ -6,7 +6,7 @@ use opspace_control::reach;
 use opspace_experiment::Progress;
 use opspace_experiment::evaluate::metrics::metrics;
 use opspace_experiment::preflight::not_checked;
-use opspace_experiment::{Code, ControllerKind, Diagnostic, Experiment, Files, RunOptions, diagnostics};
+use opspace_experiment::{Code, ControllerKind, Experiment, Files, Finding, RunOptions, diagnostics};
 use opspace_log::Recording;
 use opspace_loop::RunOutcome;
 use opspace_model::{Data, frame_placement, kinematics};
@@ -81,7 +81,7 @@ fn experiment(task: &str, changes: &[(&str, &str)], options: RunOptions, setting
 }
 
 /// Returns the only diagnostic that a change causes, and its line.
-fn only_diagnostic(task: &str, changes: &[(&str, &str)], settings: &[&str]) -> (Diagnostic, Option<usize>) {
+fn only_diagnostic(task: &str, changes: &[(&str, &str)], settings: &[&str]) -> (Finding, Option<usize>) {
     let experiment = experiment(task, changes, RunOptions::default(), settings);
     let mut found = diagnostics(&experiment);
     assert_eq!(found.len(), 1, "{found:#?}");
@@ -91,8 +91,8 @@ fn only_diagnostic(task: &str, changes: &[(&str, &str)], settings: &[&str]) -> (
     (finding, placed.line())
 }
 
-fn assert_says(finding: &Diagnostic, key: &str, words: &[&str]) {
-    assert_eq!(finding.key, key, "{finding:?}");
+fn assert_says(finding: &Finding, key: &str, words: &[&str]) {
+    assert_eq!(finding.key(), key, "{finding:?}");
     let said = format!("{} {}", finding.message, finding.help);
     for word in words {
         assert!(said.contains(word), "`{word}` in {finding:?}");
@@ -242,7 +242,7 @@ fn position_limits_on_the_way_are_found() {
         let options = RunOptions { backend: CommandKind::Torque, ..RunOptions::default() };
         Experiment::load(Files::Disk, &root().join("tasks").join(name), None, options, &settings).unwrap()
     };
-    let limits = |experiment: &Experiment| -> Vec<Diagnostic> {
+    let limits = |experiment: &Experiment| -> Vec<Finding> {
         let found = diagnostics(experiment).into_iter();
         found.filter(|found| found.code == Code::LimitOnTheWay).collect()
     };
@@ -256,8 +256,9 @@ fn position_limits_on_the_way_are_found() {
     let result = folded.run(std::io::Cursor::new(Vec::new()), &Progress::default()).unwrap();
     let log = Recording::from_bytes(result.sink.get_ref()).unwrap();
     let summary = folded.summary(&log, &result.record, None);
-    let held = summary.limited_references.iter().any(|held| held.position_limits == ["joint4"]);
-    assert!(held, "{:?}", summary.limited_references);
+    let held = summary.findings.of(Code::ReferenceLimited);
+    let held = held.into_iter().any(|held| held.causes.position_limits == ["joint4"]);
+    assert!(held, "{:?}", summary.findings);
     assert_eq!(limits(&at("panda-tracking.toml", &[])), []);
     assert_eq!(limits(&at("panda-reach.toml", &[])), []);
 }
@@ -850,7 +851,7 @@ fn unstable_admittance_is_reported() {
         let unstable = experiment(PRESS, &[], options.clone(), &[no_friction, &set]);
         let found = diagnostics(&unstable);
         let [finding] = &found[..] else { panic!("{found:#?}") };
-        assert_eq!(finding.key, "task.hand.cartesian.force.admittance_ns_per_m");
+        assert_eq!(finding.key(), "task.hand.cartesian.force.admittance_ns_per_m");
         assert!(finding.message.contains("would be unstable on 'table' of 50000 N/m"), "{}", finding.message);
         let proposed = finding.help.split(' ').nth(2).unwrap();
         let set = format!("task.hand.cartesian.force.admittance_ns_per_m={proposed}.0");
@@ -884,7 +885,7 @@ fn compliant_axis_that_stays_away_is_reported() {
     let again =
         "[[event]]\ntime_s = 1.0\nset = [\"task.rest.joint-posture.damping_ratio=1.0\"]\n\n[task.rest";
     let (once, _) = only_diagnostic(HAND, &[compliant[0], ("[task.rest", again)], &[]);
-    assert_eq!(once.key, found.key);
+    assert_eq!(once.key(), found.key());
     let holds = |addition: &str| {
         let changed = experiment(HAND, &[compliant[0], ("[task.rest", addition)], RunOptions::default(), &[]);
         assert_eq!(diagnostics(&changed), [], "{addition}");

@@ -68,7 +68,7 @@ fn simulated_servos_outside_the_stable_range_are_found() {
     assert_eq!(found("1.0"), None);
     let unstable = found("2.9").unwrap();
     assert_eq!(unstable.code, opspace_experiment::Code::UnstableSimulation);
-    assert_eq!(unstable.key, "simulated.true_over_nominal.kp");
+    assert_eq!(unstable.key(), "simulated.true_over_nominal.kp");
     let proposed = unstable.help.split_whitespace().nth(2).unwrap();
     assert_eq!(found(proposed), None, "{unstable:?}");
 }
@@ -200,7 +200,7 @@ fn limits_and_feed_forward_of_setpoints_are_stated() {
 
     let fed = ["robot.profile.a-med.servo.elbow.cascaded.velocity_feed_forward=1.0".to_owned()];
     let found = diagnostics(&position("extrapolation", &fed));
-    let of_feed_forward = |found: &[opspace_experiment::Diagnostic]| {
+    let of_feed_forward = |found: &[opspace_experiment::Finding]| {
         found
             .iter()
             .filter(|found| found.message.contains("velocity feed-forward with held setpoints"))

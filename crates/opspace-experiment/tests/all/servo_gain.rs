@@ -178,7 +178,7 @@ fn simulated_robot_is_stable_only_within_margin() {
 fn small_gain_margin_is_reported() {
     let small = experiment("gravity-compensation", "a-med", EMULATION, &[]);
     let finding = gain_margin(&small).unwrap().finding(&small).unwrap();
-    let told = format!("{} {} {}", finding.key, finding.message, finding.help);
+    let told = format!("{} {} {}", finding.key(), finding.message, finding.help);
     for words in
         ["profile.a-med", "0.4 %", "'emulation'", "\"emulation+current\"", "joint 'shoulder_pitch' by 4."]
     {

@@ -163,7 +163,7 @@ fn preflight_checks_every_task() {
     let key = "task.sum.swivel.reference";
     let found = |duration_s: &str| {
         let found = diagnostics(&experiment(duration_s));
-        found.into_iter().filter(|found| found.key == key).map(|found| found.message).collect::<Vec<_>>()
+        found.into_iter().filter(|found| found.key() == key).map(|found| found.message).collect::<Vec<_>>()
     };
     assert!(!found("0.05").is_empty(), "a reference faster than the joints");
     assert_eq!(found("0.8"), Vec::<String>::new(), "a slow one");

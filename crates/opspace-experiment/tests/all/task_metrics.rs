@@ -5,7 +5,7 @@ use opspace_backend::{CommandKind, Layout, Signal};
 use opspace_control::{AXIS_NAMES, AxisMode};
 use opspace_experiment::evaluate::metrics::evaluate;
 use opspace_experiment::evaluate::notes::final_notes;
-use opspace_experiment::{Experiment, Files, Progress, RunOptions, Summary};
+use opspace_experiment::{Code, Experiment, Files, Progress, RunOptions, Summary};
 use opspace_log::{ChannelData, OutcomeRecord, Recording};
 use opspace_loop::Phase;
 use opspace_model::{Data, frame_placement, kinematics};
@@ -113,7 +113,7 @@ fn force_task_is_judged_by_the_true_contact_force() {
         "{final_n}: {metrics:?}"
     );
     assert_eq!(summary.tasks["hand"].contact.force_rms_n, metrics.contact.force_rms_n);
-    assert!(summary.failures.is_empty(), "{:?}", summary.failures);
+    assert_eq!(summary.findings.failures().count(), 0, "{:?}", summary.findings);
 }
 
 /// Compared: losses of contact by the sensor with the `contact` signal of the log, in a run in which a push lifts the hand off.
@@ -153,8 +153,9 @@ fn force_task_without_contact_is_a_failure() {
             (summary.metrics.contact.contact_begin_s, summary.metrics.contact.contact_peak_n),
             (None, None)
         );
-        let never = summary.failures.iter().any(|failure| failure.contains("'hand' never touched"));
-        assert!(never, "{setting}: {:?}", summary.failures);
+        let never = summary.findings.of(Code::NeverTouched);
+        let never = never.into_iter().any(|failure| failure.message.contains("'hand' never touched"));
+        assert!(never, "{setting}: {:?}", summary.findings);
     }
 }
 
@@ -280,7 +281,8 @@ fn joints_held_by_friction_are_a_failure() {
     let wave = |t: f64| 0.2 * (0.5 * TAU * t).sin();
     let failures = |q: &dyn Fn(f64) -> f64| {
         let recording = joint_log(&experiment, q, wave, |_, _| 1.0);
-        experiment.summary(&recording, &OutcomeRecord::default(), None).failures
+        let summary = experiment.summary(&recording, &OutcomeRecord::default(), None);
+        summary.findings.failures().map(ToString::to_string).collect::<Vec<_>>()
     };
     let held = failures(&|_| 0.1);
     assert!(
@@ -297,7 +299,7 @@ fn joints_with_resting_references_are_no_failure() {
     let (recording, summary) = run(&experiment("joint-tracking", &[one, "duration_s=3.0"]));
     let reference = recording.channel("tick").unwrap().signal("joints.reference").unwrap().row(1500).to_vec();
     assert!(reference.iter().filter(|q| q.abs() > 0.1).count() >= 2, "{reference:?}");
-    assert!(summary.failures.is_empty(), "{:?}", summary.failures);
+    assert_eq!(summary.findings.failures().count(), 0, "{:?}", summary.findings);
 }
 
 /// Checks a task of one joint: the log has references of the others too, which the joints need not follow.
@@ -307,7 +309,7 @@ fn joints_beside_the_task_are_no_failure() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tasks/panda-levels.toml");
     let experiment = Experiment::load(Files::Disk, &path, None, options, &[]).unwrap();
     let (_, summary) = run(&experiment);
-    assert!(summary.failures.is_empty(), "{:?}", summary.failures);
+    assert_eq!(summary.findings.failures().count(), 0, "{:?}", summary.findings);
     assert!(summary.tasks.values().any(|task| task.elements.len() == 1), "{:?}", summary.tasks);
 }
 

@@ -4,8 +4,7 @@
 use nalgebra::Vector3;
 use opspace_backend::{Backend, CommandKind, GroundTruth, Sample};
 use opspace_control::CartesianTarget;
-use opspace_experiment::evaluate::unreached::UnreachedGoal;
-use opspace_experiment::{Experiment, Files, Progress, RunOptions, Summary};
+use opspace_experiment::{Code, Experiment, Files, Finding, Progress, RunOptions, Summary};
 use opspace_log::Recording;
 use opspace_model::{Data, frame_placement, kinematics};
 use std::io::Cursor;
@@ -45,8 +44,14 @@ fn final_error(recording: &Recording) -> f64 {
     tick.signal("flange.error").unwrap().row(tick.len() - 1).iter().fold(0.0, |m: f64, e| m.max(e.abs()))
 }
 
-fn only(summary: &Summary) -> &UnreachedGoal {
-    let [goal] = &summary.unreached_goals[..] else { panic!("{:?}", summary.unreached_goals) };
+/// Findings with a code.
+fn coded(summary: &Summary, code: Code) -> Vec<&Finding> {
+    summary.findings.of(code).collect()
+}
+
+fn only(summary: &Summary) -> &Finding {
+    let goals = coded(summary, Code::GoalNotReached);
+    let [goal] = goals[..] else { panic!("{goals:?}") };
     goal
 }
 
@@ -76,7 +81,7 @@ fn reached_goals_have_no_note() {
         ("press-wall", &["duration_s=3.0"]),
     ] {
         let (_, summary) = run(&experiment(task, settings));
-        assert_eq!(summary.unreached_goals, [], "{task}");
+        assert_eq!(summary.findings.of(Code::GoalNotReached).count(), 0, "{task}");
     }
 }
 
@@ -92,18 +97,28 @@ fn position_limits_are_named_and_left_again() {
     };
     let (recording, summary) = of(BEHIND_M);
     let goal = only(&summary);
-    assert_eq!(goal.position_limits, ["joint2"], "{goal}");
-    assert_eq!((&goal.torque_limits[..], goal.singular_along.as_ref()), (&[][..], None), "{goal}");
-    assert!(goal.begin_s < 1.2 && (2.0..3.0 + LAG_S).contains(&goal.end_s.unwrap()), "{goal}");
+    assert_eq!(goal.causes.position_limits, ["joint2"], "{goal}");
+    assert_eq!(
+        (&goal.causes.torque_limits[..], goal.causes.singular_along.as_ref()),
+        (&[][..], None),
+        "{goal}"
+    );
+    assert!(
+        goal.number("begin_s").unwrap() < 1.2 && (2.0..3.0 + LAG_S).contains(&goal.number("end_s").unwrap()),
+        "{goal}"
+    );
     let tick = recording.channel("tick").unwrap();
     let at_limit = |k: usize| tick.signal("q").unwrap().row(k)[1] < -1.7628 + 0.011;
     let middle = tick.time_s.partition_point(|&t| t < tick.time_s[0] + 1.9);
     assert!(at_limit(middle) && !at_limit(tick.len() - 1));
     let away = tick.signal("flange.error").unwrap().row(middle);
     let away = away[..3].iter().map(|e| e * e).sum::<f64>().sqrt();
-    assert!(goal.position_m.unwrap() >= away && goal.position_m.unwrap() < 1.5 * away, "{goal}: {away}");
+    assert!(
+        goal.number("position_m").unwrap() >= away && goal.number("position_m").unwrap() < 1.5 * away,
+        "{goal}: {away}"
+    );
     let (stayed, none) = of([0.0; 3]);
-    assert_eq!(none.unreached_goals, []);
+    assert_eq!(none.findings.of(Code::GoalNotReached).count(), 0);
     assert!(final_error(&recording) < final_error(&stayed) + SAME, "{}", final_error(&recording));
     let text = goal.to_string();
     assert!(
@@ -119,10 +134,10 @@ fn goal_of_an_event_ends_the_note() {
     let back = "event=[{time_s=2.5, set=[\"task.flange.cartesian.reference.goal.position.offset_m=[0.0,0.0,0.0]\"]}]";
     let (recording, summary) = run(&experiment("panda-goals", &[&away, back]));
     let goal = only(&summary);
-    assert!((2.5..3.5).contains(&goal.end_s.unwrap()), "{goal}");
+    assert!((2.5..3.5).contains(&goal.number("end_s").unwrap()), "{goal}");
     assert!(final_error(&recording) < STICKING, "{}", final_error(&recording));
     let (_, summary) = run(&experiment("panda-goals", &[&away, "event=[]", "duration_s=3.0"]));
-    assert_eq!(only(&summary).end_s, None);
+    assert_eq!(only(&summary).number("end_s"), None);
 }
 
 /// Checks an arm without position limits in its way: the direction has the large components of the error, no joint is
@@ -131,11 +146,14 @@ fn goal_of_an_event_ends_the_note() {
 fn reach_is_named_without_joints() {
     let (recording, summary) = run(&experiment("ur5e-out-of-reach", &[]));
     let goal = only(&summary);
-    let along = goal.singular_along.as_ref().unwrap();
+    let along = goal.causes.singular_along.as_ref().unwrap();
     assert!(along.contains(" x") && along.contains(" z"), "{goal}");
-    let joints = [&goal.position_limits, &goal.speed_limits, &goal.torque_limits];
+    let joints = [&goal.causes.position_limits, &goal.causes.speed_limits, &goal.causes.torque_limits];
     assert!(joints.iter().all(|joints| joints.is_empty()), "{goal}");
-    assert!(goal.begin_s < 2.2 && (3.0..5.0).contains(&goal.end_s.unwrap()), "{goal}");
+    assert!(
+        goal.number("begin_s").unwrap() < 2.2 && (3.0..5.0).contains(&goal.number("end_s").unwrap()),
+        "{goal}"
+    );
     assert!(final_error(&recording) < STICKING, "{}", final_error(&recording));
 }
 
@@ -146,9 +164,9 @@ fn torque_limits_are_named() {
                      {time_s=6.0, position={offset_m=[0.25,0.0,0.0]}}] }";
     let settings = ["event=[]", "limits.torque_fraction=0.296", waypoints, "duration_s=7.0"];
     let (_, summary) = run(&experiment("panda-goals", &settings));
-    let goal = summary.unreached_goals.first().unwrap();
-    assert_eq!(goal.torque_limits, ["joint2"], "{goal}");
-    assert_eq!(goal.position_limits, [""; 0], "{goal}");
+    let goal = coded(&summary, Code::GoalNotReached)[0];
+    assert_eq!(goal.causes.torque_limits, ["joint2"], "{goal}");
+    assert_eq!(goal.causes.position_limits, [""; 0], "{goal}");
 }
 
 /// Checks a task of one joint and one of all joints, below a task that uses them: they are overridden, and not held by
@@ -163,9 +181,15 @@ fn task_of_higher_priority_is_named() {
         let settings = ["event=[]", "duration_s=3.0", &there_and_back([0.0; 3]), &rest];
         let (_, summary) = run(&experiment("panda-goals", &settings));
         let goal = only(&summary);
-        assert_eq!((goal.task.as_str(), &goal.overridden_by[..]), ("rest", &["flange".to_owned()][..]));
-        assert!(goal.end_s.is_none() && goal.to_string().contains("overridden by task 'flange'"), "{goal}");
-        assert_eq!(summary.failures, [""; 0], "{joints}");
+        assert_eq!(
+            (goal.task().unwrap(), &goal.causes.overridden_by[..]),
+            ("rest", &["flange".to_owned()][..])
+        );
+        assert!(
+            goal.number("end_s").is_none() && goal.to_string().contains("overridden by task 'flange'"),
+            "{goal}"
+        );
+        assert_eq!(summary.findings.failures().count(), 0, "{joints}");
     }
 }
 
@@ -189,14 +213,20 @@ fn limited_moving_reference_has_a_note() {
         run(&experiment("panda-goals", &settings)).1
     };
     let slow = of(0.3, "limits.velocity_fraction=1.0");
-    assert_eq!((&slow.limited_references[..], &slow.unreached_goals[..]), (&[][..], &[][..]));
+    assert_eq!(slow.findings.iter().count(), 0);
     let fast = of(1.0, "limits.velocity_fraction=0.2");
-    let [reference] = &fast.limited_references[..] else { panic!("{:?}", fast.limited_references) };
-    assert_eq!(reference.task, "flange");
-    assert!(!reference.speed_limits.is_empty() && reference.position_limits.is_empty(), "{reference}");
-    assert!(reference.share > 0.2 && reference.begin_s < 0.5, "{reference}");
+    let [reference] = coded(&fast, Code::ReferenceLimited)[..] else { panic!("{:?}", fast.findings) };
+    assert_eq!(reference.task(), Some("flange"));
+    assert!(
+        !reference.causes.speed_limits.is_empty() && reference.causes.position_limits.is_empty(),
+        "{reference}"
+    );
+    assert!(
+        reference.number("share").unwrap() > 0.2 && reference.number("begin_s").unwrap() < 0.5,
+        "{reference}"
+    );
     let largest_m = fast.tasks["flange"].pose.position_max_m.unwrap();
-    let noted_m = reference.position_m.unwrap();
+    let noted_m = reference.number("position_m").unwrap();
     assert!(noted_m > 0.02 && (noted_m / largest_m - 1.0).abs() < 0.2, "{reference}: {largest_m} m");
     let text = reference.to_string();
     assert!(
@@ -206,13 +236,16 @@ fn limited_moving_reference_has_a_note() {
         "{text}"
     );
     let weak = of(1.0, "limits.torque_fraction=0.31");
-    let [reference] = &weak.limited_references[..] else { panic!("{:?}", weak.limited_references) };
-    assert!(reference.torque_limits.contains(&"joint4".to_owned()), "{reference}");
+    let [reference] = coded(&weak, Code::ReferenceLimited)[..] else { panic!("{:?}", weak.findings) };
+    assert!(reference.causes.torque_limits.contains(&"joint4".to_owned()), "{reference}");
     // A motion that is over before the arm has begun.
     let jump = "task.flange.cartesian.reference={ point-to-point = { position = { offset_m = [0.0, 0.2, 0.0] }, duration_s = 0.05 } }";
     let (_, jump) = run(&experiment("panda-goals", &["event=[]", "duration_s=3.0", jump]));
-    let [reference] = &jump.limited_references[..] else { panic!("{:?}", jump.limited_references) };
-    assert!(reference.position_m.unwrap() > 0.1 && reference.share < 0.03, "{reference}");
+    let [reference] = coded(&jump, Code::ReferenceLimited)[..] else { panic!("{:?}", jump.findings) };
+    assert!(
+        reference.number("position_m").unwrap() > 0.1 && reference.number("share").unwrap() < 0.03,
+        "{reference}"
+    );
 }
 
 /// Checks a circle that leaves the reach of the arm: no limits, but the direction.
@@ -220,8 +253,11 @@ fn limited_moving_reference_has_a_note() {
 fn moving_reference_out_of_reach_has_a_note() {
     let settings = ["event=[]", "duration_s=6.0", &circle(0.8, 0.1)];
     let (_, summary) = run(&experiment("ur5e-out-of-reach", &settings));
-    let [reference] = &summary.limited_references[..] else { panic!("{:?}", summary.limited_references) };
-    assert!(reference.singular_along.is_some() && reference.position_m.unwrap() > 0.05, "{reference}");
+    let [reference] = coded(&summary, Code::ReferenceLimited)[..] else { panic!("{:?}", summary.findings) };
+    assert!(
+        reference.causes.singular_along.is_some() && reference.number("position_m").unwrap() > 0.05,
+        "{reference}"
+    );
 }
 
 /// Checks a streamed pose that goes beyond the reach of the arm and returns.
@@ -260,7 +296,7 @@ fn streamed_goal_ends_the_note() {
     let recording = Recording::from_bytes(&result.sink.into_inner()).unwrap();
     let summary = experiment.summary(&recording, &result.record, None);
     let goal = only(&summary);
-    assert_eq!(goal.position_limits, ["joint2"], "{goal}");
-    assert!((2.5..3.9).contains(&goal.end_s.unwrap()), "{goal}");
+    assert_eq!(goal.causes.position_limits, ["joint2"], "{goal}");
+    assert!((2.5..3.9).contains(&goal.number("end_s").unwrap()), "{goal}");
     assert!(final_error(&recording) < STICKING, "{}", final_error(&recording));
 }

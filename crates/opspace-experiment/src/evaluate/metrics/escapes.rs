@@ -1,8 +1,10 @@
 //! Intervals in which tasks escape from singular poses, over a whole log.
 
 use super::run_log::Run;
-use crate::evaluate::escape_record::EscapeRecord;
+use crate::codes::Code;
+use crate::finding::{Finding, Place};
 use opspace_backend::signal_names::{self, ESCAPE};
+use std::cmp::Ordering;
 use std::collections::BTreeMap;
 
 /// Longest interruption of an interval, s.
@@ -14,7 +16,7 @@ pub(super) struct Escapes {
     /// Begin and end of the present interval of each task, s on the robot's clock.
     open: BTreeMap<String, (f64, f64)>,
     start_s: f64,
-    found: Vec<EscapeRecord>,
+    found: Vec<Finding>,
 }
 
 impl Escapes {
@@ -40,19 +42,22 @@ impl Escapes {
     }
 
     fn close(&mut self, task: &str, interval: Option<(f64, f64)>) {
-        self.found.extend(interval.map(|(begin_s, end_s)| EscapeRecord {
-            task: task.to_owned(),
-            begin_s: begin_s - self.start_s,
-            duration_s: end_s - begin_s,
-        }));
+        let Some((begin_s, end_s)) = interval else { return };
+        let (begin_s, duration_s) = (begin_s - self.start_s, end_s - begin_s);
+        let message = format!(
+            "task '{task}': escaped from a singular pose, from {begin_s:.2} s on, for {duration_s:.2} s"
+        );
+        let escape = Finding::of(Code::EscapedSingularity, Place::Task(task.to_owned()), message);
+        self.found.push(escape.with("begin_s", Some(begin_s)).with("duration_s", Some(duration_s)));
     }
 
     /// Returns the escapes in order of time.
-    pub(super) fn finish(mut self) -> Vec<EscapeRecord> {
+    pub(super) fn finish(mut self) -> Vec<Finding> {
         for (task, interval) in std::mem::take(&mut self.open) {
             self.close(&task, Some(interval));
         }
-        self.found.sort_by(|a, b| a.begin_s.total_cmp(&b.begin_s));
+        self.found
+            .sort_by(|a, b| a.number("begin_s").partial_cmp(&b.number("begin_s")).unwrap_or(Ordering::Equal));
         self.found
     }
 }

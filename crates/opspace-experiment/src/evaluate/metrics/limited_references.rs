@@ -5,8 +5,10 @@ use super::holds::{HeldState, Hold, RowErrors, norm_in};
 use super::near_pairs::pair_names;
 use super::run_log::Run;
 use super::unreached_goals::{errors, joint_errors, task_set_at, task_sets, update_state};
-use crate::evaluate::limited_reference::LimitedReference;
+use crate::codes::Code;
+use crate::evaluate::findings::reference_limited;
 use crate::files::controller_kind::ControllerKind;
+use crate::finding::{Causes, Finding, Place};
 use crate::run::experiment::Experiment;
 use nalgebra::Vector6;
 use opspace_backend::signal_names::{self, PHASE, REFERENCE, REFERENCE_ORIENTATION, SLACK};
@@ -50,10 +52,13 @@ pub(super) struct LimitedReferences<'a> {
     found: BTreeMap<String, Found>,
 }
 
-/// Causes that are found for one task.
+/// Errors and their causes that are found for one task.
 #[derive(Default)]
 struct Found {
-    reference: LimitedReference,
+    begin_s: f64,
+    largest_s: f64,
+    position_m: Option<f64>,
+    orientation_rad: Option<f64>,
     counts: HoldCounts,
 }
 
@@ -101,19 +106,13 @@ impl<'a> LimitedReferences<'a> {
     }
 
     /// Returns the references in the order of their times.
-    pub(super) fn finish(self) -> Vec<LimitedReference> {
-        let cycles = self.cycles;
-        let found = self.found.into_iter();
-        let mut all: Vec<LimitedReference> =
-            found.filter_map(|(task, found)| found.finish(task, cycles, self.experiment)).collect();
-        all.sort_by(|a, b| a.begin_s.total_cmp(&b.begin_s));
-        let ramp_s = self.experiment.robot().file.safety.torque_ramp_s.get();
-        let settle_s = self.experiment.task().file.settle_s.get();
-        for reference in &mut all {
-            reference.torque_ramp_s = (reference.largest_s < ramp_s).then_some(ramp_s);
-            reference.settle_s = (reference.largest_s < settle_s).then_some(settle_s);
-        }
-        all
+    pub(super) fn finish(self) -> Vec<Finding> {
+        let mut found: Vec<(String, Found)> = self.found.into_iter().collect();
+        found.sort_by(|(_, a), (_, b)| a.begin_s.total_cmp(&b.begin_s));
+        found
+            .into_iter()
+            .filter_map(|(task, found)| found.finish(task, self.cycles, self.experiment))
+            .collect()
     }
 
     /// Tasks that do not follow their moving references in cycle `k`, `step_s` after the one that was examined before.
@@ -219,37 +218,46 @@ impl Behind {
 
 impl Found {
     fn add(&mut self, behind: Behind, since_start_s: f64) {
-        let reference = &mut self.reference;
         if self.counts.cycles == 0 {
-            reference.begin_s = since_start_s;
+            self.begin_s = since_start_s;
         }
-        let grows = size(behind.position_m, behind.orientation_rad)
-            > size(reference.position_m, reference.orientation_rad);
+        let grows =
+            size(behind.position_m, behind.orientation_rad) > size(self.position_m, self.orientation_rad);
         if grows {
-            (reference.position_m, reference.orientation_rad) = (behind.position_m, behind.orientation_rad);
-            reference.largest_s = since_start_s;
+            (self.position_m, self.orientation_rad) = (behind.position_m, behind.orientation_rad);
+            self.largest_s = since_start_s;
         }
         self.counts.add(&behind.hold, grows);
     }
 
     /// Returns the reference, if the task was held back for long enough or far enough; `cycles` is the number of all cycles.
-    fn finish(self, task: String, cycles: usize, experiment: &Experiment) -> Option<LimitedReference> {
+    fn finish(self, task: String, cycles: usize, experiment: &Experiment) -> Option<Finding> {
         let joints = experiment.robot().model.joints();
         let names: Vec<&str> = joints.iter().map(|joint| joint.name.as_str()).collect();
         let [position_limits, speed_limits, torque_limits] = self.counts.limits(&names);
         let held = self.counts.cycles as f64;
-        let reference = LimitedReference {
-            task,
-            share: held / cycles.max(1) as f64,
+        let causes = Causes {
             position_limits,
             speed_limits,
             torque_limits,
             kept_distances: pair_names(experiment, &self.counts.pairs()),
             singular_along: self.counts.singular_along(),
-            ..self.reference
+            ..Causes::default()
         };
-        let counts =
-            held * STEP_S >= MIN_DURATION_S || size(reference.position_m, reference.orientation_rad) >= LARGE;
-        (counts && reference.has_cause()).then_some(reference)
+        let counts = held * STEP_S >= MIN_DURATION_S || size(self.position_m, self.orientation_rad) >= LARGE;
+        if !counts || causes.is_empty() {
+            return None;
+        }
+        let ramp_s = experiment.robot().file.safety.torque_ramp_s.get();
+        let settle_s = experiment.task().file.settle_s.get();
+        let reference = Finding::of(Code::ReferenceLimited, Place::Task(task), String::new())
+            .with("begin_s", Some(self.begin_s))
+            .with("share", Some(held / cycles.max(1) as f64))
+            .with("position_m", self.position_m)
+            .with("orientation_rad", self.orientation_rad)
+            .with("largest_s", Some(self.largest_s))
+            .with("torque_ramp_s", (self.largest_s < ramp_s).then_some(ramp_s))
+            .with("settle_s", (self.largest_s < settle_s).then_some(settle_s));
+        Some(reference_limited(Finding { causes, ..reference }))
     }
 }

@@ -4,8 +4,10 @@ use super::hold_counts::HoldCounts;
 use super::holds::{Cycle, HeldState, Hold, NO_ERRORS, RowErrors, norm_in};
 use super::near_pairs::pair_names;
 use super::run_log::Run;
-use crate::evaluate::unreached::UnreachedGoal;
+use crate::codes::Code;
+use crate::evaluate::findings::goal_not_reached;
 use crate::files::controller_kind::ControllerKind;
+use crate::finding::{Causes, Finding, Place};
 use crate::run::experiment::Experiment;
 use opspace_backend::signal_names::{
     self, COMMAND, DQ, ERROR, LIMITED, MODES, PHASE, Q, STANDSTILL, TASK_SET, TORQUE_DESIRED,
@@ -13,6 +15,7 @@ use opspace_backend::signal_names::{
 };
 use opspace_control::{AxisMode, JointTask, Task, TaskSet};
 use opspace_loop::Phase;
+use std::cmp::Ordering;
 use std::collections::BTreeMap;
 
 /// Time between two examined control cycles, s.
@@ -40,7 +43,7 @@ pub(super) struct UnreachedGoals<'a> {
     last_s: f64,
     start_s: f64,
     open: BTreeMap<String, Episode>,
-    found: Vec<UnreachedGoal>,
+    found: Vec<Finding>,
 }
 
 /// Interval in which a task is held.
@@ -97,14 +100,15 @@ impl<'a> UnreachedGoals<'a> {
     }
 
     /// Returns the intervals in order of their begin.
-    pub(super) fn finish(mut self) -> Vec<UnreachedGoal> {
+    pub(super) fn finish(mut self) -> Vec<Finding> {
         let end_s = self.last_s - MAX_GAP_S;
         let open = std::mem::take(&mut self.open);
         for (name, episode) in open {
             let lasts = episode.last_s >= end_s;
             self.found.extend(episode.finish(name, self.start_s, lasts, self.experiment));
         }
-        self.found.sort_by(|a, b| a.begin_s.total_cmp(&b.begin_s));
+        self.found
+            .sort_by(|a, b| a.number("begin_s").partial_cmp(&b.number("begin_s")).unwrap_or(Ordering::Equal));
         self.found
     }
 
@@ -275,23 +279,12 @@ impl Episode {
 
     /// Returns the interval, if it is long enough and its cause is known; `lasts` is true if it lasts until the end of the
     /// run.
-    fn finish(
-        self,
-        task: String,
-        start_s: f64,
-        lasts: bool,
-        experiment: &Experiment,
-    ) -> Option<UnreachedGoal> {
+    fn finish(self, task: String, start_s: f64, lasts: bool, experiment: &Experiment) -> Option<Finding> {
         let joints = experiment.robot().model.joints();
         let names: Vec<&str> = joints.iter().map(|joint| joint.name.as_str()).collect();
         let [position_limits, speed_limits, torque_limits] = self.counts.limits(&names);
         let overridden = self.overridden_by.iter().filter(|(_, count)| self.counts.is_often(**count));
-        let goal = UnreachedGoal {
-            task,
-            begin_s: self.begin_s - start_s,
-            end_s: (!lasts).then_some(self.last_s - start_s),
-            position_m: self.position_m,
-            orientation_rad: self.orientation_rad,
+        let causes = Causes {
             position_limits,
             speed_limits,
             torque_limits,
@@ -299,7 +292,15 @@ impl Episode {
             singular_along: self.counts.singular_along(),
             overridden_by: overridden.map(|(name, _)| name.clone()).collect(),
         };
-        (self.last_s - self.begin_s >= MIN_DURATION_S && goal.has_cause()).then_some(goal)
+        if self.last_s - self.begin_s < MIN_DURATION_S || causes.is_empty() {
+            return None;
+        }
+        let goal = Finding::of(Code::GoalNotReached, Place::Task(task), String::new())
+            .with("begin_s", Some(self.begin_s - start_s))
+            .with("end_s", (!lasts).then_some(self.last_s - start_s))
+            .with("position_m", self.position_m)
+            .with("orientation_rad", self.orientation_rad);
+        Some(goal_not_reached(Finding { causes, ..goal }))
     }
 }
 
