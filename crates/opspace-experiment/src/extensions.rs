@@ -15,22 +15,22 @@
 //! ```
 
 use crate::suggest::choices;
+use opspace_backend::Driver;
 use std::any::{Any, TypeId};
 use std::collections::HashMap;
 use std::fmt;
+use std::ops::{Deref, DerefMut};
+use std::sync::Arc;
 use thiserror::Error;
 
-/// Entry of a table of [`Extensions`]: a type of entries has a table of its own.
-pub trait Entry: 'static {
+/// Entry of a table: a type of entries has a table of its own.
+pub trait Entry: Clone + Send + Sync + 'static {
     /// Kind of the entries, in errors: `task kind`.
     const KIND: &'static str;
 
     /// Entries that every program has, in the order in which they are listed.
     #[must_use]
-    fn built_in() -> &'static [Self]
-    where
-        Self: Sized,
-    {
+    fn built_in() -> &'static [Self] {
         &[]
     }
 
@@ -38,11 +38,18 @@ pub trait Entry: 'static {
     fn name(&self) -> &str;
 }
 
-/// One table for each type of [`Entry`], with the built-in entries before those that a program adds.
+/// Everything that a program adds: entries of tables, and drivers, which need not be `Send`.
 #[derive(Default)]
 pub struct Extensions {
+    tables: Tables,
+    pub(crate) drivers: Vec<Box<dyn Driver>>,
+}
+
+/// One table for each type of [`Entry`], with the built-in entries before those that a program adds. Clones share the entries.
+#[derive(Clone, Default)]
+pub struct Tables {
     /// Added entries, a `Vec<T>` for the type `T`.
-    added: HashMap<TypeId, Box<dyn Any>>,
+    added: HashMap<TypeId, Arc<dyn Any + Send + Sync>>,
 }
 
 /// Reason why an entry cannot be added.
@@ -73,7 +80,7 @@ impl Extensions {
     /// Adds an entry whose name is free.
     ///
     /// # Panics
-    /// If the name is already in use; [`add`](Self::add) returns this as an error.
+    /// If the name is already in use; [`Tables::add`] returns this as an error.
     #[must_use]
     pub fn with<T: Entry>(mut self, entry: T) -> Self {
         if let Err(taken) = self.add(entry) {
@@ -82,6 +89,34 @@ impl Extensions {
         self
     }
 
+    /// Adds a driver whose name is free.
+    ///
+    /// # Panics
+    /// If the name is already in use.
+    #[must_use]
+    pub fn with_driver(mut self, driver: impl Driver + 'static) -> Self {
+        let name = driver.name();
+        assert!(self.drivers.iter().all(|known| known.name() != name), "the driver '{name}' already exists");
+        self.drivers.push(Box::new(driver));
+        self
+    }
+}
+
+impl Deref for Extensions {
+    type Target = Tables;
+
+    fn deref(&self) -> &Tables {
+        &self.tables
+    }
+}
+
+impl DerefMut for Extensions {
+    fn deref_mut(&mut self) -> &mut Tables {
+        &mut self.tables
+    }
+}
+
+impl Tables {
     /// Adds an entry.
     ///
     /// # Errors
@@ -90,10 +125,9 @@ impl Extensions {
         if self.get::<T>(entry.name()).is_some() {
             return Err(NameTaken { kind: T::KIND, name: entry.name().to_owned() });
         }
-        let table = self.added.entry(TypeId::of::<T>()).or_insert_with(|| Box::new(Vec::<T>::new()));
-        if let Some(table) = table.downcast_mut::<Vec<T>>() {
-            table.push(entry);
-        }
+        let mut table = self.added::<T>().to_vec();
+        table.push(entry);
+        self.added.insert(TypeId::of::<T>(), Arc::new(table));
         Ok(())
     }
 
@@ -135,7 +169,14 @@ impl Extensions {
 
 impl fmt::Debug for Extensions {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Extensions").field("tables", &self.added.len()).finish()
+        let drivers: Vec<&str> = self.drivers.iter().map(|driver| driver.name()).collect();
+        f.debug_struct("Extensions").field("tables", &self.tables).field("drivers", &drivers).finish()
+    }
+}
+
+impl fmt::Debug for Tables {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "Tables({})", self.added.len())
     }
 }
 
@@ -143,7 +184,7 @@ impl fmt::Debug for Extensions {
 mod tests {
     use super::{Entry, Extensions};
 
-    #[derive(Debug, PartialEq)]
+    #[derive(Clone, Debug, PartialEq)]
     struct Plant(&'static str);
 
     impl Entry for Plant {

@@ -20,3 +20,5 @@ mod run_section;
 mod slack_figure;
 mod task_figures;
 pub mod what_if;
+
+pub use run_figures::FigureKind;

@@ -15,13 +15,13 @@ use opspace_experiment::files::origin::Kind;
 use opspace_experiment::files::robot::load_urdf;
 use opspace_experiment::preflight::{
     DetectableForce, GainMargin, GearResonance, PathDuration, ServoLoop, SingularPostures,
-    collision_thresholds, coupling_diagnostics, detectable_forces, gain_margin, gear_resonances, not_checked,
-    path_durations, singular_postures,
+    collision_thresholds, coupling_diagnostics, detectable_forces, diagnostics_with, gain_margin,
+    gear_resonances, not_checked, path_durations, singular_postures,
 };
 use opspace_experiment::run::collision::KeptDistances;
 use opspace_experiment::{
     Code, ControllerKind, CoupledExperiment, Experiment, Extensions, FileError, Files, Finding,
-    RobotDefinition, RunOptions, Source, Suite, diagnostics,
+    RobotDefinition, RunOptions, Source, Suite,
 };
 use opspace_model::collision::DropReason;
 use opspace_model::{Model, UrdfOptions, UrdfWarning, model_warnings};
@@ -185,7 +185,7 @@ impl fmt::Display for Found {
 /// the same ones.
 fn find<'a>(
     experiments: impl IntoIterator<Item = &'a Experiment>,
-    diagnostics: fn(&Experiment) -> Vec<Finding>,
+    diagnostics: impl Fn(&Experiment) -> Vec<Finding>,
 ) -> Vec<Found> {
     let (mut looked_at, mut found) = (HashSet::new(), Vec::<Found>::new());
     for experiment in experiments {
@@ -269,6 +269,7 @@ fn check_one(
     console: Console,
 ) -> Result<Checked, FileError> {
     let (settings, allow) = (args.set.as_slice(), args.allow.allow.as_slice());
+    let diagnose = |experiment: &Experiment| diagnostics_with(extensions, experiment);
     let no_settings = || match settings {
         [] => refuse_options_of_tasks(path, args),
         _ => {
@@ -306,7 +307,7 @@ fn check_one(
             let suite = Suite::load_allowing(extensions, Files::Disk, path, allow)?;
             let what = format!("a suite of {} runs", suite.runs());
             let (mut found, skipped) =
-                (find(suite.of_robots(), diagnostics), find(suite.of_robots(), not_checked));
+                (find(suite.of_robots(), &diagnose), find(suite.of_robots(), not_checked));
             found.extend(find_in_couplings(&suite.coupled));
             let allowed = allowed_in(suite.of_robots());
             Ok(Checked { found, skipped, allowed, ..Checked::clean(what) })
@@ -316,7 +317,7 @@ fn check_one(
             let coupled = CoupledExperiment::load_allowing(extensions, Files::Disk, path, settings, allow)?;
             let what = format!("an experiment with {} robots", coupled.members.len());
             let members = || coupled.members.iter().map(|member| &member.experiment);
-            let (mut found, skipped) = (find(members(), diagnostics), find(members(), not_checked));
+            let (mut found, skipped) = (find(members(), &diagnose), find(members(), not_checked));
             found.extend(find_in_couplings([&coupled]));
             let allowed = allowed_in(members());
             Ok(Checked { found, skipped, allowed, ..Checked::clean(what) })
@@ -331,7 +332,7 @@ fn check_one(
             let what = format!("a task for the robot '{}'", experiment.robot().name());
             console.detail(&format!("{}: {}", path.display(), experiment.start_text()?));
             let margin = gain_margin(&experiment);
-            let mut found = find([&experiment], diagnostics);
+            let mut found = find([&experiment], &diagnose);
             let skipped = find([&experiment], not_checked);
             let small = margin.as_ref().and_then(|margin| margin.finding(&experiment));
             let strength = Strength::of(&experiment);

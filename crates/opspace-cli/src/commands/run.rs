@@ -54,7 +54,7 @@ pub fn run(args: &RunArgs, extensions: &Extensions, console: Console) -> Outcome
     }
     let experiment = if on_driver { checked_for_real_robot(experiment)? } else { experiment };
     experiment.allowed().iter().for_each(|refusal| console.note(&format!("warning: {refusal}")));
-    note_problems(&experiment, console);
+    note_problems(&experiment, extensions, console);
     let files = [LOG, REPORT, SUMMARY].map(str::to_owned);
     let results = prepare(&args.output, &default, &files, &experiment.input_paths(), console)?;
     let folder = results.path();
@@ -98,12 +98,12 @@ pub fn run(args: &RunArgs, extensions: &Extensions, console: Console) -> Outcome
 }
 
 /// Prints the codes of the problems at the start, unless quiet. Problems of the references would take longer to find.
-fn note_problems(experiment: &Experiment, console: Console) {
+fn note_problems(experiment: &Experiment, extensions: &Extensions, console: Console) {
     if console.quiet {
         return;
     }
     let mut codes: Vec<String> = Vec::new();
-    let found = start_diagnostics(experiment);
+    let found = start_diagnostics(extensions, experiment);
     for diagnostic in &found {
         let code = format!("[{}]", diagnostic.code);
         if !codes.contains(&code) {

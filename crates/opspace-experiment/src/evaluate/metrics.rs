@@ -34,7 +34,7 @@ pub use crate::metrics::metric_tables::{
 use crate::evaluate::failures::{HeldJoints, failures};
 use crate::evaluate::findings::Findings;
 use crate::finding::Finding;
-use crate::metrics::metric::LogMetric;
+use crate::metrics::metric::{LogMetric, Metric};
 use crate::run::experiment::Experiment;
 use cycles::Cycles;
 use escapes::Escapes;
@@ -103,7 +103,7 @@ pub(crate) struct Evaluated {
 
 impl<'a> Evaluator<'a> {
     pub(crate) fn new(experiment: &'a Experiment) -> Self {
-        let added = experiment.task().added_metrics.iter();
+        let added = experiment.task().tables.added::<Metric>().iter();
         Self {
             experiment,
             control: Control::default(),

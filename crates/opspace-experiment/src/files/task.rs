@@ -1,6 +1,6 @@
 //! Task files: the tasks of a robot, and its environment during the run.
 
-use crate::extensions::Extensions;
+use crate::extensions::{Extensions, Tables};
 use crate::files::collision::ObstacleFile;
 use crate::files::expectation::Expectation;
 use crate::files::origin::{Files, Kind, beside};
@@ -8,7 +8,6 @@ use crate::files::overrides;
 use crate::files::source::{FileError, Source, checked, explain};
 use crate::files::strict::Strict;
 use crate::files::task_kinds;
-use crate::metrics::metric::Metric;
 use crate::suggest::nearest;
 use opspace_backend::quantity::{NonNegative, Positive};
 use opspace_control::hierarchy::task_parameters::UNUSED_DAMPING_PER_S;
@@ -179,8 +178,8 @@ pub struct TaskDefinition {
     pub recordings: BTreeMap<PathBuf, Source>,
     /// Task sets after each of the file's events.
     pub events: Vec<StackFile>,
-    /// Metrics of the run in addition to the built-in ones.
-    pub added_metrics: Vec<Metric>,
+    /// Entries of tables that the program has added.
+    pub tables: Tables,
 }
 
 impl TaskDefinition {
@@ -255,8 +254,8 @@ impl TaskDefinition {
             }
             recorded.samples = samples(&recordings[&recorded.file])?;
         }
-        let added_metrics = extensions.added::<Metric>().to_vec();
-        Ok(Self { source, file, recordings, events, added_metrics })
+        let tables = Tables::clone(extensions);
+        Ok(Self { source, file, recordings, events, tables })
     }
 
     /// Name of the task: its file name without extension.

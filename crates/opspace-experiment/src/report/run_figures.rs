@@ -3,6 +3,7 @@
 use crate::evaluate::metrics::run_log::{Control, Run};
 use crate::evaluate::metrics::times::CycleTimes;
 use crate::evaluate::spectrum::Welch;
+use crate::extensions::Entry;
 use crate::report::collision_moments::{CollisionMoment, CollisionMoments};
 use crate::report::energy_figure::energy_figure;
 use crate::report::event_times::EventTimes;
@@ -17,9 +18,78 @@ use opspace_backend::signal_names::{
 use opspace_backend::{CommandKind, Setpoints};
 use opspace_log::Recording;
 use realfft::RealFftPlanner;
+use std::fmt;
+use std::sync::Arc;
 
 /// Duration of a block of the spectrum of a torque error, s.
 const ERROR_BLOCK_S: f64 = 1.0;
+
+/// Kind of figures over time of a run.
+#[derive(Clone)]
+pub struct FigureKind {
+    /// Name of the kind.
+    pub name: &'static str,
+    draw: Draw,
+}
+
+type Added = dyn Fn(&Experiment, &Recording) -> Vec<Figure> + Send + Sync;
+
+#[derive(Clone)]
+enum Draw {
+    BuiltIn(fn(&Run<'_>) -> Vec<Figure>),
+    Added(Arc<Added>),
+}
+
+/// The built-in kinds, in the order of their figures.
+static BUILT_IN: [FigureKind; 6] = [
+    FigureKind::built_in("torques", |run| torques(run).into_iter().collect()),
+    FigureKind::built_in("tasks", task_figures),
+    FigureKind::built_in("energy", |run| energy_figure(run).into_iter().collect()),
+    FigureKind::built_in("slack", |run| slack_figure(run).into_iter().collect()),
+    FigureKind::built_in("distances", |run| distance_figure(run).into_iter().collect()),
+    FigureKind::built_in("setpoints", |run| setpoint_figure(run).into_iter().collect()),
+];
+
+impl FigureKind {
+    /// Creates a kind whose figures `draw` draws of each segment of a log. All segments must have the same figures, panels and
+    /// lines, which are joined.
+    #[must_use]
+    pub fn new(
+        name: &'static str,
+        draw: impl Fn(&Experiment, &Recording) -> Vec<Figure> + Send + Sync + 'static,
+    ) -> Self {
+        Self { name, draw: Draw::Added(Arc::new(draw)) }
+    }
+
+    const fn built_in(name: &'static str, draw: fn(&Run<'_>) -> Vec<Figure>) -> Self {
+        Self { name, draw: Draw::BuiltIn(draw) }
+    }
+
+    fn draw(&self, run: &Run<'_>) -> Vec<Figure> {
+        match &self.draw {
+            Draw::BuiltIn(draw) => draw(run),
+            Draw::Added(draw) => draw(run.experiment, run.recording),
+        }
+    }
+}
+
+impl Entry for FigureKind {
+    const KIND: &'static str = "kind of figures";
+
+    fn built_in() -> &'static [Self] {
+        &BUILT_IN
+    }
+
+    fn name(&self) -> &str {
+        self.name
+    }
+}
+
+impl fmt::Debug for FigureKind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name)
+    }
+}
 
 /// Figures of a run while segments of its log arrive: torques by joint, then the signals of its tasks and sensors.
 pub(super) struct RunFigures<'a> {
@@ -52,12 +122,8 @@ impl<'a> RunFigures<'a> {
     pub(super) fn add(&mut self, segment: &Recording, is_last: bool) {
         self.times.add(segment);
         let Some(run) = Run::new(self.experiment, segment, &mut self.control, is_last) else { return };
-        let mut next: Vec<Figure> = torques(&run).into_iter().collect();
-        next.extend(task_figures(&run));
-        next.extend(energy_figure(&run));
-        next.extend(slack_figure(&run));
-        next.extend(distance_figure(&run));
-        next.extend(setpoint_figure(&run));
+        let kinds = self.experiment.task().tables.all::<FigureKind>();
+        let next: Vec<Figure> = kinds.flat_map(|kind| kind.draw(&run)).collect();
         append(&mut self.figures, next);
         self.events.add(&run);
         if let Some(collisions) = &mut self.collisions {

@@ -125,7 +125,7 @@ impl Experiment {
         summary.not_saved = not_saved;
         let shown = RunSection::of_file(self, log, summary.clone())?;
         let lead = "Desired and actual behaviour of the robot in one run.";
-        let columns = default_columns(&self.task().added_metrics);
+        let columns = default_columns(self.task().tables.added());
         let html = page(&shown.title.clone(), lead, std::slice::from_ref(&summary), &columns, &[shown]);
         let save = |name: &str, text: &str, summary: &mut Summary| {
             if let Err(error) = write_file(&folder.path().join(name), text) {

@@ -22,7 +22,7 @@ pub(crate) fn check(task: &TaskDefinition, robot: &RobotDefinition) -> Result<()
             return refuse("no bound is given".to_owned(), Some("add `at_most` or `at_least`".to_owned()));
         }
         let Some((owner, metric)) = name.split_once('.') else {
-            let metrics = keys(Metrics::rows().iter().chain(&task.added_metrics));
+            let metrics = keys(Metrics::rows().iter().chain(task.tables.added()));
             if !metrics.contains(name) {
                 let is_of_an_axis = (0..AXIS_NAMES.len()).any(|axis| of_axis(axis).contains(name));
                 let help = match is_of_an_axis {

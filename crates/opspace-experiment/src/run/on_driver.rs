@@ -1,32 +1,14 @@
 //! Execution of an experiment on the robot that `[driver]` of robot.toml selects.
 
 use crate::codes::Code;
-use crate::extensions::{Entry, Extensions};
+use crate::extensions::Extensions;
 use crate::files::source::FileError;
 use crate::run::error::RunError;
 use crate::run::execute::{Progress, RunResult};
 use crate::run::experiment::Experiment;
+use crate::suggest::choices;
 use opspace_backend::{Backend, Driver, DriverError, Setting, Settings};
 use std::io::Write;
-
-impl Entry for Box<dyn Driver> {
-    const KIND: &'static str = "driver";
-
-    fn name(&self) -> &str {
-        Driver::name(&**self)
-    }
-}
-
-impl Extensions {
-    /// Adds a driver.
-    ///
-    /// # Panics
-    /// As [`with`](Self::with).
-    #[must_use]
-    pub fn with_driver(self, driver: impl Driver + 'static) -> Self {
-        self.with::<Box<dyn Driver>>(Box::new(driver))
-    }
-}
 
 /// Key of `[driver]` that selects the driver.
 const NAME: &str = "name";
@@ -86,13 +68,14 @@ impl Experiment {
             let message = "[driver] has no name";
             return Err(FileError::at_key(source, "driver", message, Some("add `name = ...`".to_owned())));
         };
-        let found = extensions.find::<Box<dyn Driver>>(name);
-        found.map(|driver| &**driver).map_err(|unknown| {
-            let help = if extensions.names::<Box<dyn Driver>>().next().is_none() {
+        let found = extensions.drivers.iter().find(|driver| driver.name() == name);
+        found.map(|driver| &**driver).ok_or_else(|| {
+            let known: Vec<&str> = extensions.drivers.iter().map(|driver| driver.name()).collect();
+            let help = if known.is_empty() {
                 "no driver is compiled in: build a program with opspace_cli::main_with, or use --simulate"
                     .to_owned()
             } else {
-                unknown.help
+                choices(name, known)
             };
             let message = format!("this program has no driver '{name}'");
             FileError::at_key(source, ["driver", NAME], message, Some(help)).refused(Code::MissingDriver)

@@ -5,7 +5,9 @@ use opspace_experiment::preflight::start_diagnostics;
 use opspace_experiment::run::replay::replay;
 use opspace_experiment::setup::own_body::OwnBody;
 use opspace_experiment::setup::posture_at::posture_at;
-use opspace_experiment::{Code, Experiment, FileError, Files, Finding, Progress, RunOptions, diagnostics};
+use opspace_experiment::{
+    Code, Experiment, Extensions, FileError, Files, Finding, Progress, RunOptions, diagnostics,
+};
 use opspace_log::Recording;
 use opspace_model::collision::{CollisionData, collision_distances};
 use opspace_model::{Data, Postures, forward_kinematics, frame_placement};
@@ -96,7 +98,7 @@ fn collisions_are_predicted() {
 fn start_in_collision_is_found_before_a_run() {
     let codes = |settings: &[&str]| -> Vec<Code> {
         let experiment = load("panda-obstacles", settings).unwrap_or_else(|error| panic!("{error}"));
-        start_diagnostics(&experiment).into_iter().map(|found| found.code).collect()
+        start_diagnostics(&Extensions::default(), &experiment).into_iter().map(|found| found.code).collect()
     };
     assert_eq!(codes(&["obstacle.ball.sphere.center_m=[0.35, 0.0, 0.55]"]), [Code::StartInCollision]);
     assert_eq!(codes(&[]), []);
