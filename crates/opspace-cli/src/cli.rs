@@ -17,17 +17,21 @@ use std::str::FromStr;
 
 /// Operational-space control for robots that accept torques, and for robots that accept only positions.
 #[derive(Debug, Parser)]
-#[command(version, propagate_version = true, after_help = AFTER_HELP)]
+#[command(
+    name = "opspace",
+    version,
+    propagate_version = true,
+    subcommand_required = true,
+    arg_required_else_help = true,
+    after_help = AFTER_HELP
+)]
 pub struct Cli {
-    #[command(subcommand)]
-    pub command: Command,
-
     /// Print more: warnings about the files, and reasons for choices.
-    #[arg(short, long, global = true, conflicts_with = "quiet")]
+    #[arg(short, long, global = true, conflicts_with = "quiet", display_order = 100)]
     pub verbose: bool,
 
     /// Print less: only results and errors.
-    #[arg(short, long, global = true)]
+    #[arg(short, long, global = true, display_order = 101)]
     pub quiet: bool,
 }
 
@@ -54,164 +58,12 @@ Exit codes:
   3    done, but data was lost or a log is damaged
   130  interrupted, log closed";
 
-#[derive(Debug, Subcommand)]
-pub enum Command {
-    /// Run one task on a robot and report its metrics.
-    #[command(after_help = "\
-Examples:
-  opspace run tasks/compliant-x.toml
-  opspace run tasks/compliant-x.toml --backend torque
-  opspace run tasks/cartesian-tracking.toml --controller ik-lead --profile b-soft
-  opspace run tasks/compliant-x.toml --set task.hand.cartesian.gains.damping_ratio=0.7
-  opspace run tasks/compliant-x.toml --set robot.simulated.true_over_nominal.kp=1.02
-  opspace run tasks/panda-reach.toml --plant mujoco
-  opspace run tasks/panda-reach.toml --open
-  opspace run tasks/cartesian-tracking.toml --backend replay --log runs/compliant-x-asimo-arm-position
-  opspace run experiments/teleop-wall.toml --set leader.task.hand.coupled.damping_ns_per_m=8
-
-Writes run.mcap (all signals; opens in Foxglove and PlotJuggler), report.html and summary.json into \
-runs/TASK-ROBOT-BACKEND. An existing run is renamed to NAME.previous, the next one to NAME.previous-2, and so on.
-
-An experiment with several robots writes report.html and summary.json, and a folder for each robot, into \
-runs/EXPERIMENT.")]
-    Run(RunArgs),
-
-    /// Run every task of a suite on each robot and controller that it names, and print one table.
-    #[command(after_help = "\
-Without SUITE, runs the experiments of the paper, which are built into the program. The table lists medians \
-over the seeds of a row; --json and --csv list every run. Writes report.html, bench.json, rows.jsonl (one line per \
-run, as soon as it is complete) and the log of the first run of each task into runs/bench-SUITE. The same command \
-continues a suite that was cut off, and repeats only the runs that were cut.
-
-With --baseline, each metric is compared with that of the same runs in an earlier bench.json: it is worse (exit \
-code 1) if the 95 % confidence interval of the mean difference over the seeds (Student's t) excludes zero and the \
-mean differs by more than 1 %. With one seed, only the 1 % counts.
-
-With --shard I/N, every Nth run is executed, beginning with the Ith, into the folder shard-I-of-N of --out; \
-`opspace merge` joins the folders. `auto` reads the part from a Slurm array; `auto/N`, with indices from 0, from \
-Slurm or a Kubernetes job. A part that is complete is not run again.
-
-Examples:
-  opspace bench tasks/suites/limits.toml --csv limits.csv
-  opspace bench --baseline runs/bench.previous/bench.json
-  opspace bench tasks/suites/limits.toml --plants own,mujoco
-  opspace bench tasks/suites/limits.toml --shard 1/3 --out runs/limits")]
-    Bench(BenchArgs),
-
-    /// Join the results of all shards of a suite to those of the whole suite.
-    #[command(after_help = "\
-SHARD is a folder that `opspace bench --shard` wrote, or a folder of such folders. The results equal those of the \
-whole suite in one process, except for computing times. Shards of different suites or versions are refused; missing \
-runs are listed (exit code 3).
-
-Example:
-  opspace merge runs/limits --json limits.json")]
-    Merge(MergeArgs),
-
-    /// Recompute every command of a log from its measurements and compare it with what was logged.
-    #[command(after_help = "\
-If any bit differs, prints the first tick and joint with both values (exit code 1). A damaged log is compared up \
-to the damage (exit code 3 if that part is equal). With --task or --set, computes the commands of other files \
-from the same measurements, and says where and why this ends; it is open loop, since the motion of the robot is the \
-logged one. --report plots the torques.
-
-In the folder of an experiment with several robots, the log of each robot is compared alone.")]
-    Replay(ReplayArgs),
-
-    /// Make one HTML page with the figures and the table of one or more logs.
-    #[command(after_help = "\
-In the folder of an experiment with several robots, makes the page about all of them.")]
-    Report(ReportArgs),
-
-    /// Show what is in a log, recover a damaged one, export one as CSV, or compare two.
+/// Show what is in a log, recover a damaged one, export one as CSV, or compare two.
+#[derive(Debug, Parser)]
+#[command(name = "log", subcommand_required = true, arg_required_else_help = true)]
+pub struct LogArgs {
     #[command(subcommand)]
-    Log(LogCommand),
-
-    /// Check robot, task and suite files, against each other too, without running anything.
-    #[command(after_help = "\
-A mistake in a file is an error (exit code 2). Predicted problems of a run are diagnostics, not errors; each has \
-its place, numbers and a remedy: goals out of reach, speeds beyond the joint limits, gains too high for the rate and the \
-servo, contradictory limits, a singular start, degrees of freedom without a task, a run that is too short. They are printed \
-to standard output below the line of their file; --json lists them as `findings`, and warnings about models as `warnings`. \
-With --strict, any of them gives exit code 1. The code in brackets has a page: `opspace explain CODE`.
-
---backend and --controller are those of `opspace run`, for task files. The runs of a suite and the robots of an experiment \
-state their own.
-
-The file of an experiment with several robots is checked with all files that it names.
-
-Examples:
-  opspace check tasks/compliant-x.toml
-  opspace check tasks/compliant-x.toml --controller ik
-  opspace check tasks/*.toml --strict > problems.txt")]
-    Check(CheckArgs),
-
-    /// Explain a code that `check`, `run` or a warning prints.
-    #[command(after_help = "\
-The page of a code says what it means, why it matters and what to do, with an example. Without CODE, lists all codes.
-
-Example: opspace explain singular-start")]
-    Explain(ExplainArgs),
-
-    /// Identify a robot's servos by moving its joints: gains, filter, delay, inertia, friction.
-    #[command(after_help = "\
-Excites one joint at a time about its current position, while the others are held. Inputs are the structure of the \
-servo, the rates, limits, URDF and rotor inertias; gains, filter, delay and friction are estimated. The scale of torque \
-comes from motor current if the robot measures it, otherwise from URDF and rotor inertia. With neither, only ratios are \
-written and torque control is refused (exit code 1), as for a joint whose servo cannot be inverted.
-
-Writes servo.toml (the identified keys of robot.toml), robot.toml with a copy of the URDF (a complete robot with these \
-keys), identification.json and report.html (Bode plots) into runs/identify-ROBOT.
-
-Examples:
-  opspace identify robots/asimo-arm
-  opspace identify robots/asimo-arm --profile b-soft --joint elbow --start-rad elbow=-1.35")]
-    Identify(IdentifyArgs),
-
-    /// Print a robot's joints and frames, or compute its kinematics and dynamics at given states.
-    #[command(after_help = "\
-Prints joints, bodies and frames, and for one posture: the poses of all frames, the condition of the Jacobian of a frame, \
-the torques that hold the weight, and the effective masses of the frame.
-
-Each line of the samples is one state:
-  {\"q\":[..],\"dq\":[..],\"ddq\":[..],\"tau_in\":[..],\"f_tip\":[fx,fy,fz,mx,my,mz]}
-
-Each line of the output holds tip_R, tip_p, tip_vel, J, Jdot_dq, M, g, nle, C, tau_rnea, ddq_aba, \
-tau_rnea_fext, ddq_aba_fext, com, kinetic_energy, potential_energy, Lambda, Jbar, N: in world axes at the tip, \
-linear rows first; matrices row by row; joints in the order of the table. With \"task_rows\":[0,1,2], Lambda, \
-Jbar and N are those of these rows; they are null if the task is rank-deficient.
-
-Examples:
-  opspace model robots/panda
-  opspace model robots/panda --q joint4=-1.2 --frame flange
-  opspace model robots/planar-2-link --q 0.6,1.2")]
-    Model(ModelArgs),
-
-    /// Make a robot folder for your own robot from its URDF.
-    #[command(after_help = "\
-The new robot.toml lists every required value as a comment with its meaning; no value is guessed unless --assume is given. \
-`opspace check DIR` lists all missing values. The folder also contains a first task, first-task.toml: the tip moves some \
-centimetres and returns.
-
-A template has the values of a common arm, each with its source; joints that it does not have, those of a gripper for example, \
-are locked. `opspace new --like` lists the templates.
-
-Examples:
-  opspace new my-ur5 --urdf ur5.urdf --like ur5
-  opspace new left-arm --urdf robot.urdf --from torso --to left_gripper --assume")]
-    New(NewArgs),
-
-    /// Print the JSON Schema of a kind of file, for editors, or a page with all its keys.
-    Schema(SchemaArgs),
-
-    /// Print the completion script of a shell.
-    #[command(
-        after_help = "For bash:  opspace completion bash > ~/.local/share/bash-completion/completions/opspace"
-    )]
-    Completion {
-        /// Shell of the script.
-        shell: Shell,
-    },
+    pub command: LogCommand,
 }
 
 #[derive(Debug, Subcommand)]
@@ -370,7 +222,28 @@ pub struct ControlArgs {
     pub controller: ControllerKind,
 }
 
-#[derive(Debug, Args)]
+/// Run one task on a robot and report its metrics.
+#[derive(Debug, Parser)]
+#[command(
+    name = "run",
+    after_help = "\
+Examples:
+  opspace run tasks/compliant-x.toml
+  opspace run tasks/compliant-x.toml --backend torque
+  opspace run tasks/cartesian-tracking.toml --controller ik-lead --profile b-soft
+  opspace run tasks/compliant-x.toml --set task.hand.cartesian.gains.damping_ratio=0.7
+  opspace run tasks/compliant-x.toml --set robot.simulated.true_over_nominal.kp=1.02
+  opspace run tasks/panda-reach.toml --plant mujoco
+  opspace run tasks/panda-reach.toml --open
+  opspace run tasks/cartesian-tracking.toml --backend replay --log runs/compliant-x-asimo-arm-position
+  opspace run experiments/teleop-wall.toml --set leader.task.hand.coupled.damping_ns_per_m=8
+
+Writes run.mcap (all signals; opens in Foxglove and PlotJuggler), report.html and summary.json into \
+runs/TASK-ROBOT-BACKEND. An existing run is renamed to NAME.previous, the next one to NAME.previous-2, and so on.
+
+An experiment with several robots writes report.html and summary.json, and a folder for each robot, into \
+runs/EXPERIMENT."
+)]
 pub struct RunArgs {
     /// The task file, or the file of an experiment with several robots.
     pub task: PathBuf,
@@ -462,7 +335,30 @@ fn positive(text: &str) -> Result<f64, String> {
     }
 }
 
-#[derive(Debug, Args)]
+/// Run every task of a suite on each robot and controller that it names, and print one table.
+#[derive(Debug, Parser)]
+#[command(
+    name = "bench",
+    after_help = "\
+Without SUITE, runs the experiments of the paper, which are built into the program. The table lists medians \
+over the seeds of a row; --json and --csv list every run. Writes report.html, bench.json, rows.jsonl (one line per \
+run, as soon as it is complete) and the log of the first run of each task into runs/bench-SUITE. The same command \
+continues a suite that was cut off, and repeats only the runs that were cut.
+
+With --baseline, each metric is compared with that of the same runs in an earlier bench.json: it is worse (exit \
+code 1) if the 95 % confidence interval of the mean difference over the seeds (Student's t) excludes zero and the \
+mean differs by more than 1 %. With one seed, only the 1 % counts.
+
+With --shard I/N, every Nth run is executed, beginning with the Ith, into the folder shard-I-of-N of --out; \
+`opspace merge` joins the folders. `auto` reads the part from a Slurm array; `auto/N`, with indices from 0, from \
+Slurm or a Kubernetes job. A part that is complete is not run again.
+
+Examples:
+  opspace bench tasks/suites/limits.toml --csv limits.csv
+  opspace bench --baseline runs/bench.previous/bench.json
+  opspace bench tasks/suites/limits.toml --plants own,mujoco
+  opspace bench tasks/suites/limits.toml --shard 1/3 --out runs/limits"
+)]
 pub struct BenchArgs {
     /// The suite file [default: the experiments of the paper].
     pub suite: Option<PathBuf>,
@@ -505,7 +401,18 @@ pub struct SuiteOutputArgs {
     pub baseline: Option<PathBuf>,
 }
 
-#[derive(Debug, Args)]
+/// Join the results of all shards of a suite to those of the whole suite.
+#[derive(Debug, Parser)]
+#[command(
+    name = "merge",
+    after_help = "\
+SHARD is a folder that `opspace bench --shard` wrote, or a folder of such folders. The results equal those of the \
+whole suite in one process, except for computing times. Shards of different suites or versions are refused; missing \
+runs are listed (exit code 3).
+
+Example:
+  opspace merge runs/limits --json limits.json"
+)]
 pub struct MergeArgs {
     /// Folders of shards, or folders of such folders.
     #[arg(required = true)]
@@ -515,7 +422,18 @@ pub struct MergeArgs {
     pub results: SuiteOutputArgs,
 }
 
-#[derive(Debug, Args)]
+/// Recompute every command of a log from its measurements and compare it with what was logged.
+#[derive(Debug, Parser)]
+#[command(
+    name = "replay",
+    after_help = "\
+If any bit differs, prints the first tick and joint with both values (exit code 1). A damaged log is compared up \
+to the damage (exit code 3 if that part is equal). With --task or --set, computes the commands of other files \
+from the same measurements, and says where and why this ends; it is open loop, since the motion of the robot is the \
+logged one. --report plots the torques.
+
+In the folder of an experiment with several robots, the log of each robot is compared alone."
+)]
 pub struct ReplayArgs {
     /// A log (run.mcap) or the folder of a run, or that of an experiment with several robots.
     pub log: PathBuf,
@@ -547,7 +465,13 @@ pub struct ReplayArgs {
     pub output: OutputArgs,
 }
 
-#[derive(Debug, Args)]
+/// Make one HTML page with the figures and the table of one or more logs.
+#[derive(Debug, Parser)]
+#[command(
+    name = "report",
+    after_help = "\
+In the folder of an experiment with several robots, makes the page about all of them."
+)]
 pub struct ReportArgs {
     /// Logs (run.mcap) or folders of runs, or the folder of an experiment with several robots.
     #[arg(required = true)]
@@ -564,7 +488,27 @@ pub struct ReportArgs {
     pub json: JsonArgs,
 }
 
-#[derive(Debug, Args)]
+/// Check robot, task and suite files, against each other too, without running anything.
+#[derive(Debug, Parser)]
+#[command(
+    name = "check",
+    after_help = "\
+A mistake in a file is an error (exit code 2). Predicted problems of a run are diagnostics, not errors; each has \
+its place, numbers and a remedy: goals out of reach, speeds beyond the joint limits, gains too high for the rate and the \
+servo, contradictory limits, a singular start, degrees of freedom without a task, a run that is too short. They are printed \
+to standard output below the line of their file; --json lists them as `findings`, and warnings about models as `warnings`. \
+With --strict, any of them gives exit code 1. The code in brackets has a page: `opspace explain CODE`.
+
+--backend and --controller are those of `opspace run`, for task files. The runs of a suite and the robots of an experiment \
+state their own.
+
+The file of an experiment with several robots is checked with all files that it names.
+
+Examples:
+  opspace check tasks/compliant-x.toml
+  opspace check tasks/compliant-x.toml --controller ik
+  opspace check tasks/*.toml --strict > problems.txt"
+)]
 pub struct CheckArgs {
     /// Robot folders, and robot, task, suite, experiment and URDF files.
     #[arg(required = true)]
@@ -596,14 +540,38 @@ pub struct CheckArgs {
     pub json: JsonArgs,
 }
 
-#[derive(Debug, Args)]
+/// Explain a code that `check`, `run` or a warning prints.
+#[derive(Debug, Parser)]
+#[command(
+    name = "explain",
+    after_help = "\
+The page of a code says what it means, why it matters and what to do, with an example. Without CODE, lists all codes.
+
+Example: opspace explain singular-start"
+)]
 pub struct ExplainArgs {
     /// The code, as printed in brackets.
     #[arg(value_parser = Code::from_str)]
     pub code: Option<Code>,
 }
 
-#[derive(Debug, Args)]
+/// Identify a robot's servos by moving its joints: gains, filter, delay, inertia, friction.
+#[derive(Debug, Parser)]
+#[command(
+    name = "identify",
+    after_help = "\
+Excites one joint at a time about its current position, while the others are held. Inputs are the structure of the \
+servo, the rates, limits, URDF and rotor inertias; gains, filter, delay and friction are estimated. The scale of torque \
+comes from motor current if the robot measures it, otherwise from URDF and rotor inertia. With neither, only ratios are \
+written and torque control is refused (exit code 1), as for a joint whose servo cannot be inverted.
+
+Writes servo.toml (the identified keys of robot.toml), robot.toml with a copy of the URDF (a complete robot with these \
+keys), identification.json and report.html (Bode plots) into runs/identify-ROBOT.
+
+Examples:
+  opspace identify robots/asimo-arm
+  opspace identify robots/asimo-arm --profile b-soft --joint elbow --start-rad elbow=-1.35"
+)]
 pub struct IdentifyArgs {
     /// The robot's folder or its robot.toml.
     pub robot: PathBuf,
@@ -640,7 +608,27 @@ fn joint_value(text: &str) -> Result<(String, f64), String> {
     if value.is_finite() { Ok((name.trim().to_owned(), value)) } else { Err(wrong()) }
 }
 
-#[derive(Debug, Args)]
+/// Print a robot's joints and frames, or compute its kinematics and dynamics at given states.
+#[derive(Debug, Parser)]
+#[command(
+    name = "model",
+    after_help = "\
+Prints joints, bodies and frames, and for one posture: the poses of all frames, the condition of the Jacobian of a frame, \
+the torques that hold the weight, and the effective masses of the frame.
+
+Each line of the samples is one state:
+  {\"q\":[..],\"dq\":[..],\"ddq\":[..],\"tau_in\":[..],\"f_tip\":[fx,fy,fz,mx,my,mz]}
+
+Each line of the output holds tip_R, tip_p, tip_vel, J, Jdot_dq, M, g, nle, C, tau_rnea, ddq_aba, \
+tau_rnea_fext, ddq_aba_fext, com, kinetic_energy, potential_energy, Lambda, Jbar, N: in world axes at the tip, \
+linear rows first; matrices row by row; joints in the order of the table. With \"task_rows\":[0,1,2], Lambda, \
+Jbar and N are those of these rows; they are null if the task is rank-deficient.
+
+Examples:
+  opspace model robots/panda
+  opspace model robots/panda --q joint4=-1.2 --frame flange
+  opspace model robots/planar-2-link --q 0.6,1.2"
+)]
 pub struct ModelArgs {
     /// A robot folder, its robot.toml, or a URDF file.
     pub robot: PathBuf,
@@ -685,7 +673,22 @@ pub struct ModelArgs {
     pub json: JsonArgs,
 }
 
-#[derive(Debug, Args)]
+/// Make a robot folder for your own robot from its URDF.
+#[derive(Debug, Parser)]
+#[command(
+    name = "new",
+    after_help = "\
+The new robot.toml lists every required value as a comment with its meaning; no value is guessed unless --assume is given. \
+`opspace check DIR` lists all missing values. The folder also contains a first task, first-task.toml: the tip moves some \
+centimetres and returns.
+
+A template has the values of a common arm, each with its source; joints that it does not have, those of a gripper for example, \
+are locked. `opspace new --like` lists the templates.
+
+Examples:
+  opspace new my-ur5 --urdf ur5.urdf --like ur5
+  opspace new left-arm --urdf robot.urdf --from torso --to left_gripper --assume"
+)]
 pub struct NewArgs {
     /// The folder to create.
     #[arg(required_unless_present = "like", requires = "urdf")]
@@ -713,7 +716,9 @@ pub struct NewArgs {
     pub to: Option<String>,
 }
 
-#[derive(Debug, Args)]
+/// Print the JSON Schema of a kind of file, for editors, or a page with all its keys.
+#[derive(Debug, Parser)]
+#[command(name = "schema")]
 pub struct SchemaArgs {
     /// Kind of file.
     #[arg(value_enum)]
@@ -784,4 +789,15 @@ fn controllers() -> impl TypedValueParser<Value = ControllerKind> {
     let named =
         |name: String| ControllerKind::ALL.into_iter().find(|kind| kind.name() == name).ok_or("unknown");
     PossibleValuesParser::new(values).try_map(named)
+}
+
+/// Print the completion script of a shell.
+#[derive(Debug, Parser)]
+#[command(
+    name = "completion",
+    after_help = "For bash:  opspace completion bash > ~/.local/share/bash-completion/completions/opspace"
+)]
+pub struct CompletionArgs {
+    /// Shell of the script.
+    pub shell: Shell,
 }

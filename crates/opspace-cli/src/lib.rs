@@ -14,6 +14,7 @@
 
 mod browser;
 mod cli;
+mod command_table;
 mod commands;
 mod console;
 mod coupled_results;
@@ -30,9 +31,10 @@ mod shard;
 mod suite_results;
 mod sweep;
 
-use clap::Parser;
-use cli::{Cli, Command};
-use console::{Console, Exit};
+pub use clap;
+pub use command_table::Command;
+use command_table::program;
+use console::Console;
 pub use opspace_experiment::Extensions;
 use std::process::ExitCode;
 
@@ -40,25 +42,12 @@ use std::process::ExitCode;
 /// its exit code.
 #[must_use]
 pub fn main_with(extensions: &Extensions) -> ExitCode {
-    let cli = Cli::parse();
-    let console = Console { verbose: cli.verbose, quiet: cli.quiet };
-    let outcome = match &cli.command {
-        Command::Run(args) => commands::run::run(args, extensions, console),
-        Command::Bench(args) => commands::bench::bench(args, extensions, console),
-        Command::Merge(args) => commands::merge::merge(args, extensions, console),
-        Command::Replay(args) => commands::replay::replay(args, extensions, console),
-        Command::Report(args) => commands::report::report(args, extensions, console),
-        Command::Log(command) => commands::log::log(command, console),
-        Command::Check(args) => commands::check::check(args, extensions, console),
-        Command::Explain(args) => commands::explain::explain(args.code),
-        Command::Identify(args) => commands::identify::identify(args, console),
-        Command::Model(args) => commands::model::model(args, console),
-        Command::New(args) => commands::new::new(args, extensions, console),
-        Command::Schema(args) => commands::schema::schema(args, extensions),
-        Command::Completion { shell } => commands::completion::completion(*shell),
-    };
-    let exit: Exit = outcome.unwrap_or_else(|failure| console::report(&failure));
-    exit.into()
+    let matches = program(extensions).get_matches();
+    let console = Console { verbose: matches.get_flag("verbose"), quiet: matches.get_flag("quiet") };
+    // Clap requires a subcommand, one of the table.
+    let command = matches.subcommand();
+    let command = command.and_then(|(name, args)| Some((extensions.get::<Command>(name)?, args)));
+    command.map_or(ExitCode::FAILURE, |(command, args)| command.run(args, extensions, console))
 }
 
 /// Code examples of the README, compiled and run as doctests.
