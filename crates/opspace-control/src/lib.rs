@@ -166,7 +166,7 @@ pub use tasks::posture::Posture;
 pub use tasks::selected_joints::SelectedJoints;
 pub use tasks::singular_escape::SingularEscape;
 pub use tasks::swivel::{SwivelAngle, SwivelParameters};
-pub use tasks::task::{RowGains, SpeedLimit, Task, TaskInput};
+pub use tasks::task::{RowGains, SpeedLimit, Task, TaskInput, TaskSignals};
 pub use tasks::task_axes::TaskAxes;
 pub use tasks::tracking::Tracking;
 pub use tasks::varying_gains::ImpedanceProfile;

@@ -11,7 +11,7 @@ use crate::nullspace::{Nullspace, ProjectedTask};
 use crate::qp::level_cost::Reducible;
 use crate::qp::lexicographic::Residual;
 use crate::targets::TargetPlace;
-use crate::tasks::task::{SpeedLimit, Task, TaskInput, clear_free_rows};
+use crate::tasks::task::{SpeedLimit, Task, TaskInput, TaskSignals, clear_free_rows};
 use crate::tasks::when_limited::WhenLimited;
 use nalgebra::{DMatrix, Matrix6, Matrix6xX, Vector6};
 use opspace_backend::SignalRecorder;
@@ -59,6 +59,20 @@ struct BoundedInertia {
     mass_matrix: DMatrix<f64>,
     factor: MassMatrixFactor,
     space: OperationalSpace,
+}
+
+/// Groups of signals that a level, or a task of all joints, records together, in the order of a row.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Group {
+    Motion,
+    Force,
+    /// Acceleration that limits take.
+    Slack,
+    /// Acceleration of an escape from a singular pose.
+    Escape,
+    Gains,
+    Sensed,
+    Target,
 }
 
 impl PriorityLevel {
@@ -417,22 +431,23 @@ impl PriorityLevel {
         }
     }
 
-    /// Records the acceleration that limits took from each row.
-    pub(crate) fn record_slack(&self, out: &mut SignalRecorder<'_>) {
-        out.signal_with(|| self.task.slack_signal(), &self.slack);
-    }
-
-    /// Records the acceleration of an escape from a singular pose, if the task has this option.
-    pub(crate) fn record_escape(&self, out: &mut SignalRecorder<'_>) {
-        self.held_back.record_escape(self.name(), out);
-    }
-
-    /// Records the task force, if the task has this signal, the lowest gain of its damped inverse, and its standstill.
-    pub(crate) fn record_force(&self, out: &mut SignalRecorder<'_>) {
-        let before = out.recorded();
-        self.task.record_force(&self.force, out);
-        if out.recorded() > before {
-            self.held_back.record(self.name(), self.projected.space.min_singular_gain, out);
+    /// Records a group of signals of the level.
+    pub(crate) fn record(&self, group: Group, out: &mut SignalRecorder<'_>) {
+        match group {
+            Group::Motion => self.task.record(TaskSignals::Motion, out),
+            // With the lowest gain of the damped inverse and the standstill.
+            Group::Force => {
+                let before = out.recorded();
+                self.task.record(TaskSignals::Force(&self.force), out);
+                if out.recorded() > before {
+                    self.held_back.record(self.name(), self.projected.space.min_singular_gain, out);
+                }
+            }
+            Group::Slack => out.signal_with(|| self.task.slack_signal(), &self.slack),
+            Group::Escape => self.held_back.record_escape(self.name(), out),
+            Group::Gains => self.task.record(TaskSignals::Gains, out),
+            Group::Sensed => self.task.record(TaskSignals::Sensed, out),
+            Group::Target => self.task.record(TaskSignals::Target, out),
         }
     }
 }

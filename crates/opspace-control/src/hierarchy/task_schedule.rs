@@ -4,12 +4,13 @@ use crate::context::ControlContext;
 use crate::controller::ControlInput;
 use crate::error::{ControlError, Reason};
 use crate::hierarchy::contact_condition::{AwaitedContact, ContactCondition};
-use crate::hierarchy::priority_level::PriorityLevel;
+use crate::hierarchy::priority_level::{Group, PriorityLevel};
 use crate::hierarchy::task_hierarchy::TaskHierarchy;
 use crate::hierarchy::task_parameters::TaskSetParameters;
 use crate::hierarchy::task_set::TaskSet;
 use crate::targets::{AllowedInputs, Targets};
 use crate::tasks::joint_task::JointTask;
+use crate::tasks::task::TaskSignals;
 use opspace_backend::signal_names::TASK_SET;
 use opspace_backend::{Observable, Signal, SignalRecorder};
 use opspace_model::Model;
@@ -55,29 +56,9 @@ struct Scheduled {
 struct Slot {
     name: String,
     kind: &'static str,
+    of_all_joints: bool,
     group: Group,
     signals: Vec<Signal>,
-}
-
-/// Groups of signals that a task records together.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Group {
-    Motion,
-    Force,
-    Slack,
-    Escape,
-    Gains,
-    Sensed,
-    Target,
-    AllJoints,
-    JointSlack,
-    JointTarget,
-}
-
-impl Group {
-    fn is_of_all_joints(self) -> bool {
-        matches!(self, Self::AllJoints | Self::JointSlack | Self::JointTarget)
-    }
 }
 
 /// Kind of any task of all joints: what limits take from it has one signal.
@@ -137,8 +118,8 @@ impl TaskSchedule {
         for new in slots(self.recorded, [&other.0]) {
             let changed = |old: &&Slot| {
                 let same_signals = old.group != new.group || old.signals == new.signals;
-                let same_kind = if [old.group, new.group].contains(&Group::JointSlack) {
-                    old.group.is_of_all_joints() == new.group.is_of_all_joints()
+                let same_kind = if [old.kind, new.kind].contains(&ALL_JOINTS) {
+                    old.of_all_joints == new.of_all_joints
                 } else {
                     old.kind == new.kind
                 };
@@ -273,37 +254,23 @@ impl Observable for TaskSchedule {
 impl Slot {
     /// Records the signals of the slot's task, if it is active and has them.
     fn record(&self, hierarchy: &TaskHierarchy, out: &mut SignalRecorder<'_>) {
-        match &hierarchy.joint {
-            Some(task) if self.group.is_of_all_joints() => self.record_joints(&**task, hierarchy, out),
-            _ => self.record_level(hierarchy, out),
-        }
-    }
-
-    fn record_level(&self, hierarchy: &TaskHierarchy, out: &mut SignalRecorder<'_>) {
         let is_own = |level: &&PriorityLevel| level.name() == self.name && level.task.kind() == self.kind;
-        let Some(level) = hierarchy.levels.iter().find(is_own) else { return };
-        match self.group {
-            Group::Motion => level.task.record(out),
-            Group::Force => level.record_force(out),
-            Group::Slack => level.record_slack(out),
-            Group::Escape => level.record_escape(out),
-            Group::Gains => level.task.record_gains(out),
-            Group::Sensed => level.task.record_sensed(out),
-            Group::Target => level.task.record_target(out),
-            Group::AllJoints | Group::JointSlack | Group::JointTarget => {}
+        match (&hierarchy.joint, hierarchy.levels.iter().find(is_own)) {
+            (Some(task), _) if self.of_all_joints && task.name() == self.name => {
+                self.record_joints(&**task, hierarchy, out)
+            }
+            (_, Some(level)) => level.record(self.group, out),
+            _ => {}
         }
     }
 
     fn record_joints(&self, task: &dyn JointTask, hierarchy: &TaskHierarchy, out: &mut SignalRecorder<'_>) {
-        // What limits take from a task of all joints has the same signal for all kinds.
-        let is_own_kind = self.group == Group::JointSlack || task.kind() == self.kind;
-        if task.name() != self.name || !is_own_kind {
-            return;
-        }
+        let is_own = task.kind() == self.kind;
         match self.group {
-            Group::AllJoints => task.record(out),
-            Group::JointSlack => hierarchy.record_joint_slack(task.name(), out),
-            Group::JointTarget => task.record_target(out),
+            Group::Motion if is_own => task.record(TaskSignals::Motion, out),
+            Group::Target if is_own => task.record(TaskSignals::Target, out),
+            // The same signal for all kinds.
+            Group::Slack if self.kind == ALL_JOINTS => hierarchy.record_joint_slack(task.name(), out),
             _ => {}
         }
     }
@@ -315,11 +282,11 @@ fn slots<'a>(
     hierarchies: impl IntoIterator<Item = &'a TaskHierarchy>,
 ) -> Vec<Slot> {
     let mut slots: Vec<Slot> = Vec::new();
-    let mut add = |name: &str, kind: &'static str, group: Group, hierarchy: &TaskHierarchy| {
+    let mut add = |name: &str, kind: &'static str, of_all_joints, group: Group, hierarchy: &TaskHierarchy| {
         if slots.iter().any(|slot| slot.name == name && slot.kind == kind && slot.group == group) {
             return;
         }
-        let mut slot = Slot { name: name.to_owned(), kind, group, signals: Vec::new() };
+        let mut slot = Slot { name: name.to_owned(), kind, of_all_joints, group, signals: Vec::new() };
         slot.signals = SignalRecorder::describe(|out| slot.record(hierarchy, out));
         if !slot.signals.is_empty() {
             slots.push(slot);
@@ -339,16 +306,16 @@ fn slots<'a>(
                     Group::Target,
                 ],
             };
-            groups.iter().for_each(|&group| add(level.name(), level.task.kind(), group, hierarchy));
+            groups.iter().for_each(|&group| add(level.name(), level.task.kind(), false, group, hierarchy));
         }
         if let Some(task) = &hierarchy.joint {
             let groups: &[Group] = match recorded {
-                RecordedSignals::Motion => &[Group::AllJoints, Group::JointTarget],
-                RecordedSignals::Forces => &[Group::AllJoints, Group::JointSlack, Group::JointTarget],
+                RecordedSignals::Motion => &[Group::Motion, Group::Target],
+                RecordedSignals::Forces => &[Group::Motion, Group::Slack, Group::Target],
             };
             for &group in groups {
-                let kind = if group == Group::JointSlack { ALL_JOINTS } else { task.kind() };
-                add(task.name(), kind, group, hierarchy);
+                let kind = if group == Group::Slack { ALL_JOINTS } else { task.kind() };
+                add(task.name(), kind, true, group, hierarchy);
             }
         }
     }

@@ -41,7 +41,7 @@ use crate::tasks::gains::integrate;
 use crate::tasks::impedance::Impedance;
 use crate::tasks::singular_escape::SingularEscape;
 use crate::tasks::surface_axes::{SurfaceAxes, surface_axes};
-use crate::tasks::task::{RowGains, SpeedLimit, Task, TaskInput};
+use crate::tasks::task::{RowGains, SpeedLimit, Task, TaskInput, TaskSignals};
 use crate::tasks::task_axes::TaskAxes;
 use crate::tasks::varying_gains::VaryingGains;
 use crate::tasks::when_limited::{WhenLimited, axis_weights};
@@ -585,6 +585,28 @@ impl BuildTask for CartesianParameters {
     }
 }
 
+impl CartesianTask {
+    /// Records reference, motion, error and axes.
+    fn record_motion(&self, out: &mut SignalRecorder<'_>) {
+        let (name, xyz, wxyz) = (&self.name, &AXIS_NAMES[..3], &["w", "x", "y", "z"]);
+        let quaternion = |rotation| {
+            let q = orientation::quaternion(rotation);
+            [q.w, q.i, q.j, q.k]
+        };
+        let (path, placement) = (&self.path, &self.placement);
+        out.signal((name, REFERENCE), "m", xyz, path.placement.translation.as_slice());
+        out.signal((name, POSITION), "m", xyz, placement.translation.as_slice());
+        out.signal((name, REFERENCE_VELOCITY), "m/s", xyz, path.velocity.linear.as_slice());
+        out.signal((name, VELOCITY), "m/s", xyz, self.linear_velocity.as_slice());
+        out.signal((name, REFERENCE_ORIENTATION), "1", wxyz, &quaternion(&path.placement.rotation));
+        out.signal((name, ORIENTATION), "1", wxyz, &quaternion(&placement.rotation));
+        out.signal((name, ERROR), "m,rad", &AXIS_NAMES, self.error.as_slice());
+        if self.surface.is_some() {
+            out.signal((name, AXES), "1", wxyz, &quaternion(&self.axes.rotation));
+        }
+    }
+}
+
 impl Task for CartesianTask {
     fn name(&self) -> &str {
         &self.name
@@ -805,13 +827,6 @@ impl Task for CartesianTask {
         self.force.as_ref()?.contact_made()
     }
 
-    fn record_target(&self, out: &mut SignalRecorder<'_>) {
-        if let Some(streamed) = &self.streamed {
-            streamed.freshness().record(&self.name, out);
-            out.signal((&self.name, MODES), "1", &AXIS_NAMES, &self.modes.map(AxisMode::code));
-        }
-    }
-
     fn inversion(&self) -> Inversion {
         self.inversion
     }
@@ -893,30 +908,6 @@ impl Task for CartesianTask {
         })
     }
 
-    fn record(&self, out: &mut SignalRecorder<'_>) {
-        let (name, xyz, wxyz) = (&self.name, &AXIS_NAMES[..3], &["w", "x", "y", "z"]);
-        let quaternion = |rotation| {
-            let q = orientation::quaternion(rotation);
-            [q.w, q.i, q.j, q.k]
-        };
-        let (path, placement) = (&self.path, &self.placement);
-        out.signal((name, REFERENCE), "m", xyz, path.placement.translation.as_slice());
-        out.signal((name, POSITION), "m", xyz, placement.translation.as_slice());
-        out.signal((name, REFERENCE_VELOCITY), "m/s", xyz, path.velocity.linear.as_slice());
-        out.signal((name, VELOCITY), "m/s", xyz, self.linear_velocity.as_slice());
-        out.signal((name, REFERENCE_ORIENTATION), "1", wxyz, &quaternion(&path.placement.rotation));
-        out.signal((name, ORIENTATION), "1", wxyz, &quaternion(&placement.rotation));
-        out.signal((name, ERROR), "m,rad", &AXIS_NAMES, self.error.as_slice());
-        if self.surface.is_some() {
-            out.signal((name, AXES), "1", wxyz, &quaternion(&self.axes.rotation));
-        }
-    }
-
-    fn record_force(&self, force: &Vector6<f64>, out: &mut SignalRecorder<'_>) {
-        let force = self.axes.force_of_rows(force);
-        out.signal((&self.name, FORCE), "N,Nm", &AXIS_NAMES, force.as_slice());
-    }
-
     fn slack_signal(&self) -> Signal {
         Signal::new(signal_names::of(&self.name, SLACK), "m/s²,rad/s²", &AXIS_NAMES)
     }
@@ -928,18 +919,28 @@ impl Task for CartesianTask {
         }
     }
 
-    fn record_gains(&self, out: &mut SignalRecorder<'_>) {
-        let impedance = self.feedback.impedance.as_ref();
-        if let Some(varying) = impedance.and_then(Impedance::varying) {
-            let tank = varying.tank();
-            out.scalar((&self.name, TANK), "J", tank.level_j());
-            out.signal((&self.name, STIFFNESS), "N/m,Nm/rad", &AXIS_NAMES, tank.stiffness().as_slice());
-        }
-    }
-
-    fn record_sensed(&self, out: &mut SignalRecorder<'_>) {
-        if let Some(force) = &self.force {
-            force.record(&self.name, out);
+    fn record(&self, signals: TaskSignals<'_>, out: &mut SignalRecorder<'_>) {
+        let name = &self.name;
+        match signals {
+            TaskSignals::Motion => self.record_motion(out),
+            TaskSignals::Force(force) => {
+                let force = self.axes.force_of_rows(force);
+                out.signal((name, FORCE), "N,Nm", &AXIS_NAMES, force.as_slice());
+            }
+            TaskSignals::Gains => {
+                let impedance = self.feedback.impedance.as_ref();
+                if let Some(tank) = impedance.and_then(Impedance::varying).map(VaryingGains::tank) {
+                    out.scalar((name, TANK), "J", tank.level_j());
+                    out.signal((name, STIFFNESS), "N/m,Nm/rad", &AXIS_NAMES, tank.stiffness().as_slice());
+                }
+            }
+            TaskSignals::Sensed => self.force.iter().for_each(|force| force.record(name, out)),
+            TaskSignals::Target => {
+                if let Some(streamed) = &self.streamed {
+                    streamed.freshness().record(name, out);
+                    out.signal((name, MODES), "1", &AXIS_NAMES, &self.modes.map(AxisMode::code));
+                }
+            }
         }
     }
 }

@@ -11,7 +11,7 @@ use crate::error::ControlError;
 use crate::references::scalar_reference::{ScalarReference, ScalarTrajectory};
 use crate::tasks::coordinate::Coordinate;
 use crate::tasks::damping_zone::DampingZone;
-use crate::tasks::task::{DEFAULT_INVERSION, RowGains, SpeedLimit, Task, TaskInput};
+use crate::tasks::task::{DEFAULT_INVERSION, RowGains, SpeedLimit, Task, TaskInput, TaskSignals};
 use nalgebra::{Matrix6xX, Vector6};
 use opspace_backend::SignalRecorder;
 use opspace_backend::quantity::{NonNegative, Positive};
@@ -360,7 +360,8 @@ impl<C: Coordinate> Task for CoordinateTask<C> {
         })
     }
 
-    fn record(&self, out: &mut SignalRecorder<'_>) {
+    fn record(&self, signals: TaskSignals<'_>, out: &mut SignalRecorder<'_>) {
+        let TaskSignals::Motion = signals else { return self.record_force_of_rows(signals, out) };
         let Self { name, elements, units, rate_units, .. } = self;
         let rows = elements.len();
         out.signal((name, REFERENCE), units, elements, &self.path[0].as_slice()[..rows]);

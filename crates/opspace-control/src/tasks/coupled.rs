@@ -13,7 +13,7 @@ use crate::tasks::build_task::{BuildTask, BuiltTask};
 use crate::tasks::carry::Carry;
 use crate::tasks::coupled_parameters::{CoupledParameters, CouplingSide};
 use crate::tasks::coupled_rows::{CoupledRows, RowState};
-use crate::tasks::task::{Task, TaskInput};
+use crate::tasks::task::{Task, TaskInput, TaskSignals};
 use crate::tasks::teleoperation::Teleoperation;
 use nalgebra::{Matrix6, Matrix6xX, Vector6};
 use opspace_backend::signal_names::{
@@ -342,6 +342,67 @@ impl BuildTask for CoupledParameters {
     }
 }
 
+impl CoupledTask {
+    /// Records displacement, velocity and law.
+    fn record_motion(&self, out: &mut SignalRecorder<'_>) {
+        let (name, rows) = (&self.name, self.count());
+        let position = &self.state.position;
+        out.signal((name, DISPLACEMENT), &self.position_units, &self.row_names, &position.as_slice()[..rows]);
+        if self.law.is_none() {
+            return;
+        }
+        let sent = self.sent();
+        let reference = match &self.law {
+            Some(CouplingLaw::Carry(law)) => law.reference(),
+            Some(CouplingLaw::Teleoperation(law)) => *law.reference(),
+            None => Vector6::zeros(),
+        };
+        out.signal((name, REFERENCE), &self.position_units, &self.row_names, &reference.as_slice()[..rows]);
+        out.scalar((name, PORT_SEQUENCE), "1", self.sequence as f64);
+        out.scalar((name, PORT_TIME), "s", self.clock_s);
+        let echo_s = self.partner.newest().map_or(f64::NAN, |packet| packet.sent_s);
+        out.scalar((name, PORT_ECHO), "s", echo_s);
+        out.scalar((name, PORT_CLOSED), "1", f64::from(u8::from(sent.closed)));
+        out.scalar((name, PORT_LIMITED), "1", f64::from(u8::from(sent.limited)));
+        out.scalar((name, PORT_ENERGY_IN), "J", sent.energy_in_j);
+        out.scalar((name, PORT_SESSION), "1", self.session);
+        let partner_session = self.partner.newest().map_or(f64::NAN, |packet| packet.session);
+        out.scalar((name, PORT_PARTNER_SESSION), "1", partner_session);
+        let port = |vector: &Vector6<f64>| -> [f64; 6] { (*vector).into() };
+        out.signal(
+            (name, PORT_POSITION),
+            &self.position_units,
+            &self.row_names,
+            &port(&sent.position)[..rows],
+        );
+        out.signal(
+            (name, PORT_VELOCITY),
+            &self.velocity_units,
+            &self.row_names,
+            &port(&sent.velocity)[..rows],
+        );
+        out.signal((name, PORT_FORCE), &self.force_units, &self.row_names, &port(&sent.force)[..rows]);
+        out.scalar((name, PACKETS_LOST), "1", self.partner.missing() as f64);
+        out.scalar((name, PACKET_AGE), "s", self.partner.age_s(self.clock_s).unwrap_or(f64::NAN));
+        match &self.law {
+            Some(CouplingLaw::Teleoperation(law)) => {
+                out.scalar((name, PORT_ENERGY_OUT), "J", law.passivity().energy_out_j());
+                out.scalar((name, PASSIVITY_TIME), "s", law.passivity().active_s());
+                out.signal((name, PORT_WAVE), "J^0.5 s^0.5", &self.row_names, &port(&sent.wave)[..rows]);
+            }
+            Some(CouplingLaw::Carry(law)) => {
+                out.scalar((name, INTERNAL_FORCE), "N", law.internal_n());
+                let [path, speed, acceleration] = &sent.reference;
+                out.signal((name, PORT_PATH), "m", &self.row_names, &port(path)[..rows]);
+                out.signal((name, PORT_PATH_VELOCITY), "m/s", &self.row_names, &port(speed)[..rows]);
+                let last = &port(acceleration)[..rows];
+                out.signal((name, PORT_PATH_ACCELERATION), "m/s^2", &self.row_names, last);
+            }
+            None => {}
+        }
+    }
+}
+
 impl Task for CoupledTask {
     fn name(&self) -> &str {
         &self.name
@@ -492,68 +553,14 @@ impl Task for CoupledTask {
         (self.position_units.get(row).copied().unwrap_or("1"), self.rows.scale(row))
     }
 
-    fn record(&self, out: &mut SignalRecorder<'_>) {
-        let (name, rows) = (&self.name, self.count());
-        let position = &self.state.position;
-        out.signal((name, DISPLACEMENT), &self.position_units, &self.row_names, &position.as_slice()[..rows]);
-        if self.law.is_none() {
-            return;
-        }
-        let sent = self.sent();
-        let reference = match &self.law {
-            Some(CouplingLaw::Carry(law)) => law.reference(),
-            Some(CouplingLaw::Teleoperation(law)) => *law.reference(),
-            None => Vector6::zeros(),
-        };
-        out.signal((name, REFERENCE), &self.position_units, &self.row_names, &reference.as_slice()[..rows]);
-        out.scalar((name, PORT_SEQUENCE), "1", self.sequence as f64);
-        out.scalar((name, PORT_TIME), "s", self.clock_s);
-        let echo_s = self.partner.newest().map_or(f64::NAN, |packet| packet.sent_s);
-        out.scalar((name, PORT_ECHO), "s", echo_s);
-        out.scalar((name, PORT_CLOSED), "1", f64::from(u8::from(sent.closed)));
-        out.scalar((name, PORT_LIMITED), "1", f64::from(u8::from(sent.limited)));
-        out.scalar((name, PORT_ENERGY_IN), "J", sent.energy_in_j);
-        out.scalar((name, PORT_SESSION), "1", self.session);
-        let partner_session = self.partner.newest().map_or(f64::NAN, |packet| packet.session);
-        out.scalar((name, PORT_PARTNER_SESSION), "1", partner_session);
-        let port = |vector: &Vector6<f64>| -> [f64; 6] { (*vector).into() };
-        out.signal(
-            (name, PORT_POSITION),
-            &self.position_units,
-            &self.row_names,
-            &port(&sent.position)[..rows],
-        );
-        out.signal(
-            (name, PORT_VELOCITY),
-            &self.velocity_units,
-            &self.row_names,
-            &port(&sent.velocity)[..rows],
-        );
-        out.signal((name, PORT_FORCE), &self.force_units, &self.row_names, &port(&sent.force)[..rows]);
-        out.scalar((name, PACKETS_LOST), "1", self.partner.missing() as f64);
-        out.scalar((name, PACKET_AGE), "s", self.partner.age_s(self.clock_s).unwrap_or(f64::NAN));
-        match &self.law {
-            Some(CouplingLaw::Teleoperation(law)) => {
-                out.scalar((name, PORT_ENERGY_OUT), "J", law.passivity().energy_out_j());
-                out.scalar((name, PASSIVITY_TIME), "s", law.passivity().active_s());
-                out.signal((name, PORT_WAVE), "J^0.5 s^0.5", &self.row_names, &port(&sent.wave)[..rows]);
+    fn record(&self, signals: TaskSignals<'_>, out: &mut SignalRecorder<'_>) {
+        match signals {
+            TaskSignals::Motion => self.record_motion(out),
+            TaskSignals::Sensed if self.rows.is_sensed() => {
+                let sensed = &self.state.sensed.as_slice()[..self.count()];
+                out.signal((&self.name, SENSED_FORCE), &self.force_units, &self.row_names, sensed);
             }
-            Some(CouplingLaw::Carry(law)) => {
-                out.scalar((name, INTERNAL_FORCE), "N", law.internal_n());
-                let [path, speed, acceleration] = &sent.reference;
-                out.signal((name, PORT_PATH), "m", &self.row_names, &port(path)[..rows]);
-                out.signal((name, PORT_PATH_VELOCITY), "m/s", &self.row_names, &port(speed)[..rows]);
-                let last = &port(acceleration)[..rows];
-                out.signal((name, PORT_PATH_ACCELERATION), "m/s^2", &self.row_names, last);
-            }
-            None => {}
-        }
-    }
-
-    fn record_sensed(&self, out: &mut SignalRecorder<'_>) {
-        if self.rows.is_sensed() {
-            let sensed = &self.state.sensed.as_slice()[..self.count()];
-            out.signal((&self.name, SENSED_FORCE), &self.force_units, &self.row_names, sensed);
+            other => self.record_force_of_rows(other, out),
         }
     }
 }

@@ -1,7 +1,7 @@
 //! The trait of a task of all joints, in the null space of the other tasks.
 
 use crate::controller::ControlInput;
-use crate::tasks::task::{RowGains, TaskInput};
+use crate::tasks::task::{RowGains, TaskInput, TaskSignals};
 use crate::tasks::when_limited::WhenLimited;
 use opspace_backend::{Signal, SignalRecorder};
 use std::any::Any;
@@ -55,9 +55,6 @@ pub trait JointTask: Any + Send {
         None
     }
 
-    /// Records the signals of the streamed target.
-    fn record_target(&self, _out: &mut SignalRecorder<'_>) {}
-
     /// Blends from the state of `input.data`, at rest, into the reference after a hold. Allocates nothing.
     fn resume(&mut self, _input: &ControlInput<'_>) {}
 
@@ -83,6 +80,7 @@ pub trait JointTask: Any + Send {
         "task of all joints"
     }
 
-    /// Records the signals of reference and motion. The signals must be the same in every cycle.
-    fn record(&self, _out: &mut SignalRecorder<'_>) {}
+    /// Records a group of signals: [`TaskSignals::Motion`] or [`TaskSignals::Target`]. The signals of a group must be the same in
+    /// every cycle.
+    fn record(&self, _signals: TaskSignals<'_>, _out: &mut SignalRecorder<'_>) {}
 }

@@ -6,7 +6,7 @@ use crate::error::{ControlError, Reason};
 use crate::tasks::build_task::{BuildTask, BuiltTask, TaskReference};
 use crate::tasks::joint_parameters::JointTrackingParameters;
 use crate::tasks::joint_task::JointTask;
-use crate::tasks::task::{RowGains, Task, TaskInput};
+use crate::tasks::task::{RowGains, Task, TaskInput, TaskSignals};
 use crate::tasks::tracking::Tracking;
 use crate::tasks::when_limited::WhenLimited;
 use nalgebra::{Matrix6xX, Vector6};
@@ -152,10 +152,6 @@ impl Task for SelectedJoints {
         self.tracking.stop_for_stale_age_s()
     }
 
-    fn record_target(&self, out: &mut SignalRecorder<'_>) {
-        self.tracking.record_target(out);
-    }
-
     /// A joint row is singular only if the tasks above use the joint.
     fn inversion(&self) -> Inversion {
         Inversion::Damped(JOINTS_SINGULARITY_THRESHOLD)
@@ -208,9 +204,7 @@ impl Task for SelectedJoints {
         self.joints.iter().zip(rows).for_each(|(&joint, x)| values[joint] = *x);
     }
 
-    fn record(&self, out: &mut SignalRecorder<'_>) {
-        self.tracking.record(out);
+    fn record(&self, signals: TaskSignals<'_>, out: &mut SignalRecorder<'_>) {
+        self.tracking.record(signals, out);
     }
-
-    fn record_force(&self, _force: &Vector6<f64>, _out: &mut SignalRecorder<'_>) {}
 }

@@ -155,9 +155,6 @@ pub trait Task: Any + Send {
         None
     }
 
-    /// Records the signals of the streamed target.
-    fn record_target(&self, _out: &mut SignalRecorder<'_>) {}
-
     /// Blends from the state of `input.data`, at rest, into the reference after a hold. Allocates nothing.
     fn resume(&mut self, input: &ControlInput<'_>) {
         self.start(input);
@@ -259,22 +256,26 @@ pub trait Task: Any + Send {
         None
     }
 
-    /// Records the signals of reference and motion, each with its name, unit, elements and values. The signals must be
-    /// the same in every cycle.
+    /// Records a group of signals, each with its name, unit, elements and values. The signals of a group must be the same in
+    /// every cycle. Groups that a task does not have are left to [`record_force_of_rows`](Self::record_force_of_rows).
     ///
     /// ```
     /// # use opspace_backend::SignalRecorder;
-    /// # struct Press { name: String, depth_m: f64 }
-    /// # impl Press {
-    /// fn record(&self, out: &mut SignalRecorder<'_>) {
-    ///     out.signal((&self.name, "depth"), "m", &["depth"], &[self.depth_m]);
+    /// # use opspace_control::{Task, TaskSignals};
+    /// # fn record(task: &dyn Task, depth_m: f64, signals: TaskSignals<'_>, out: &mut SignalRecorder<'_>) {
+    /// match signals {
+    ///     TaskSignals::Motion => out.signal((task.name(), "depth"), "m", &["depth"], &[depth_m]),
+    ///     other => task.record_force_of_rows(other, out),
     /// }
     /// # }
     /// ```
-    fn record(&self, _out: &mut SignalRecorder<'_>) {}
+    fn record(&self, signals: TaskSignals<'_>, out: &mut SignalRecorder<'_>) {
+        self.record_force_of_rows(signals, out);
+    }
 
-    /// Records the force on the rows; only for torque control.
-    fn record_force(&self, force: &Vector6<f64>, out: &mut SignalRecorder<'_>) {
+    /// Records the force on the rows, if the group is that of the force.
+    fn record_force_of_rows(&self, signals: TaskSignals<'_>, out: &mut SignalRecorder<'_>) {
+        let TaskSignals::Force(force) = signals else { return };
         let signal = || {
             let units: Vec<&str> = (0..self.rows()).map(|row| force_unit(self.row_unit(row).0)).collect();
             Signal::new(signal_names::of(self.name(), signal_names::FORCE), &units, &self.row_names())
@@ -296,13 +297,21 @@ pub trait Task: Any + Send {
             *value = x / self.row_unit(row).1;
         }
     }
+}
 
-    /// Records gains that vary, if there are any; only for torque control. Unlike other signals, a task may have these in some
-    /// task sets only.
-    fn record_gains(&self, _out: &mut SignalRecorder<'_>) {}
-
-    /// Records the quantities that the task senses.
-    fn record_sensed(&self, _out: &mut SignalRecorder<'_>) {}
+/// Groups of signals that a task records, in the order of a row.
+#[derive(Clone, Copy, Debug)]
+pub enum TaskSignals<'a> {
+    /// Reference and motion.
+    Motion,
+    /// Force on the rows, with its values (rows first; N, Nm or N per unit of the coordinate); only for torque control.
+    Force(&'a Vector6<f64>),
+    /// Gains that vary; only for torque control. Unlike other signals, a task may have these in some task sets only.
+    Gains,
+    /// Quantities that the task senses.
+    Sensed,
+    /// Streamed target.
+    Target,
 }
 
 /// Sets the values of the rows of a task that do not follow a reference to zero.

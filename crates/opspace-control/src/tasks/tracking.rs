@@ -13,7 +13,7 @@ use crate::targets::TaskTarget;
 use crate::tasks::joint_parameters::{JointFeedback, JointGains, JointTrackingParameters};
 use crate::tasks::joint_target::{Input, JOINT_INPUTS};
 use crate::tasks::joint_task::JointTask;
-use crate::tasks::task::{RowGains, TaskInput};
+use crate::tasks::task::{RowGains, TaskInput, TaskSignals};
 use crate::tasks::when_limited::{WhenLimited, joint_weights};
 use nalgebra::DVector;
 use opspace_backend::signal_names::{self, ERROR, REFERENCE, REFERENCE_VELOCITY, SLACK};
@@ -299,12 +299,6 @@ impl JointTask for Tracking {
         self.stop_for_stale_age_s()
     }
 
-    fn record_target(&self, out: &mut SignalRecorder<'_>) {
-        if let Some(streamed) = &self.streamed {
-            streamed.freshness().record(&self.name, out);
-        }
-    }
-
     fn reference(&self) -> Option<(&[f64], &[f64])> {
         Some((self.reference.as_slice(), self.reference_velocity.as_slice()))
     }
@@ -318,10 +312,16 @@ impl JointTask for Tracking {
         "joint-tracking of all joints"
     }
 
-    fn record(&self, out: &mut SignalRecorder<'_>) {
+    fn record(&self, signals: TaskSignals<'_>, out: &mut SignalRecorder<'_>) {
         let Self { name, units, joint_names: joints, path, path_velocity, error, .. } = self;
-        out.signal((name, REFERENCE), &units.position, joints, path.as_slice());
-        out.signal((name, REFERENCE_VELOCITY), &units.velocity, joints, path_velocity.as_slice());
-        out.signal((name, ERROR), &units.position, joints, error.as_slice());
+        match (signals, &self.streamed) {
+            (TaskSignals::Motion, _) => {
+                out.signal((name, REFERENCE), &units.position, joints, path.as_slice());
+                out.signal((name, REFERENCE_VELOCITY), &units.velocity, joints, path_velocity.as_slice());
+                out.signal((name, ERROR), &units.position, joints, error.as_slice());
+            }
+            (TaskSignals::Target, Some(streamed)) => streamed.freshness().record(name, out),
+            _ => {}
+        }
     }
 }
