@@ -129,7 +129,8 @@ impl Finding {
     /// Returns the finding with its place in a file that has its key.
     #[must_use]
     pub fn placed_in(&self, source: &Source) -> FileError {
-        FileError::at_key(source, self.key(), &self.message, Some(self.help.clone())).coded(self.code)
+        let help = Some(self.help.clone()).filter(|help| !help.is_empty());
+        FileError::at_key(source, self.key(), &self.message, help).coded(self.code)
     }
 }
 

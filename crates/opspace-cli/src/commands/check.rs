@@ -177,7 +177,11 @@ impl Found {
 
 impl fmt::Display for Found {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}\n    help: {}", self.place, self.finding.help)
+        write!(f, "{}", self.place)?;
+        match self.finding.help.as_str() {
+            "" => Ok(()),
+            help => write!(f, "\n    help: {help}"),
+        }
     }
 }
 

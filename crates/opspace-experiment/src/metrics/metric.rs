@@ -298,17 +298,17 @@ macro_rules! metric_table {
             /// Rows of the table, in its order.
             #[must_use]
             pub fn rows() -> Vec<$crate::metrics::metric::Metric> {
-                let mut rows = Vec::new();
-                $(
-                    $(rows.extend(<$Group>::rows());)?
-                    $(rows.push($crate::metrics::metric::Metric::row(
+                let groups: &[Vec<$crate::metrics::metric::Metric>] = &[$(
+                    $(<$Group>::rows())?
+                    $({ let _ = stringify!($value); Vec::new() })?
+                    $(vec![$crate::metrics::metric::Metric::row(
                         stringify!($key),
                         $crate::metrics::metric::Better::$better,
                         $column,
                         $meaning,
-                    ));)?
-                )*
-                rows
+                    )])?
+                ),*];
+                groups.concat()
             }
 
             /// Returns a metric by its key; `None` if the table has no such metric, or the metric has no value.
