@@ -26,7 +26,7 @@ type Added = dyn Fn(&ArgMatches, &Extensions) -> ExitCode + Send + Sync;
 #[derive(Clone)]
 enum Action {
     BuiltIn { arguments: fn() -> clap::Command, run: fn(&ArgMatches, &Extensions, Console) -> Outcome },
-    Added { arguments: clap::Command, run: Arc<Added> },
+    Added { arguments: Arc<clap::Command>, run: Arc<Added> },
 }
 
 impl Command {
@@ -37,7 +37,7 @@ impl Command {
         arguments: clap::Command,
         run: impl Fn(&ArgMatches, &Extensions) -> ExitCode + Send + Sync + 'static,
     ) -> Self {
-        Self { name, action: Action::Added { arguments: arguments.name(name), run: Arc::new(run) } }
+        Self { name, action: Action::Added { arguments: Arc::new(arguments.name(name)), run: Arc::new(run) } }
     }
 
     const fn built_in<A: CommandFactory>(
@@ -50,7 +50,7 @@ impl Command {
     fn arguments(&self) -> clap::Command {
         match &self.action {
             Action::BuiltIn { arguments, .. } => arguments(),
-            Action::Added { arguments, .. } => arguments.clone(),
+            Action::Added { arguments, .. } => clap::Command::clone(arguments),
         }
     }
 

@@ -311,7 +311,7 @@ fn check_one(
             let suite = Suite::load_allowing(extensions, Files::Disk, path, allow)?;
             let what = format!("a suite of {} runs", suite.runs());
             let (mut found, skipped) =
-                (find(suite.of_robots(), &diagnose), find(suite.of_robots(), not_checked));
+                (find(suite.of_robots(), diagnose), find(suite.of_robots(), not_checked));
             found.extend(find_in_couplings(&suite.coupled));
             let allowed = allowed_in(suite.of_robots());
             Ok(Checked { found, skipped, allowed, ..Checked::clean(what) })
@@ -321,7 +321,7 @@ fn check_one(
             let coupled = CoupledExperiment::load_allowing(extensions, Files::Disk, path, settings, allow)?;
             let what = format!("an experiment with {} robots", coupled.members.len());
             let members = || coupled.members.iter().map(|member| &member.experiment);
-            let (mut found, skipped) = (find(members(), &diagnose), find(members(), not_checked));
+            let (mut found, skipped) = (find(members(), diagnose), find(members(), not_checked));
             found.extend(find_in_couplings([&coupled]));
             let allowed = allowed_in(members());
             Ok(Checked { found, skipped, allowed, ..Checked::clean(what) })
@@ -336,7 +336,7 @@ fn check_one(
             let what = format!("a task for the robot '{}'", experiment.robot().name());
             console.detail(&format!("{}: {}", path.display(), experiment.start_text()?));
             let margin = gain_margin(&experiment);
-            let mut found = find([&experiment], &diagnose);
+            let mut found = find([&experiment], diagnose);
             let skipped = find([&experiment], not_checked);
             let small = margin.as_ref().and_then(|margin| margin.finding(&experiment));
             let strength = Strength::of(&experiment);
