@@ -3,6 +3,8 @@
 //!
 //! `cargo run -p opspace-cli --example own_entries -- run examples/tasks/bent_elbow.toml`
 
+#![expect(clippy::print_stdout, reason = "a command prints")]
+
 use nalgebra::{Matrix6xX, Vector6};
 use opspace_cli::{Command, Extensions, clap, main_with};
 use opspace_control::{Coordinate, CoordinateGains, CoordinateTask, ScalarReference};
