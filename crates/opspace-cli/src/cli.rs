@@ -5,13 +5,16 @@ use crate::console::Console;
 use crate::plant::{PlantChoice, plant_choice};
 use crate::shard::{ShardChoice, shard_choice};
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
-use clap::{Args, Parser, Subcommand, ValueEnum};
+use clap::error::{ContextKind, ContextValue};
+use clap::{Arg, Args, CommandFactory, Parser, Subcommand, ValueEnum};
 use clap_complete::Shell;
 use opspace_backend::CommandKind;
-use opspace_experiment::codes::allowed_code;
+use opspace_experiment::codes::{COMPARISONS, allowed_code};
 use opspace_experiment::run::physics::OWN_PLANT;
-use opspace_experiment::{Code, ControllerKind, RunOptions};
-use opspace_transformer::TransformerKind;
+use opspace_experiment::{Code, ControllerKind, Extensions, RunOptions, TransformerEntry};
+use opspace_transformer::TransformerName;
+use std::convert::Infallible;
+use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
@@ -394,8 +397,8 @@ pub struct RunArgs {
 
     /// Transformer, which converts desired torques into setpoints [default: that of the profile, otherwise the best one
     /// for the declared interface].
-    #[arg(long, value_parser = transformers())]
-    pub transformer: Option<TransformerKind>,
+    #[arg(long, value_parser = unlisted)]
+    pub transformer: Option<TransformerName>,
 
     /// Profile of the robot in place of its default one.
     #[arg(long)]
@@ -445,7 +448,7 @@ impl RunArgs {
                 Some(BackendChoice::Replay) | None => default,
             },
             controller: self.controller,
-            transformer: self.transformer,
+            transformer: self.transformer.clone(),
             profile: self.profile.clone(),
             seed: self.seed,
             duration_s: self.duration_s,
@@ -529,8 +532,8 @@ pub struct ReplayArgs {
     pub controller: Option<ControllerKind>,
 
     /// Another transformer, run on the same measurements.
-    #[arg(long, value_parser = transformers())]
-    pub transformer: Option<TransformerKind>,
+    #[arg(long, value_parser = unlisted)]
+    pub transformer: Option<TransformerName>,
 
     /// Override a value of the task file, or, with the prefix `robot.`, of the robot file. Can be repeated.
     #[arg(long, value_name = "KEY=VALUE")]
@@ -578,8 +581,8 @@ pub struct CheckArgs {
     pub control: ControlArgs,
 
     /// Transformer, which converts desired torques into setpoints [default: that of `run`].
-    #[arg(long, value_parser = transformers())]
-    pub transformer: Option<TransformerKind>,
+    #[arg(long, value_parser = unlisted)]
+    pub transformer: Option<TransformerName>,
 
     /// Override a value of task and experiment files, or, with the prefix `robot.`, of the robot file. Can be repeated.
     #[arg(long, value_name = "KEY=VALUE")]
@@ -736,10 +739,53 @@ pub enum SchemaKind {
     Experiment,
 }
 
-/// Parser of transformer names.
-fn transformers() -> impl TypedValueParser<Value = TransformerKind> {
-    let values = TransformerKind::ALL.map(|kind| PossibleValue::new(kind.name()).help(kind.description()));
-    PossibleValuesParser::new(values).try_map(|name| TransformerKind::named(&name).ok_or("unknown"))
+/// Command line of a program with these extensions.
+pub fn command(extensions: &Extensions) -> clap::Command {
+    let transformers = Transformers::of(extensions);
+    ["run", "replay", "check"].into_iter().fold(Cli::command(), |command, name| {
+        command.mut_subcommand(name, |command| {
+            command.mut_arg("transformer", |argument| argument.value_parser(transformers.clone()))
+        })
+    })
+}
+
+/// Parser of names whose table only the program knows: [`command`] replaces it.
+fn unlisted(name: &str) -> Result<TransformerName, Infallible> {
+    Ok(name.to_owned().into())
+}
+
+/// Parser of the names of a program's transformers.
+#[derive(Clone)]
+struct Transformers(PossibleValuesParser);
+
+impl Transformers {
+    fn of(extensions: &Extensions) -> Self {
+        let value =
+            |entry: &TransformerEntry| PossibleValue::new(entry.name().to_string()).help(entry.description());
+        Self(PossibleValuesParser::new(extensions.transformers.iter().map(value)))
+    }
+}
+
+impl TypedValueParser for Transformers {
+    type Value = TransformerName;
+
+    fn parse_ref(
+        &self,
+        command: &clap::Command,
+        argument: Option<&Arg>,
+        value: &OsStr,
+    ) -> Result<TransformerName, clap::Error> {
+        let unknown = |mut error: clap::Error| {
+            let place = format!("transformers for comparisons {COMPARISONS}").into();
+            error.insert(ContextKind::Suggested, ContextValue::StyledStrs(vec![place]));
+            error
+        };
+        self.0.parse_ref(command, argument, value).map(TransformerName::from).map_err(unknown)
+    }
+
+    fn possible_values(&self) -> Option<Box<dyn Iterator<Item = PossibleValue> + '_>> {
+        self.0.possible_values()
+    }
 }
 
 /// Command interfaces with their descriptions.

@@ -30,7 +30,7 @@ mod shard;
 mod suite_results;
 mod sweep;
 
-use clap::Parser;
+use clap::FromArgMatches;
 use cli::{Cli, Command};
 use console::{Console, Exit};
 pub use opspace_experiment::Extensions;
@@ -40,7 +40,8 @@ use std::process::ExitCode;
 /// its exit code.
 #[must_use]
 pub fn main_with(extensions: &Extensions) -> ExitCode {
-    let cli = Cli::parse();
+    let matches = cli::command(extensions).get_matches();
+    let cli = Cli::from_arg_matches(&matches).unwrap_or_else(|error| error.exit());
     let console = Console { verbose: cli.verbose, quiet: cli.quiet };
     let outcome = match &cli.command {
         Command::Run(args) => commands::run::run(args, extensions, console),
@@ -53,9 +54,9 @@ pub fn main_with(extensions: &Extensions) -> ExitCode {
         Command::Explain(args) => commands::explain::explain(args.code),
         Command::Identify(args) => commands::identify::identify(args, console),
         Command::Model(args) => commands::model::model(args, console),
-        Command::New(args) => commands::new::new(args, console),
-        Command::Schema(args) => commands::schema::schema(args),
-        Command::Completion { shell } => commands::completion::completion(*shell),
+        Command::New(args) => commands::new::new(args, extensions, console),
+        Command::Schema(args) => commands::schema::schema(args, extensions),
+        Command::Completion { shell } => commands::completion::completion(*shell, extensions),
     };
     let exit: Exit = outcome.unwrap_or_else(|failure| console::report(&failure));
     exit.into()

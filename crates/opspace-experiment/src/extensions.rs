@@ -1,7 +1,9 @@
-//! Drivers and tasks defined by the user, compiled into the program.
+//! Drivers, tasks and transformers of a program: the built-in ones, and those of the user.
 
 use crate::files::task_kinds::TaskKinds;
 use crate::registry::{Named, Registry};
+use crate::transformers::built_in;
+use crate::transformers::entry::TransformerEntry;
 use opspace_backend::Driver;
 
 /// Tables to which a program adds entries of its own. Those of the built-in entries are in them from the start.
@@ -12,11 +14,21 @@ pub struct Extensions {
     pub drivers: Registry<Box<dyn Driver>>,
     /// Task kinds in addition to the built-in ones.
     pub tasks: TaskKinds,
+    /// Transformers, which `--transformer`, profiles, suites and experiments name.
+    pub transformers: Registry<TransformerEntry>,
+    /// True if tasks may use what exists for comparisons in simulation and can damage a real robot, on which it is refused all
+    /// the same.
+    pub has_comparisons: bool,
 }
 
 impl Default for Extensions {
     fn default() -> Self {
-        Self { drivers: Registry::new("driver", Vec::new()), tasks: TaskKinds::default() }
+        Self {
+            drivers: Registry::new("driver", Vec::new()),
+            tasks: TaskKinds::default(),
+            transformers: built_in(),
+            has_comparisons: false,
+        }
     }
 }
 
@@ -41,5 +53,21 @@ impl Extensions {
     pub fn with_driver(mut self, driver: impl Driver + 'static) -> Self {
         self.drivers.add(Box::new(driver));
         self
+    }
+
+    /// Adds a transformer.
+    ///
+    /// # Panics
+    /// If another transformer has the same name; [`Registry::register`] returns this as an error.
+    #[must_use]
+    pub fn with_transformer(mut self, transformer: TransformerEntry) -> Self {
+        self.transformers.add(transformer);
+        self
+    }
+
+    /// Allows in simulation what exists only for comparisons: handlings of singularities that can damage a real robot.
+    #[must_use]
+    pub fn with_comparisons(self) -> Self {
+        Self { has_comparisons: true, ..self }
     }
 }

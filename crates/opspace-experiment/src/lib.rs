@@ -41,6 +41,7 @@ pub mod setup;
 pub mod suggest;
 pub mod suites;
 pub mod text;
+pub mod transformers;
 
 pub use codes::Code;
 pub use evaluate::metrics::{Metrics, Timing};
@@ -59,6 +60,8 @@ pub use run::error::RunError;
 pub use run::execute::{Progress, RunResult};
 pub use run::experiment::{Experiment, RunOptions};
 pub use suites::suite::Suite;
+pub use transformers::entry::{TransformerEntry, TransformerTraits};
+pub use transformers::setup::TransformerSetup;
 
 /// Code examples of the README, compiled and run as doctests.
 #[cfg(doctest)]

@@ -11,6 +11,7 @@ pub trait Named {
 }
 
 /// Entries of one kind, each with a name of its own, in the order in which they were registered.
+#[derive(Clone)]
 pub struct Registry<T> {
     kind: &'static str,
     entries: Vec<T>,

@@ -40,7 +40,7 @@
 #![forbid(unsafe_code)]
 
 mod active_setpoints;
-pub mod closed_loop_transformer;
+pub mod closed_loop_model;
 pub mod current;
 pub mod drive_timing;
 pub mod estimator;
@@ -71,9 +71,7 @@ pub mod torque_response;
 pub mod transformer;
 pub mod velocity_transformer;
 
-pub use closed_loop_transformer::{
-    ClosedLoopModel, IdentificationError, LiteralTransformer, TransferFunction,
-};
+pub use closed_loop_model::{ClosedLoopModel, IdentificationError, TransferFunction};
 pub use current::{CurrentFeedback, CurrentObserver};
 pub use drive_timing::DriveTiming;
 pub use estimator::{EstimatorParameters, VelocityEstimator, VelocitySource};
@@ -95,7 +93,7 @@ pub use setpoint_limits::{
     JointSetpointLimits, SetpointLimit, SetpointLimitParameters, SetpointReaction, SetpointStream,
 };
 pub use torque_observer::{TorqueObserver, TorqueObserverSetup};
-pub use transformer::{DeclaredProperties, Gears, Method, PaperTransformer, Transformer, TransformerKind};
+pub use transformer::{DeclaredProperties, Gears, PaperTransformer, Transformer, TransformerName};
 pub use velocity_transformer::VelocityTransformer;
 
 /// Code examples of the README, compiled and run as doctests.

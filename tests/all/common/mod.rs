@@ -12,7 +12,7 @@ use opspace_log::Recording;
 use opspace_log::recording::{ChannelData, Column};
 use opspace_loop::{ControlLoop, LoopConfig, Run as LoopRun, RunOutcome};
 use opspace_model::Data;
-use opspace_transformer::TransformerKind;
+use opspace_transformer::TransformerName;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -20,7 +20,7 @@ pub const ROBOT: &str = "robots/asimo-arm";
 
 /// Options of a position robot with operational-space control in a profile.
 pub fn osc(profile: &str) -> RunOptions {
-    let transformer = TransformerKind::named("paper");
+    let transformer = Some(TransformerName::from("paper"));
     RunOptions { profile: Some(profile.to_owned()), transformer, ..RunOptions::default() }
 }
 

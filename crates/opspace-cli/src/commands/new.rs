@@ -5,13 +5,13 @@ use crate::commands::schema::text as schema_text;
 use crate::console::{Console, Exit, Failure, Outcome, print};
 use crate::output::write;
 use opspace_backend::CommandKind;
-use opspace_experiment::Source;
 use opspace_experiment::setup::arm_template::ArmTemplate;
 use opspace_experiment::setup::new_robot::{DriveValues, NewFiles, Part, new_files};
+use opspace_experiment::{Extensions, Source};
 use std::fs;
 use std::path::Path;
 
-pub fn new(args: &NewArgs, console: Console) -> Outcome {
+pub fn new(args: &NewArgs, extensions: &Extensions, console: Console) -> Outcome {
     let template = match &args.like {
         Some(None) => return list_templates(),
         Some(Some(name)) => Some(ArmTemplate::named(name)?),
@@ -21,7 +21,7 @@ pub fn new(args: &NewArgs, console: Console) -> Outcome {
         let text = "a new robot needs a folder and a URDF: opspace new DIR --urdf FILE --like ARM".to_owned();
         return Err(Failure::Other(text, Exit::Bad));
     };
-    create(args, (dir, urdf), template.as_ref(), console)
+    create(args, extensions, (dir, urdf), template.as_ref(), console)
 }
 
 /// Prints the names of the templates.
@@ -37,6 +37,7 @@ fn list_templates() -> Outcome {
 
 fn create(
     args: &NewArgs,
+    extensions: &Extensions,
     (dir, file): (&Path, &Path),
     template: Option<&ArmTemplate>,
     console: Console,
@@ -78,7 +79,7 @@ fn create(
         Err(_) => write(&copy, source.text())?,
     }
     for (name, schema) in [("robot.schema.json", SchemaKind::Robot), ("task.schema.json", SchemaKind::Task)] {
-        write(&dir.join(name), &schema_text(schema))?;
+        write(&dir.join(name), &schema_text(schema, extensions))?;
     }
     write(&robot, &robot_toml)?;
     let task = dir.join("first-task.toml");

@@ -49,8 +49,8 @@ pub fn run(args: &RunArgs, extensions: &Extensions, console: Console) -> Outcome
     let plant = if args.plant == PlantChoice::Own { "" } else { "-mujoco" };
     let default =
         PathBuf::from(format!("runs/{task}-{robot}-{}{plant}", experiment.options().backend.name()));
-    if let (Some(kind), Some(reason)) = (experiment.transformer_kind(), experiment.transformer_reason()) {
-        console.detail(&format!("transformer '{}': {reason}", kind.name()));
+    if let (Some(name), Some(reason)) = (experiment.transformer_name(), experiment.transformer_reason()) {
+        console.detail(&format!("transformer '{name}': {reason}"));
     }
     let experiment = if on_driver { checked_for_real_robot(experiment)? } else { experiment };
     experiment.allowed().iter().for_each(|refusal| console.note(&format!("warning: {refusal}")));

@@ -5,6 +5,7 @@ use crate::console::{Exit, Outcome, print_exactly};
 use crate::key_page::key_page;
 use crate::output::pretty;
 use crate::schema_defaults::add_empty_defaults;
+use opspace_experiment::Extensions;
 use opspace_experiment::files::experiment_file::ExperimentFile;
 use opspace_experiment::files::robot::RobotFile;
 use opspace_experiment::files::task::TaskFile;
@@ -12,18 +13,18 @@ use opspace_experiment::suites::suite::SuiteFile;
 use schemars::schema_for;
 use serde_json::Value;
 
-pub fn schema(args: &SchemaArgs) -> Outcome {
-    let text = if args.markdown { markdown(args.kind) } else { text(args.kind) };
+pub fn schema(args: &SchemaArgs, extensions: &Extensions) -> Outcome {
+    let text = if args.markdown { markdown(args.kind, extensions) } else { text(args.kind, extensions) };
     print_exactly(&text)?;
     Ok(Exit::Done)
 }
 
 /// Returns the schema of a kind of file.
-pub fn text(kind: SchemaKind) -> String {
-    pretty(&of(kind))
+pub fn text(kind: SchemaKind, extensions: &Extensions) -> String {
+    pretty(&of(kind, extensions))
 }
 
-fn of(kind: SchemaKind) -> Value {
+fn of(kind: SchemaKind, extensions: &Extensions) -> Value {
     let schema = match kind {
         SchemaKind::Robot => schema_for!(RobotFile),
         SchemaKind::Task => schema_for!(TaskFile),
@@ -31,17 +32,20 @@ fn of(kind: SchemaKind) -> Value {
         SchemaKind::Experiment => schema_for!(ExperimentFile),
     };
     let mut schema = schema.to_value();
+    if let Some(transformer) = schema.pointer_mut("/$defs/TransformerName") {
+        transformer["enum"] = extensions.transformers.names().collect();
+    }
     add_empty_defaults(&mut schema);
     schema
 }
 
 /// Returns the page of all keys of a kind of file.
-fn markdown(kind: SchemaKind) -> String {
+fn markdown(kind: SchemaKind, extensions: &Extensions) -> String {
     let (title, name) = match kind {
         SchemaKind::Robot => ("Keys of robot.toml", "robot"),
         SchemaKind::Task => ("Keys of a task file", "task"),
         SchemaKind::Suite => ("Keys of a suite file", "suite"),
         SchemaKind::Experiment => ("Keys of an experiment file", "experiment"),
     };
-    key_page(&of(kind), title, &format!("opspace schema {name} --markdown"))
+    key_page(&of(kind, extensions), title, &format!("opspace schema {name} --markdown"))
 }

@@ -9,7 +9,9 @@ use crate::files::robot::RobotDefinition;
 use crate::files::source::FileError;
 use crate::files::task::TaskDefinition;
 use crate::metrics::expectations;
+use crate::registry::Registry;
 use crate::run::collision::{KeptDistances, kept_distances};
+use crate::run::comparisons::refuse_comparisons;
 use crate::run::membership::Membership;
 use crate::run::path_bounds::{PASSES, bounds, path_of, time_optimal_paths};
 use crate::run::path_dynamics::JointBounds;
@@ -17,6 +19,8 @@ use crate::run::physics::Physics;
 use crate::run::rollout::{Rollout, RolloutCase};
 use crate::run::start_positions::{IN_DEGREES, are_degrees, check_start, others_outside};
 use crate::suggest::choices;
+use crate::transformers::check_robot;
+use crate::transformers::entry::TransformerEntry;
 use opspace_backend::quantity::Positive;
 use opspace_backend::{Capabilities, CommandKind, GravityCompensation, MissedCycle};
 use opspace_control::hierarchy::task_parameters::largest_unused_damping_per_s;
@@ -33,7 +37,7 @@ use opspace_sim::{
     SimulationError,
 };
 use opspace_transformer::{
-    FrictionCompensation, FrictionObserver, JointParameters, ProfileParameters, ServoGains, TransformerKind,
+    FrictionCompensation, FrictionObserver, JointParameters, ProfileParameters, ServoGains, TransformerName,
 };
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -48,7 +52,7 @@ pub struct RunOptions {
     /// Controller.
     pub controller: ControllerKind,
     /// Transformer that replaces the one of the profile.
-    pub transformer: Option<TransformerKind>,
+    pub transformer: Option<TransformerName>,
     /// Profile that replaces the default profile of the robot.
     pub profile: Option<String>,
     /// Seed that replaces the one of the task.
@@ -89,6 +93,7 @@ pub struct Experiment {
     pub(super) physics: Physics,
     pub(super) membership: Option<Membership>,
     pub(super) allowed: Vec<AllowedRefusal>,
+    pub(super) transformers: Arc<Registry<TransformerEntry>>,
 }
 
 impl Experiment {
@@ -126,7 +131,7 @@ impl Experiment {
         }
         let robot_path = robot.map_or_else(|| task.robot_path(), Path::to_owned);
         let robot = RobotDefinition::load(files, &robot_path, &robot_settings)?;
-        Self::new(robot, task, options, settings.to_vec())
+        Self::new_with(extensions, robot, task, options, settings.to_vec())
     }
 
     /// Returns the command interface declared in robot.toml of the task's robot, or of `robot` if given. `settings`
@@ -159,6 +164,47 @@ impl Experiment {
         options: RunOptions,
         settings: Vec<String>,
     ) -> Result<Self, FileError> {
+        Self::new_with(&Extensions::default(), robot, task, options, settings)
+    }
+
+    /// Combines a task and a robot like [`new`](Self::new), with transformers defined by the user.
+    ///
+    /// # Errors
+    /// As [`new`](Self::new).
+    pub fn new_with(
+        extensions: &Extensions,
+        robot: RobotDefinition,
+        task: TaskDefinition,
+        options: RunOptions,
+        settings: Vec<String>,
+    ) -> Result<Self, FileError> {
+        check_robot(&extensions.transformers, &robot)?;
+        if !extensions.has_comparisons {
+            refuse_comparisons(&task)?;
+        }
+        Self::combined(Arc::new(extensions.transformers.clone()), robot, task, options, settings)
+    }
+
+    /// Combines another robot and another task with the transformers of this experiment.
+    ///
+    /// # Errors
+    /// As [`new`](Self::new).
+    pub(crate) fn with_parts(
+        &self,
+        robot: RobotDefinition,
+        task: TaskDefinition,
+        options: RunOptions,
+    ) -> Result<Self, FileError> {
+        Self::combined(Arc::clone(&self.transformers), robot, task, options, Vec::new())
+    }
+
+    fn combined(
+        transformers: Arc<Registry<TransformerEntry>>,
+        robot: RobotDefinition,
+        task: TaskDefinition,
+        options: RunOptions,
+        settings: Vec<String>,
+    ) -> Result<Self, FileError> {
         let (name, profile) = robot.profile(options.profile.as_deref())?;
         let (profile_name, profile) = (name.to_owned(), profile.clone());
         let distances = kept_distances(&robot, &task)?;
@@ -174,6 +220,7 @@ impl Experiment {
             physics,
             membership: None,
             allowed: Vec::new(),
+            transformers,
         };
         experiment.check_choice()?;
         experiment.check_friction_observer()?;
@@ -636,8 +683,8 @@ impl Experiment {
             return Err(FileError::at_key(&self.robot.source, "interface.on_missed_cycle", message, help));
         }
         self.servos()?;
-        if let Some(kind) = self.transformer_kind() {
-            self.check_transformer(kind)?;
+        if let Some(name) = self.transformer_name() {
+            self.check_transformer(&name)?;
         }
         let counted_s = self.duration_s() - self.task.file.settle_s.get();
         if counted_s > 0.0 && counted_s < self.profile.period_s() {
