@@ -2,9 +2,9 @@
 
 use crate::browser;
 use crate::console::Console;
-use crate::plant::{PlantChoice, plant_choice};
+use crate::plant::{PlantChoice, plant_choice, plant_forms};
 use crate::shard::{ShardChoice, shard_choice};
-use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
+use clap::builder::{PossibleValue, PossibleValuesParser, StyledStr, TypedValueParser};
 use clap::error::{ContextKind, ContextValue};
 use clap::{Arg, Args, CommandFactory, Parser, Subcommand, ValueEnum};
 use clap_complete::Shell;
@@ -420,9 +420,8 @@ pub struct RunArgs {
     #[arg(long)]
     pub simulate: bool,
 
-    /// Plant of the simulation, its rigid bodies and contacts: `own`, `mujoco`, or `mujoco:SCENE.xml` for MuJoCo with a
-    /// scene of your own. MuJoCo needs `pip install mujoco`.
-    #[arg(long, value_name = "PLANT", value_parser = plant_choice, default_value = OWN_PLANT, conflicts_with = "move_to_start")]
+    /// Plant of the simulation, its rigid bodies and contacts.
+    #[arg(long, value_name = "PLANT", value_parser = unlisted_plant, default_value = OWN_PLANT, conflicts_with = "move_to_start")]
     pub plant: PlantChoice,
 
     #[command(flatten)]
@@ -474,9 +473,8 @@ pub struct BenchArgs {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     pub jobs: Option<u16>,
 
-    /// Plants on which each run is executed, separated by commas: `own`, `mujoco`, `mujoco:SCENE.xml`. MuJoCo needs `pip
-    /// install mujoco`.
-    #[arg(long, value_name = "PLANTS", value_parser = plant_choice, value_delimiter = ',', default_value = OWN_PLANT)]
+    /// Plants on which each run is executed, separated by commas.
+    #[arg(long, value_name = "PLANTS", value_parser = unlisted_plant, value_delimiter = ',', default_value = OWN_PLANT)]
     pub plants: Vec<PlantChoice>,
 
     /// Run only one part of the suite: I/N, `auto` or `auto/N`.
@@ -742,9 +740,21 @@ pub enum SchemaKind {
 /// Command line of a program with these extensions.
 pub fn command(extensions: &Extensions) -> clap::Command {
     let transformers = Transformers::of(extensions);
-    ["run", "replay", "check"].into_iter().fold(Cli::command(), |command, name| {
+    let command = ["run", "replay", "check"].into_iter().fold(Cli::command(), |command, name| {
         command.mut_subcommand(name, |command| {
             command.mut_arg("transformer", |argument| argument.value_parser(transformers.clone()))
+        })
+    });
+    let plants = plant_forms(extensions);
+    [("run", "plant"), ("bench", "plants")].into_iter().fold(command, |command, (name, argument)| {
+        let list = plants.iter().map(|(form, description)| format!("\n- {form}: {description}"));
+        let list: String = list.collect();
+        let forms: Vec<String> = plants.iter().map(|(form, _)| form.clone()).collect();
+        command.mut_subcommand(name, |command| {
+            command.mut_arg(argument, |argument| {
+                let help = format!("{}:{list}", argument.get_help().unwrap_or(&StyledStr::new()));
+                argument.help(help).value_parser(move |text: &str| plant_choice(text, &forms))
+            })
         })
     })
 }
@@ -752,6 +762,11 @@ pub fn command(extensions: &Extensions) -> clap::Command {
 /// Parser of names whose table only the program knows: [`command`] replaces it.
 fn unlisted(name: &str) -> Result<TransformerName, Infallible> {
     Ok(name.to_owned().into())
+}
+
+/// The same for plants.
+fn unlisted_plant(text: &str) -> Result<PlantChoice, String> {
+    plant_choice(text, &[OWN_PLANT.to_owned()])
 }
 
 /// Parser of the names of a program's transformers.

@@ -1,8 +1,9 @@
-//! Drivers, tasks and transformers of a program: the built-in ones, and those of the user.
+//! Drivers, tasks, transformers and plants of a program: the built-in ones, and those of the user.
 
 use crate::files::task_kinds::TaskKinds;
+use crate::plants::{self, PlantEntry};
 use crate::registry::{Named, Registry};
-use crate::transformers::built_in;
+use crate::transformers;
 use crate::transformers::entry::TransformerEntry;
 use opspace_backend::Driver;
 
@@ -14,6 +15,8 @@ pub struct Extensions {
     pub drivers: Registry<Box<dyn Driver>>,
     /// Task kinds in addition to the built-in ones.
     pub tasks: TaskKinds,
+    /// Plants of simulations, which `--plant` and `--plants` name.
+    pub plants: Registry<PlantEntry>,
     /// Transformers, which `--transformer`, profiles, suites and experiments name.
     pub transformers: Registry<TransformerEntry>,
     /// True if tasks may use what exists for comparisons in simulation and can damage a real robot, on which it is refused all
@@ -26,7 +29,8 @@ impl Default for Extensions {
         Self {
             drivers: Registry::new("driver", Vec::new()),
             tasks: TaskKinds::default(),
-            transformers: built_in(),
+            plants: plants::built_in(),
+            transformers: transformers::built_in(),
             has_comparisons: false,
         }
     }
@@ -62,6 +66,16 @@ impl Extensions {
     #[must_use]
     pub fn with_transformer(mut self, transformer: TransformerEntry) -> Self {
         self.transformers.add(transformer);
+        self
+    }
+
+    /// Adds a plant.
+    ///
+    /// # Panics
+    /// If another plant has the same name; [`Registry::register`] returns this as an error.
+    #[must_use]
+    pub fn with_plant(mut self, plant: PlantEntry) -> Self {
+        self.plants.add(plant);
         self
     }
 

@@ -101,7 +101,7 @@ pub use plant::{
     PlantObject, Scene,
 };
 pub use plant_arms::PlantArms;
-pub use rigid::RigidPlant;
+pub use rigid::{RigidEngine, RigidPlant};
 pub use simulation::Simulation;
 
 /// Code examples of the README, compiled and run as doctests.

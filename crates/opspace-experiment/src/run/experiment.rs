@@ -512,7 +512,7 @@ impl Experiment {
     /// # Errors
     /// A robot or a scene that the engine cannot simulate, or a robot that cannot be simulated at all.
     pub fn on_engine(mut self, engine: Arc<dyn PhysicsEngine>) -> Result<Self, FileError> {
-        self.physics = Physics::Engine(engine);
+        self.physics = Physics::of_engine(engine);
         self.simulated_arm()?;
         Ok(self)
     }

@@ -13,7 +13,7 @@ use opspace_experiment::{TransformerEntry, TransformerSetup, TransformerTraits};
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
-    main_with(&extensions())
+    main_with(extensions())
 }
 
 /// Extensions of the program.
