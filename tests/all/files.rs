@@ -173,7 +173,7 @@ refused! {
     sensor_on_unknown_link_is_refused: "robot.toml", "frame = \"hand\"" => "frame = \"palm\"", Some("palm"),
         ["no link 'palm'", "hand"];
     unknown_transformer_is_refused: "robot.toml", "servo_ticks_per_cycle = 5" => "servo_ticks_per_cycle = 5\ntransformer = \"peper\"", Some("peper"),
-        ["`paper`"];
+        ["'paper'"];
     missing_urdf_is_refused: "robot.toml", "asimo-arm.urdf" => "asimo-arn.urdf", Some("asimo-arn.urdf"),
         ["asimo-arn.urdf`: there is no such file", "did you mean `./asimo-arm.urdf`?"];
 }

@@ -764,7 +764,7 @@ fn unlisted(name: &str) -> Result<TransformerName, Infallible> {
     Ok(name.to_owned().into())
 }
 
-/// The same for plants.
+/// Parser of plants before [`command`] replaces it.
 fn unlisted_plant(text: &str) -> Result<PlantChoice, String> {
     plant_choice(text, &[OWN_PLANT.to_owned()])
 }

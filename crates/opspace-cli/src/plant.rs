@@ -88,8 +88,9 @@ pub fn open_plants(
 }
 
 #[cfg(test)]
-#[expect(clippy::unwrap_used, reason = "a test")]
 mod tests {
+    #![expect(clippy::unwrap_used, reason = "a test")]
+
     use crate::cli::{Cli, Command, command};
     use clap::FromArgMatches;
     use opspace_experiment::{Experiment, Extensions, Files, PlantEntry, Progress, RunOptions};

@@ -6,7 +6,7 @@ use opspace_backend::{Backend, CommandKind, GroundTruth, Layout, Observable, Sig
 use opspace_control::{ControlInput, Controller, Measurement};
 use opspace_experiment::evaluate::metrics::metrics;
 use opspace_experiment::{
-    ControllerKind, Experiment, Files, Metrics, RobotDefinition, RunOptions, TaskDefinition,
+    ControllerKind, Experiment, Extensions, Files, Metrics, RobotDefinition, RunOptions, TaskDefinition,
 };
 use opspace_log::Recording;
 use opspace_log::recording::{ChannelData, Column};
@@ -46,7 +46,8 @@ pub fn task(name: &str, settings: &[&str]) -> TaskDefinition {
 }
 
 pub fn experiment(robot: RobotDefinition, task: TaskDefinition, options: RunOptions) -> Experiment {
-    Experiment::new(robot, task, options, Vec::new()).unwrap_or_else(|e| panic!("{e}"))
+    let extensions = Extensions::default().with_comparisons();
+    Experiment::new_with(&extensions, robot, task, options, Vec::new()).unwrap_or_else(|e| panic!("{e}"))
 }
 
 /// Loads a task of the paper on its robot, with settings as on the command line.

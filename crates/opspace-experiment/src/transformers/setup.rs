@@ -1,4 +1,4 @@
-//! What a transformer is built from: the robot with its profile, at the start of a task.
+//! Setup of a transformer: the robot with its profile, at the start of a task.
 
 use crate::files::robot::RobotDefinition;
 use crate::files::source::FileError;
