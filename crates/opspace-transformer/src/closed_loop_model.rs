@@ -23,7 +23,7 @@
 //! which is equation (K10) with kp = 1/β and kv = β/α.
 
 use crate::polynomial::{product, roots, value};
-use crate::servo::ServoGains;
+use crate::servo_gains::ServoGains;
 use nalgebra::{Complex, Matrix2, Vector2};
 use opspace_backend::quantity::Positive;
 #[cfg(feature = "schema")]

@@ -6,9 +6,10 @@ use crate::friction::FrictionParameters;
 use crate::gain_adaptation::GainAdaptationParameters;
 #[cfg(feature = "schema")]
 use crate::optional_keys::with_optional_keys;
-use crate::servo::{ServoParameters, VelocityServo};
+use crate::servo::ServoParameters;
 use crate::setpoint_limits::SetpointLimitParameters;
 use crate::transformer::TransformerName;
+use crate::velocity_servo::VelocityServo;
 use opspace_backend::quantity::{Count, NonNegative, Positive};
 #[cfg(feature = "schema")]
 use schemars::JsonSchema;

@@ -3,7 +3,7 @@
 //! O. Khatib, P. Thaulad, T. Yoshikawa, J. Park, *Torque-Position Transformer for Task Control of Position
 //! Controlled Robots*.
 
-use crate::servo::ServoGains;
+use crate::servo_gains::ServoGains;
 use opspace_backend::{CommandKind, Sample, Setpoints};
 use opspace_model::Data;
 #[cfg(feature = "schema")]
