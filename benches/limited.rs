@@ -13,7 +13,7 @@
 use opspace::backend::signal_names::LIMITS_SOLVER;
 use opspace::backend::{Backend, Capabilities, Command, DeviceFault, Sample};
 use opspace::control_loop::{Phase, Run, drive};
-use opspace::experiment::{Experiment, Files, Suite};
+use opspace::experiment::{Experiment, Extensions, Files, Suite};
 use opspace::sim::SimulatedArm;
 use std::path::Path;
 use std::time::Instant;
@@ -36,9 +36,9 @@ fn main() {
     println!("duration of a control cycle, µs");
     println!("{:12}{:>10}{:>10}{:>12}{:>10}{:>10}", "", "free", "", "limited", "", "");
     println!("{:12}{:>10}{:>10}{:>12}{:>10}{:>10}", "", "median", "worst", "median", "worst", "cycles");
-    let mut all = Vec::new();
+    let (mut all, extensions) = (Vec::new(), Extensions::default().with_comparisons());
     for path in SUITES {
-        let suite = Suite::load(Files::Disk, &root.join(path)).expect("is a good suite");
+        let suite = Suite::load_with(&extensions, Files::Disk, &root.join(path)).expect("is a good suite");
         println!("{path}");
         let mut whole = Durations::default();
         for experiment in suite.experiments.iter().take(if testing { 1 } else { usize::MAX }) {

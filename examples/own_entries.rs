@@ -130,5 +130,5 @@ fn main() -> ExitCode {
         .with(short_runs())
         .with(first_joint_figure())
         .with(hello());
-    main_with(&extensions)
+    main_with(extensions)
 }

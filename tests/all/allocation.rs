@@ -13,13 +13,12 @@ use opspace_control::{CartesianTarget, Controller, Coordinate, CoordinateGains, 
 use opspace_experiment::files::task::NamedRecording;
 use opspace_experiment::{
     ControllerKind, CoupledExperiment, Experiment, Extensions, FileError, Files, Progress, RunOptions,
-    Source, Suite, TaskDefinition, TaskKind,
+    Source, Suite, TaskDefinition, TaskKind, TransformerEntry,
 };
 use opspace_loop::{Fault, Phase, Run, RunOutcome, TargetSender, drive, target_stream};
 use opspace_model::{Data, Model};
 use opspace_sim::SimulatedArm;
 use opspace_testing::allocation::{allocations, allocations_so_far};
-use opspace_transformer::{Method, TransformerKind};
 use std::cell::RefCell;
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -115,7 +114,8 @@ fn no_cycle_allocates_in(suite: &str) -> usize {
     const CYCLES: f64 = 80.0;
     let path =
         Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tasks/suites").join(suite).with_extension("toml");
-    let suite = Suite::load(Files::Disk, &path).unwrap_or_else(|e| panic!("{e}"));
+    let extensions = Extensions::default().with_comparisons();
+    let suite = Suite::load_with(&extensions, Files::Disk, &path).unwrap_or_else(|e| panic!("{e}"));
     let mut seen = BTreeSet::new();
     for experiment in &suite.experiments {
         let options = RunOptions { seed: None, ..experiment.options().clone() };
@@ -358,8 +358,7 @@ fn no_cycle_of_run_with_missed_cycles_allocates() {
     }
 }
 
-/// All transformers that are possible on an arm; the literal ones support only a single joint and are refused on an
-/// arm.
+/// All transformers of the program.
 #[test]
 fn no_cycle_of_any_transformer_allocates() {
     let closed_loop = "closed_loop={numerator=[1.0],denominator=[1.0,0.02,6.6e-5]}";
@@ -369,29 +368,23 @@ fn no_cycle_of_any_transformer_allocates() {
     let joints =
         ["shoulder_pitch", "shoulder_roll", "shoulder_yaw", "elbow"].map(|name| format!("{name}={joint}"));
     let identified = format!("robot.profile.a-med.identified={{{}}}", joints.join(","));
-    for transformer in TransformerKind::ALL {
-        let options = RunOptions { transformer: Some(transformer), ..RunOptions::default() };
+    for entry in Extensions::default().all::<TransformerEntry>() {
+        let transformer = entry.transformer_name();
+        let options = RunOptions { transformer: Some(transformer.clone()), ..RunOptions::default() };
         let path = Path::new("tasks/compliant-x.toml");
         let mut settings = vec![identified.clone()];
-        match transformer.method {
-            Method::Interpolating => settings.push("robot.interface.setpoints=\"interpolated\"".to_owned()),
-            Method::Emulation if transformer.current => {
-                settings
-                    .push("robot.profile.a-med.adapt_gains={time_s=1.0,max_relative_change=0.3}".to_owned());
-            }
-            _ => {}
+        if transformer.method() == "interpolating" {
+            settings.push("robot.interface.setpoints=\"interpolated\"".to_owned());
+        }
+        if transformer.as_str() == "emulation+current" {
+            settings.push("robot.profile.a-med.adapt_gains={time_s=1.0,max_relative_change=0.3}".to_owned());
         }
         let experiment = Experiment::load(Files::Embedded, path, None, options, &settings);
-        if matches!(transformer.method, Method::IdentifiedLiteral | Method::IdentifiedOpenLoop) {
-            let refused = experiment.err().map(|e| e.to_string()).unwrap_or_default();
-            assert!(refused.contains("a single joint"), "{transformer:?}: {refused}");
-            continue;
-        }
         let experiment = short(&experiment.unwrap_or_else(|e| panic!("{e}")), 0.5);
         let controller = experiment_controller(&experiment);
         let (counts, ending) = count(&experiment, controller, None);
         assert_eq!(ending, RunOutcome::Completed, "{transformer:?}");
-        check(&counts, transformer.name());
+        check(&counts, transformer.as_str());
     }
 }
 

@@ -7,14 +7,14 @@ use opspace_experiment::evaluate::metrics::metrics;
 use opspace_experiment::{ControllerKind, Experiment, RunOptions};
 use opspace_log::Recording;
 use opspace_loop::{Fault, Phase, RunOutcome};
-use opspace_transformer::TransformerKind;
+use opspace_transformer::TransformerName;
 
 /// Interval in which the bus is interrupted, s.
 const DEAD: (f64, f64) = (3.0, 3.3);
 const DROPOUT: &str = "robot.simulated.bus.dropouts=[{ at_s = 3.0, duration_s = 0.3 }]";
 
 fn tracking(options: RunOptions, transformer: &str, settings: &[&str]) -> Experiment {
-    let transformer = TransformerKind::named(transformer);
+    let transformer = Some(TransformerName::from(transformer.to_owned()));
     let options = RunOptions { duration_s: Some(6.0), transformer, ..options };
     load("cartesian-tracking", options, settings)
 }

@@ -173,7 +173,7 @@ refused! {
     sensor_on_unknown_link_is_refused: "robot.toml", "frame = \"hand\"" => "frame = \"palm\"", Some("palm"),
         ["no link 'palm'", "hand"];
     unknown_transformer_is_refused: "robot.toml", "servo_ticks_per_cycle = 5" => "servo_ticks_per_cycle = 5\ntransformer = \"peper\"", Some("peper"),
-        ["`paper`"];
+        ["'paper'"];
     missing_urdf_is_refused: "robot.toml", "asimo-arm.urdf" => "asimo-arn.urdf", Some("asimo-arn.urdf"),
         ["asimo-arn.urdf`: there is no such file", "did you mean `./asimo-arm.urdf`?"];
 }
@@ -248,7 +248,11 @@ fn unsupported_transformer_is_refused() {
     let joints = ["shoulder_pitch", "shoulder_roll", "shoulder_yaw", "elbow"];
     let all: Vec<String> = joints.iter().map(|name| format!("{name}={joint}")).collect();
     let identified = format!("robot.profile.a-med.identified={{{}}}", all.join(","));
-    refused("identified-literal", &[&identified], &["a single joint", "use 'identified'"]);
+    refused("identified-literal", &[&identified], &["possible values: paper", "opspace-comparisons"]);
+    let literal = ["robot.profile.a-med.transformer=identified-literal", &identified];
+    opspace(folder.path(), &["run", "task.toml", "--set", literal[0], "--set", literal[1]])
+        .exits(2)
+        .says(&["unknown transformer 'identified-literal'", "opspace-comparisons"]);
     let one = format!("robot.profile.a-med.identified={{{}}}", all[0]);
     refused("identified", &[&one], &["joint 'shoulder_roll'", "missing"]);
 }

@@ -2,16 +2,19 @@
 
 use crate::browser;
 use crate::console::Console;
-use crate::plant::{PlantChoice, plant_choice};
+use crate::plant::{PlantChoice, plant_choice, plant_forms};
 use crate::shard::{ShardChoice, shard_choice};
-use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
-use clap::{Args, Parser, Subcommand, ValueEnum};
+use clap::builder::{PossibleValue, PossibleValuesParser, StyledStr, TypedValueParser};
+use clap::error::{ContextKind, ContextValue};
+use clap::{Arg, Args, Parser, Subcommand, ValueEnum};
 use clap_complete::Shell;
 use opspace_backend::CommandKind;
-use opspace_experiment::codes::allowed_code;
+use opspace_experiment::codes::{COMPARISONS, allowed_code};
 use opspace_experiment::run::physics::OWN_PLANT;
-use opspace_experiment::{Code, ControllerKind, RunOptions};
-use opspace_transformer::TransformerKind;
+use opspace_experiment::{Code, ControllerKind, Extensions, RunOptions, TransformerEntry};
+use opspace_transformer::TransformerName;
+use std::convert::Infallible;
+use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
@@ -267,8 +270,8 @@ pub struct RunArgs {
 
     /// Transformer, which converts desired torques into setpoints [default: that of the profile, otherwise the best one
     /// for the declared interface].
-    #[arg(long, value_parser = transformers())]
-    pub transformer: Option<TransformerKind>,
+    #[arg(long, value_parser = unlisted)]
+    pub transformer: Option<TransformerName>,
 
     /// Profile of the robot in place of its default one.
     #[arg(long)]
@@ -290,9 +293,8 @@ pub struct RunArgs {
     #[arg(long)]
     pub simulate: bool,
 
-    /// Plant of the simulation, its rigid bodies and contacts: `own`, `mujoco`, or `mujoco:SCENE.xml` for MuJoCo with a
-    /// scene of your own. MuJoCo needs `pip install mujoco`.
-    #[arg(long, value_name = "PLANT", value_parser = plant_choice, default_value = OWN_PLANT, conflicts_with = "move_to_start")]
+    /// Plant of the simulation, its rigid bodies and contacts.
+    #[arg(long, value_name = "PLANT", value_parser = unlisted_plant, default_value = OWN_PLANT, conflicts_with = "move_to_start")]
     pub plant: PlantChoice,
 
     #[command(flatten)]
@@ -318,7 +320,7 @@ impl RunArgs {
                 Some(BackendChoice::Replay) | None => default,
             },
             controller: self.controller,
-            transformer: self.transformer,
+            transformer: self.transformer.clone(),
             profile: self.profile.clone(),
             seed: self.seed,
             duration_s: self.duration_s,
@@ -367,9 +369,8 @@ pub struct BenchArgs {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     pub jobs: Option<u16>,
 
-    /// Plants on which each run is executed, separated by commas: `own`, `mujoco`, `mujoco:SCENE.xml`. MuJoCo needs `pip
-    /// install mujoco`.
-    #[arg(long, value_name = "PLANTS", value_parser = plant_choice, value_delimiter = ',', default_value = OWN_PLANT)]
+    /// Plants on which each run is executed, separated by commas.
+    #[arg(long, value_name = "PLANTS", value_parser = unlisted_plant, value_delimiter = ',', default_value = OWN_PLANT)]
     pub plants: Vec<PlantChoice>,
 
     /// Run only one part of the suite: I/N, `auto` or `auto/N`.
@@ -447,8 +448,8 @@ pub struct ReplayArgs {
     pub controller: Option<ControllerKind>,
 
     /// Another transformer, run on the same measurements.
-    #[arg(long, value_parser = transformers())]
-    pub transformer: Option<TransformerKind>,
+    #[arg(long, value_parser = unlisted)]
+    pub transformer: Option<TransformerName>,
 
     /// Override a value of the task file, or, with the prefix `robot.`, of the robot file. Can be repeated.
     #[arg(long, value_name = "KEY=VALUE")]
@@ -522,8 +523,8 @@ pub struct CheckArgs {
     pub control: ControlArgs,
 
     /// Transformer, which converts desired torques into setpoints [default: that of `run`].
-    #[arg(long, value_parser = transformers())]
-    pub transformer: Option<TransformerKind>,
+    #[arg(long, value_parser = unlisted)]
+    pub transformer: Option<TransformerName>,
 
     /// Override a value of task and experiment files, or, with the prefix `robot.`, of the robot file. Can be repeated.
     #[arg(long, value_name = "KEY=VALUE")]
@@ -741,10 +742,71 @@ pub enum SchemaKind {
     Experiment,
 }
 
-/// Parser of transformer names.
-fn transformers() -> impl TypedValueParser<Value = TransformerKind> {
-    let values = TransformerKind::ALL.map(|kind| PossibleValue::new(kind.name()).help(kind.description()));
-    PossibleValuesParser::new(values).try_map(|name| TransformerKind::named(&name).ok_or("unknown"))
+/// Adds the names of transformers and plants to the arguments of a program with these extensions.
+pub fn with_names(program: clap::Command, extensions: &Extensions) -> clap::Command {
+    let transformers = Transformers::of(extensions);
+    let command = ["run", "replay", "check"].into_iter().fold(program, |command, name| {
+        command.mut_subcommand(name, |command| {
+            command.mut_arg("transformer", |argument| argument.value_parser(transformers.clone()))
+        })
+    });
+    let plants = plant_forms(extensions);
+    [("run", "plant"), ("bench", "plants")].into_iter().fold(command, |command, (name, argument)| {
+        let list = plants.iter().map(|(form, description)| format!("\n- {form}: {description}"));
+        let list: String = list.collect();
+        let forms: Vec<String> = plants.iter().map(|(form, _)| form.clone()).collect();
+        command.mut_subcommand(name, |command| {
+            command.mut_arg(argument, |argument| {
+                let help = format!("{}:{list}", argument.get_help().unwrap_or(&StyledStr::new()));
+                argument.help(help).value_parser(move |text: &str| plant_choice(text, &forms))
+            })
+        })
+    })
+}
+
+/// Parser of names whose table only the program knows: [`with_names`] replaces it.
+fn unlisted(name: &str) -> Result<TransformerName, Infallible> {
+    Ok(name.to_owned().into())
+}
+
+/// Parser of plants before [`with_names`] replaces it.
+fn unlisted_plant(text: &str) -> Result<PlantChoice, String> {
+    plant_choice(text, &[OWN_PLANT.to_owned()])
+}
+
+/// Parser of the names of a program's transformers.
+#[derive(Clone)]
+struct Transformers(PossibleValuesParser);
+
+impl Transformers {
+    fn of(extensions: &Extensions) -> Self {
+        let value = |entry: &TransformerEntry| {
+            PossibleValue::new(entry.transformer_name().to_string()).help(entry.description())
+        };
+        Self(PossibleValuesParser::new(extensions.all::<TransformerEntry>().map(value)))
+    }
+}
+
+impl TypedValueParser for Transformers {
+    type Value = TransformerName;
+
+    fn parse_ref(
+        &self,
+        command: &clap::Command,
+        argument: Option<&Arg>,
+        value: &OsStr,
+    ) -> Result<TransformerName, clap::Error> {
+        let unknown = |mut error: clap::Error| {
+            let place = format!("transformers for comparisons {COMPARISONS}").into();
+            error.insert(ContextKind::Suggested, ContextValue::StyledStrs(vec![place]));
+            error
+        };
+        self.0.parse_ref(command, argument, value).map(TransformerName::from).map_err(unknown)
+    }
+
+    fn possible_values(&self) -> Option<Box<dyn Iterator<Item = PossibleValue> + '_>> {
+        self.0.possible_values()
+    }
 }
 
 /// Command interfaces with their descriptions.

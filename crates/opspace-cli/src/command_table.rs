@@ -2,7 +2,7 @@
 
 use crate::cli::{
     BenchArgs, CheckArgs, Cli, CompletionArgs, ExplainArgs, IdentifyArgs, LogArgs, MergeArgs, ModelArgs,
-    NewArgs, ReplayArgs, ReportArgs, RunArgs, SchemaArgs,
+    NewArgs, ReplayArgs, ReportArgs, RunArgs, SchemaArgs, with_names,
 };
 use crate::commands::{
     bench, check, completion, explain, identify, log, merge, model, new, replay, report, run, schema,
@@ -121,5 +121,83 @@ fn args<A: FromArgMatches>(matches: &ArgMatches) -> Result<A, console::Failure> 
 
 /// Arguments of the whole program.
 pub(crate) fn program(extensions: &Extensions) -> clap::Command {
-    Cli::command().subcommands(extensions.all::<Command>().map(Command::arguments))
+    with_names(Cli::command().subcommands(extensions.all::<Command>().map(Command::arguments)), extensions)
+}
+
+#[cfg(test)]
+mod tests {
+    #![expect(clippy::unwrap_used, reason = "a test")]
+
+    use super::program;
+    use crate::cli::RunArgs;
+    use clap::FromArgMatches;
+    use opspace_experiment::{Experiment, Extensions, Files, PlantEntry, Progress, RunOptions};
+    use opspace_log::Recording;
+    use opspace_sim::{PhysicsEngine, Plant, PlantConfig, PlantError, RigidEngine, Scene};
+    use std::io::Cursor;
+    use std::path::Path;
+    use std::sync::Arc;
+    use std::sync::atomic::{AtomicUsize, Ordering};
+
+    /// The library's own plant under another name, with a count of the plants that it has built.
+    #[derive(Clone, Debug, Default)]
+    struct Counting(Arc<AtomicUsize>);
+
+    impl PhysicsEngine for Counting {
+        fn name(&self) -> &str {
+            "counting"
+        }
+
+        fn version(&self) -> &str {
+            "1"
+        }
+
+        fn scene(&self) -> Option<&Scene> {
+            None
+        }
+
+        fn build(&self, parts: PlantConfig) -> Result<Box<dyn Plant>, PlantError> {
+            self.0.fetch_add(1, Ordering::Relaxed);
+            RigidEngine.build(parts)
+        }
+    }
+
+    /// Rows of a run with a plant that the command line names, and the label of the plant.
+    fn run(extensions: &Extensions, plant: &str) -> (Vec<u64>, String) {
+        let arguments = ["opspace", "run", "task.toml", "--plant", plant];
+        let matches = program(extensions).try_get_matches_from(arguments).unwrap();
+        let args = RunArgs::from_arg_matches(matches.subcommand_matches("run").unwrap()).unwrap();
+        let options = RunOptions { duration_s: Some(0.5), ..RunOptions::default() };
+        let task = Path::new("tasks/cartesian-tracking.toml");
+        let settings = ["settle_s=0.1".to_owned()];
+        let experiment = Experiment::load(Files::Embedded, task, None, options, &settings).unwrap();
+        let experiment = match args.plant.open(extensions).unwrap() {
+            Some(engine) => experiment.on_engine(engine).unwrap(),
+            None => experiment,
+        };
+        let result = experiment.run(Cursor::new(Vec::new()), &Progress::default()).unwrap();
+        let log = Recording::from_bytes(result.sink.get_ref()).unwrap();
+        let tick = log.tick().unwrap();
+        (
+            (0..tick.len())
+                .flat_map(|row| tick.row(row).iter().map(|value| value.to_bits()).collect::<Vec<_>>())
+                .collect(),
+            experiment.plant(),
+        )
+    }
+
+    /// Compared: runs on the own plant, and on the same one that a user has registered.
+    #[test]
+    fn registered_plant_is_run_by_its_name() {
+        let counting = Counting::default();
+        let opened = counting.clone();
+        let entry = PlantEntry::new("counting", "counts", move |_| Ok(Arc::new(opened.clone())));
+        let extensions = Extensions::default().with(entry);
+        let ((own, own_label), (registered, label)) = (run(&extensions, "own"), run(&extensions, "counting"));
+        assert_eq!((own_label.as_str(), label.as_str()), ("own", "counting 1"));
+        assert!(counting.0.load(Ordering::Relaxed) > 0 && own.len() > 1000);
+        assert_eq!(own, registered);
+        let help = program(&extensions).find_subcommand_mut("run").unwrap().render_help().to_string();
+        assert!(help.contains("- counting: counts"), "{help}");
+    }
 }

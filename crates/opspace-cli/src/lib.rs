@@ -1,12 +1,12 @@
-//! The `opspace` command line, and [`main_with`]: the same command line in a user's program, with additional drivers
-//! and tasks.
+//! The `opspace` command line, and [`main_with`]: the same command line in a user's program, with additional drivers,
+//! tasks, transformers and plants.
 //!
 //! ```no_run
 //! use opspace_cli::{Extensions, main_with};
 //! use std::process::ExitCode;
 //!
 //! fn main() -> ExitCode {
-//!     main_with(&Extensions::default())
+//!     main_with(Extensions::default())
 //! }
 //! ```
 
@@ -38,10 +38,11 @@ use console::Console;
 pub use opspace_experiment::Extensions;
 use std::process::ExitCode;
 
-/// Runs the complete command line with the given drivers and tasks. Reads the arguments of the program and returns
+/// Runs the complete command line with the given extensions. Reads the arguments of the program and returns
 /// its exit code.
 #[must_use]
-pub fn main_with(extensions: &Extensions) -> ExitCode {
+pub fn main_with(extensions: Extensions) -> ExitCode {
+    let extensions = &extensions.with(plant::mujoco());
     let matches = program(extensions).get_matches();
     let console = Console { verbose: matches.get_flag("verbose"), quiet: matches.get_flag("quiet") };
     // Clap requires a subcommand, one of the table.

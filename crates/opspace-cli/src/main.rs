@@ -4,5 +4,5 @@ use opspace_cli::{Extensions, main_with};
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
-    main_with(&Extensions::default())
+    main_with(Extensions::default())
 }

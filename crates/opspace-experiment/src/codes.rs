@@ -12,6 +12,9 @@ use std::str::FromStr;
 /// Pages of all codes.
 const PAGES: &str = include_str!("codes.md");
 
+/// Place of what exists only for comparisons, as the end of a sentence.
+pub const COMPARISONS: &str = "are in another program: `cargo run --release -p opspace-testing --example opspace-comparisons --` in place of `opspace`";
+
 /// Effect of a problem on a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]

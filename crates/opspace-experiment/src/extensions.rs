@@ -50,6 +50,9 @@ pub struct Extensions {
 pub struct Tables {
     /// Added entries, a `Vec<T>` for the type `T`.
     added: HashMap<TypeId, Arc<dyn Any + Send + Sync>>,
+    /// True if tasks may use what exists for comparisons in simulation and can damage a real robot, on which it is refused all
+    /// the same.
+    pub has_comparisons: bool,
 }
 
 /// Reason why an entry cannot be added.
@@ -98,6 +101,13 @@ impl Extensions {
         let name = driver.name();
         assert!(self.drivers.iter().all(|known| known.name() != name), "the driver '{name}' already exists");
         self.drivers.push(Box::new(driver));
+        self
+    }
+
+    /// Allows in simulation what exists only for comparisons: handlings of singularities that can damage a real robot.
+    #[must_use]
+    pub fn with_comparisons(mut self) -> Self {
+        self.tables.has_comparisons = true;
         self
     }
 }

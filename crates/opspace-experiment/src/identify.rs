@@ -13,14 +13,14 @@ use crate::run::execute::Progress;
 use crate::run::start_positions::check_start;
 use crate::suggest::choices;
 use nalgebra::DMatrix;
+use opspace_backend::quantity::Positive;
 use opspace_backend::{Backend, CommandKind};
 use opspace_identify::response::Point;
 use opspace_identify::session::{AbortReason, ExcitationSession};
 use opspace_identify::{ExcitationPlan, Identification, KnownParameters, TorqueScale, identify};
 use opspace_model::{Data, Placement, crba, kinematics};
 use opspace_sim::{ArmConfig, SimulatedArm};
-use opspace_transformer::servo::DerivativeOf;
-use opspace_transformer::{ProfileParameters, ServoParameters};
+use opspace_transformer::{CascadedServo, IdentifiedKeys, ProfileParameters, ServoParameters};
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::sync::atomic::Ordering;
@@ -47,6 +47,8 @@ pub struct IdentificationJob {
     profile: ProfileParameters,
     start: Vec<f64>,
     joints: Vec<usize>,
+    /// Structure of the servo of each of these joints.
+    structures: Vec<Structure>,
     plan: ExcitationPlan,
 }
 
@@ -76,14 +78,14 @@ pub struct JointIdentification {
     pub no_torque_mode: Option<String>,
 }
 
-/// Servo structures that can be identified.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// Structure of a servo that can be identified.
+#[derive(Clone, Copy, Debug)]
 #[non_exhaustive]
-pub enum Structure {
-    /// A proportional velocity loop within a proportional position loop.
-    Cascaded,
-    /// The cascade in the form of stiffness and damping gains.
-    Pid,
+pub struct Structure {
+    /// Name in files.
+    pub name: &'static str,
+    /// Keys and values of identified gains.
+    pub keys: IdentifiedKeys,
 }
 
 /// Results of the identification of a robot.
@@ -166,11 +168,10 @@ impl IdentificationJob {
             })?;
             start[at] = *value;
         }
-        let identifying = Self { robot, profile_name, profile, start, joints, plan: request.plan };
-        for &joint in &identifying.joints {
-            identifying.structure(joint)?;
-        }
-        Ok(identifying)
+        let (plan, structures) = (request.plan, Vec::new());
+        let job = Self { robot, profile_name, profile, start, joints, plan, structures };
+        let structures = job.joints.iter().map(|&joint| job.structure(joint)).collect::<Result<_, _>>()?;
+        Ok(Self { structures, ..job })
     }
 
     /// The robot.
@@ -253,14 +254,14 @@ impl IdentificationJob {
         let n = self.robot.model.n();
         let mut session = ExcitationSession::begin(robot, n, &ended)?;
         let mut joints = Vec::new();
-        for &joint in &self.joints {
+        for (&joint, &structure) in self.joints.iter().zip(&self.structures) {
             let name = &self.robot.model.joints()[joint].name;
             begun(name);
             let told = self.known_parameters(joint);
             let found = identify(&mut session, &told, &self.plan)?;
             joints.push(JointIdentification {
                 name: name.clone(),
-                structure: self.structure(joint).unwrap_or(Structure::Cascaded),
+                structure,
                 position_rad: session.posture(joint),
                 urdf_inertia_kg_m2: told.inertia,
                 effective_servo: effective_servo(&found),
@@ -316,23 +317,15 @@ impl IdentificationJob {
         let name = &self.robot.model.joints()[joint].name;
         let servos = self.robot.servos(&self.profile);
         // Without a declared structure it is the cascade, to which a PID servo is equivalent.
-        let Some(servo) = servos.get(joint) else { return Ok(Structure::Cascaded) };
-        let what = match servo {
-            servo if servo.acceleration_feed_forward_kg_m2() != 0.0 => "with acceleration feed-forward",
-            ServoParameters::Cascaded(servo) if servo.velocity_integral_time_s.is_none() => {
-                return Ok(Structure::Cascaded);
-            }
-            ServoParameters::Pid(servo)
-                if servo.integral_nm_per_rad_s.get() == 0.0
-                    && servo.derivative_of == DerivativeOf::Position =>
-            {
-                return Ok(Structure::Pid);
-            }
-            ServoParameters::Cascaded(_) => "cascaded with an integral",
-            ServoParameters::Pid(_) => "a PID servo with an integral, or with the derivative of the error",
-            ServoParameters::TransferFunction(_) => "a transfer function",
-            ServoParameters::Velocity(_) => "a velocity servo",
-            _ => "of another kind",
+        let default = || {
+            let any = Positive::literal(1.0);
+            ServoParameters::Cascaded(CascadedServo::new(any, any, any))
+        };
+        let servo = servos.get(joint).cloned().unwrap_or_else(default);
+        let what = match servo.structure().identified() {
+            _ if servo.acceleration_feed_forward_kg_m2() != 0.0 => "with acceleration feed-forward",
+            Ok(keys) => return Ok(Structure { name: servo.name(), keys }),
+            Err(what) => what,
         };
         let key = ["profile", &self.profile_name, "servo", name];
         let message = format!("the servo of joint '{name}' is {what}, which cannot be identified");

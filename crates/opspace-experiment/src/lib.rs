@@ -33,6 +33,7 @@ pub mod files;
 pub mod finding;
 pub mod identify;
 pub mod metrics;
+pub mod plants;
 pub mod preflight;
 pub mod report;
 pub mod results;
@@ -41,6 +42,7 @@ pub mod setup;
 pub mod suggest;
 pub mod suites;
 pub mod text;
+pub mod transformers;
 
 pub use codes::Code;
 pub use evaluate::metrics::{Metrics, Timing};
@@ -54,6 +56,7 @@ pub use files::task::TaskDefinition;
 pub use files::task_kinds::TaskKind;
 pub use finding::{Causes, Finding, Place};
 pub use metrics::metric::{Better, Column, LogMetric, Metric};
+pub use plants::PlantEntry;
 pub use preflight::{Check, diagnostics};
 pub use report::FigureKind;
 pub use run::coupled_experiment::CoupledExperiment;
@@ -61,6 +64,8 @@ pub use run::error::RunError;
 pub use run::execute::{Progress, RunResult};
 pub use run::experiment::{Experiment, RunOptions};
 pub use suites::suite::Suite;
+pub use transformers::entry::{TransformerEntry, TransformerTraits};
+pub use transformers::setup::TransformerSetup;
 
 /// Code examples of the README, compiled and run as doctests.
 #[cfg(doctest)]

@@ -2,6 +2,7 @@
 
 mod capabilities;
 pub mod collision;
+mod comparisons;
 pub(crate) mod compliance;
 pub mod coupled_experiment;
 pub mod coupled_logs;

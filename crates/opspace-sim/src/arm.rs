@@ -1,4 +1,4 @@
-//! Simulated arm as a [`Backend`].
+//! Arm of a simulation, whichever commands it accepts.
 //!
 //! At interface cycle k the sensors are read. The command written then takes effect `delay` servo ticks later and acts
 //! until the next one takes effect. Between two cycles, and in cycles that the [bus](crate::bus) loses, only the arm's
@@ -8,35 +8,32 @@ use crate::config::{ArmConfig, SimulationConfig};
 use crate::error::SimulationError;
 use crate::external::ExternalForceHandle;
 use crate::plant::PhysicsEngine;
+use crate::servo_arm::ServoArm;
+use crate::shared_arm::SharedArm;
 use crate::simulation::Simulation;
+use crate::torque_arm::TorqueArm;
 use nalgebra::DVector;
 use opspace_backend::{
-    Backend, Capabilities, Command, DeviceFault, GroundTruth, Sample, TruthLayouts, TruthRow,
+    Backend, Capabilities, Command, CommandKind, DeviceFault, GroundTruth, Sample, TruthLayouts, TruthRow,
 };
-use std::cell::RefCell;
-use std::rc::Rc;
 
-/// Simulated robot that accepts positions, velocities or torques. The table of the [crate] describes its behaviour
-/// without commands.
-pub struct SimulatedArm {
-    simulation: Rc<RefCell<Simulation>>,
-    index: usize,
-    capabilities: Capabilities,
-    external: Option<ExternalForceHandle>,
+/// Simulated robot, of the kind that its capabilities state. The table of the [crate] describes its behaviour without commands.
+pub enum SimulatedArm {
+    /// Robot that accepts positions or velocities.
+    Servo(ServoArm),
+    /// Robot that accepts torques.
+    Torque(TorqueArm),
 }
 
 impl Simulation {
     /// Returns the arms, in the order of the configuration. They share the simulation.
     #[must_use]
-    pub fn into_arms(mut self) -> Vec<SimulatedArm> {
-        let capabilities = std::mem::take(&mut self.capabilities);
-        let handles: Vec<_> = self.arms.iter().map(|arm| arm.external.clone()).collect();
-        let simulation = Rc::new(RefCell::new(self));
-        (capabilities.into_iter().zip(handles).enumerate())
-            .map(|(index, (capabilities, external))| {
-                SimulatedArm::of(Rc::clone(&simulation), index, capabilities, external)
-            })
-            .collect()
+    pub fn into_arms(self) -> Vec<SimulatedArm> {
+        let of_kind = |arm: SharedArm| match arm.capabilities().command {
+            CommandKind::Torque => SimulatedArm::Torque(TorqueArm(arm)),
+            CommandKind::Position | CommandKind::Velocity => SimulatedArm::Servo(ServoArm(arm)),
+        };
+        SharedArm::all_of(self).into_iter().map(of_kind).collect()
     }
 }
 
@@ -60,93 +57,84 @@ impl SimulatedArm {
         simulation.into_arms().pop().ok_or(SimulationError::NoArm)
     }
 
-    pub(crate) fn of(
-        simulation: Rc<RefCell<Simulation>>,
-        index: usize,
-        capabilities: Capabilities,
-        external: Option<ExternalForceHandle>,
-    ) -> Self {
-        Self { simulation, index, capabilities, external }
-    }
-
     /// True joint positions, rad or m (n).
     #[must_use]
     pub fn true_q(&self) -> DVector<f64> {
-        let simulation = self.simulation.borrow();
-        DVector::from_column_slice(simulation.arms[self.index].q(&*simulation.plant))
+        self.shared().true_q()
     }
 
     /// True joint velocities, rad/s or m/s (n).
     #[must_use]
     pub fn true_dq(&self) -> DVector<f64> {
-        let simulation = self.simulation.borrow();
-        DVector::from_column_slice(simulation.arms[self.index].dq(&*simulation.plant))
+        self.shared().true_dq()
     }
 
     /// Time of the next sample on the robot's clock, s: the time of the next interface cycle that the bus does not
     /// lose. Read the arms of one simulation in the order of these times.
     #[must_use]
     pub fn next_sample_s(&self) -> f64 {
-        self.simulation.borrow().arms[self.index].next_sample_s()
+        self.shared().next_sample_s()
     }
 
     /// Number of the interface cycle of the next sample; the first cycle is 0. Cycles with lower numbers have no
     /// sample: a program that schedules the cycles of several arms by its own clock must skip them.
     #[must_use]
     pub fn next_sample_cycle(&self) -> u64 {
-        self.simulation.borrow().arms[self.index].next_sample
+        self.shared().next_sample_cycle()
     }
 
     /// Handle for external forces on this arm; `None` unless [`ArmConfig::external_forces`] is set.
     #[must_use]
     pub fn external_force(&self) -> Option<ExternalForceHandle> {
-        self.external.clone()
+        self.shared().external_force()
     }
-}
 
-impl Drop for SimulatedArm {
-    fn drop(&mut self) {
-        if let Ok(mut simulation) = self.simulation.try_borrow_mut() {
-            simulation.arms[self.index].rows.abandon();
+    fn shared(&self) -> &SharedArm {
+        match self {
+            Self::Servo(ServoArm(arm)) | Self::Torque(TorqueArm(arm)) => arm,
+        }
+    }
+
+    fn backend(&mut self) -> &mut dyn Backend {
+        match self {
+            Self::Servo(arm) => arm,
+            Self::Torque(arm) => arm,
         }
     }
 }
 
 impl Backend for SimulatedArm {
     fn capabilities(&self) -> &Capabilities {
-        &self.capabilities
+        self.shared().capabilities()
     }
 
     fn read(&mut self, sample: &mut Sample) -> Result<(), DeviceFault> {
-        self.simulation.borrow_mut().read(self.index, sample)
+        self.backend().read(sample)
     }
 
     fn write(&mut self, command: Command<'_>) -> Result<(), DeviceFault> {
-        let Simulation { plant, arms, .. } = &mut *self.simulation.borrow_mut();
-        arms[self.index].write(&**plant, command)
+        self.backend().write(command)
     }
 
     fn stop(&mut self) {
-        let Simulation { plant, arms, .. } = &mut *self.simulation.borrow_mut();
-        arms[self.index].stop(&**plant);
+        self.backend().stop();
     }
 
     fn ground_truth(&self) -> Option<&dyn GroundTruth> {
-        Some(self)
+        Some(self.shared())
     }
 }
 
 impl GroundTruth for SimulatedArm {
     fn layouts(&self) -> TruthLayouts {
-        self.simulation.borrow().arms[self.index].rows.layouts()
+        self.shared().layouts()
     }
 
     fn visit(&self, visit: &mut dyn FnMut(TruthRow<'_>)) {
-        let arm = &self.simulation.borrow().arms[self.index];
-        arm.rows.visit(&arm.timing, visit);
+        self.shared().visit(visit);
     }
 
     fn next_sample_cycle(&self) -> Option<u64> {
-        Some(SimulatedArm::next_sample_cycle(self))
+        Some(self.shared().next_sample_cycle())
     }
 }

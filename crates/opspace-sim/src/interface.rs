@@ -2,14 +2,17 @@
 
 use crate::bus::Bus;
 use crate::config::ArmConfig;
-use crate::drives::{Drives, DrivesConfig};
+use crate::drives::Drives;
 use crate::error::SimulationError;
 use crate::external::ExternalForceHandle;
 use crate::fault;
 use crate::force_sensor::SimulatedForceSensor;
+use crate::motors::Motors;
 use crate::plant::{Plant, PlantFrame};
+use crate::servo_drives::{ServoDrives, ServoDrivesConfig};
 use crate::setpoint_check::SetpointCheck;
 use crate::timing::{Clock, Timing};
+use crate::torque_drives::TorqueDrives;
 use crate::torque_sensor::TorqueSensor;
 use crate::truth::{ContactSignals, TruthConfig, TruthRows};
 use nalgebra::DVector;
@@ -27,14 +30,13 @@ pub(crate) struct ArmInterface {
     pub external: Option<ExternalForceHandle>,
     index: usize,
     joints: Range<usize>,
-    takes: CommandKind,
     bus: Bus,
     /// Number of the next cycle that the bus does not lose.
     pub next_sample: u64,
     /// Additional delay, in servo ticks, of a command written in the last cycle that was not lost.
     late: u32,
+    motors: Motors,
     drives: Drives,
-    setpoint_check: Option<SetpointCheck>,
     sensors: Vec<(FrameId, SimulatedForceSensor)>,
     current: TorqueSensor,
     joint_torque: TorqueSensor,
@@ -67,22 +69,34 @@ impl ArmInterface {
             CommandKind::Torque | CommandKind::Velocity if has_brakes => DVector::zeros(model.n()),
             _ => holding.clone(),
         };
-        let drives = Drives::new(DrivesConfig {
-            takes: command,
-            has_brakes,
-            setpoints,
-            servo_ticks_per_cycle: timing.servo_ticks_per_cycle,
-            drivetrains: config.drivetrains(model, &motor_start, &holding, clock.physics_hz)?,
-            laws: config.true_servos(timing.servo_period_s)?,
-            torque_limits: config.torque_limits(),
-            q: config.start.clone(),
-            holding: holding.clone(),
-        });
+        let drivetrains = config.drivetrains(model, &motor_start, &holding, clock.physics_hz)?;
+        let laws = config.true_servos(timing.servo_period_s)?;
+        let q = &config.start;
+        let mut motors = Motors::new(drivetrains, config.torque_limits(), q);
+        let check = SetpointCheck::new(config);
+        let has_setpoint_limits = check.is_some();
+        let drives = match command {
+            CommandKind::Torque if has_brakes => Drives::Torque(TorqueDrives::with_brakes(&mut motors, q)),
+            CommandKind::Torque => Drives::Torque(TorqueDrives::with_servos(&motors, laws, &holding)),
+            CommandKind::Position | CommandKind::Velocity => {
+                let servo_ticks_per_cycle = timing.servo_ticks_per_cycle;
+                let holding = holding.clone();
+                let config = ServoDrivesConfig {
+                    takes: command,
+                    has_brakes,
+                    setpoints,
+                    servo_ticks_per_cycle,
+                    laws,
+                    holding,
+                    check,
+                };
+                Drives::Servo(ServoDrives::new(config, &mut motors, q))
+            }
+        };
         let objects = config.environment.iter().map(|(name, _)| ContactSignals::without_moment(name));
         let contacts = objects.chain(place.contacts);
         let silent_s: f64 = config.simulated.bus.dropouts.iter().map(|d| d.duration_s.get()).sum();
         let cycles = (silent_s / config.profile.period_s()).ceil() as usize + LOST_CYCLES;
-        let setpoint_check = SetpointCheck::new(config);
         let mut arm = Self {
             rows: TruthRows::new(
                 model,
@@ -91,19 +105,18 @@ impl ArmInterface {
                     held: place.held,
                     objects: config.contacts(model).into_iter().map(|(_, object)| object).collect(),
                     has_external: config.external_forces,
-                    has_setpoint_limits: setpoint_check.is_some(),
+                    has_setpoint_limits,
                 },
                 cycles,
                 timing.servo_ticks_per_cycle as usize,
             ),
-            setpoint_check,
             external: config.external_forces.then(ExternalForceHandle::default),
             index: place.index,
             joints: place.joints,
-            takes: command,
             bus: Bus::new(&config.simulated.bus, config.seed),
             next_sample: 0,
             late: 0,
+            motors,
             drives,
             sensors: config.force_sensors(model, timing.servo_period_s),
             current: TorqueSensor::of_motors(config, motor_start),
@@ -129,10 +142,10 @@ impl ArmInterface {
     pub fn begin_cycle(&mut self, plant: &mut dyn Plant) -> bool {
         let cycle = self.timing.cycles;
         self.timing.cycles += 1;
-        let limited = self.setpoint_check.as_ref().map_or(&[][..], SetpointCheck::limited);
+        let limited = if let Drives::Servo(drives) = &self.drives { drives.limited() } else { &[] };
         self.rows.begin_cycle(plant, self.index, &self.joints, limited);
-        if let Some(check) = &mut self.setpoint_check {
-            check.begin_cycle();
+        if let Drives::Servo(drives) = &mut self.drives {
+            drives.begin_cycle();
         }
         if let Some(handle) = &self.external {
             let force = handle.get();
@@ -163,14 +176,14 @@ impl ArmInterface {
     /// Reads the sensors at a cycle.
     pub fn measure(&mut self, plant: &dyn Plant, sample: &mut Sample) {
         sample.time_s = self.timing.time_s(self.timing.servo_tick);
-        sample.q.copy_from_slice(self.drives.positions(&plant.q()[self.joints.clone()]));
+        sample.q.copy_from_slice(self.motors.positions(&plant.q()[self.joints.clone()]));
         if let Some(measured) = &mut sample.dq {
-            self.drives.velocities(&plant.dq()[self.joints.clone()], measured);
+            self.motors.velocities(&plant.dq()[self.joints.clone()], measured);
         }
         self.current.read(sample.motor_torque.as_mut());
         self.joint_torque.read(sample.joint_torque.as_mut());
         if let Some(status) = &mut sample.status {
-            *status = Status::new(0, self.drives.take_limited());
+            *status = Status::new(0, self.motors.take_limited());
         }
         for (to, (_, sensor)) in sample.wrenches.iter_mut().zip(&mut self.sensors) {
             let wrench = sensor.read();
@@ -179,42 +192,56 @@ impl ArmInterface {
         }
     }
 
-    /// Accepts a command at the present cycle.
-    pub fn write(&mut self, plant: &dyn Plant, command: Command<'_>) -> Result<(), DeviceFault> {
-        let acts_at = self.timing.servo_tick + u64::from(self.timing.delay + self.late);
-        let values = match command {
-            Command::Hold => {
-                if let Some(check) = &mut self.setpoint_check {
-                    check.restart();
-                }
-                self.drives.hold(self.q(plant), acts_at);
-                return Ok(());
+    /// Accepts a command of a robot with servos at the present cycle.
+    pub fn write_setpoints(&mut self, plant: &dyn Plant, command: Command<'_>) -> Result<(), DeviceFault> {
+        let acts_at = self.acts_at();
+        let Drives::Servo(drives) = &mut self.drives else {
+            return Err(fault::wrong_command(CommandKind::Torque));
+        };
+        match (command, drives.takes()) {
+            (Command::Hold, _) => {
+                drives.hold(&mut self.motors, &plant.q()[self.joints.clone()], acts_at);
+                Ok(())
             }
-            Command::Torque(values) if self.takes == CommandKind::Torque => values,
-            Command::Velocity(values) if self.takes == CommandKind::Velocity => values,
-            Command::Position(values) if self.takes == CommandKind::Position => values,
-            _ => return Err(fault::wrong_command(self.takes)),
-        };
-        if values.len() != self.joints.len() {
-            return Err(fault::wrong_length());
+            (Command::Velocity(values), CommandKind::Velocity)
+            | (Command::Position(values), CommandKind::Position) => {
+                check_length(values, self.joints.len())?;
+                drives.command(values, acts_at)
+            }
+            (_, takes) => Err(fault::wrong_command(takes)),
         }
-        let values = match &mut self.setpoint_check {
-            Some(check) => check.apply(values)?,
-            None => values,
-        };
-        self.drives.command(values, acts_at);
+    }
+
+    /// Accepts a command of a torque robot at the present cycle.
+    pub fn write_torques(&mut self, plant: &dyn Plant, command: Command<'_>) -> Result<(), DeviceFault> {
+        let acts_at = self.acts_at();
+        match (command, &mut self.drives) {
+            (Command::Hold, Drives::Torque(drives)) => {
+                drives.hold(&mut self.motors, &plant.q()[self.joints.clone()]);
+            }
+            (Command::Torque(torques), Drives::Torque(drives)) => {
+                check_length(torques, self.joints.len())?;
+                drives.command(torques, acts_at);
+            }
+            _ => return Err(fault::wrong_command(CommandKind::Torque)),
+        }
         Ok(())
+    }
+
+    /// Servo tick at which a command of the present cycle takes effect.
+    fn acts_at(&self) -> u64 {
+        self.timing.servo_tick + u64::from(self.timing.delay + self.late)
     }
 
     /// Enters the safe state.
     pub fn stop(&mut self, plant: &dyn Plant) {
         let q = &plant.q()[self.joints.clone()];
-        self.drives.stop(q);
+        self.drives.stop(&mut self.motors, q);
     }
 
     /// Begins a servo period.
     pub fn servo_tick(&mut self, plant: &dyn Plant) {
-        self.drives.servo_tick(&plant.q()[self.joints.clone()], self.timing.servo_tick);
+        self.drives.servo_tick(&mut self.motors, &plant.q()[self.joints.clone()], self.timing.servo_tick);
         self.rows.begin_servo_period(self.drives.command_in_force());
         self.timing.servo_tick += 1;
     }
@@ -224,13 +251,13 @@ impl ArmInterface {
     pub fn step_drives(&mut self, plant: &dyn Plant, dt_s: f64, torques: &mut [f64]) {
         let joints = self.joints.clone();
         let (q, dq) = (&plant.q()[joints.clone()], &plant.dq()[joints.clone()]);
-        self.drives.step(q, dq, dt_s, &mut torques[joints]);
+        self.motors.step(q, dq, dt_s, &mut torques[joints]);
         let steps = f64::from(self.timing.steps_per_servo);
-        for (sum, torque) in self.rows.servo_row().iter_mut().zip(self.drives.motor_torques()) {
+        for (sum, torque) in self.rows.servo_row().iter_mut().zip(self.motors.motor_torques()) {
             *sum += torque / steps;
         }
-        self.current.add(self.drives.current_torques(), steps);
-        self.joint_torque.add(self.drives.joint_torques(), steps);
+        self.current.add(self.motors.current_torques(), steps);
+        self.joint_torque.add(self.motors.joint_torques(), steps);
     }
 
     /// Ends a servo period.
@@ -252,4 +279,8 @@ fn holding_torque(model: &Model, q: &[f64]) -> DVector<f64> {
     kinematics(model, &mut data, q, &vec![0.0; model.n()]);
     gravity(model, &mut data);
     data.gravity
+}
+
+fn check_length(values: &[f64], joints: usize) -> Result<(), DeviceFault> {
+    if values.len() == joints { Ok(()) } else { Err(fault::wrong_length()) }
 }

@@ -1,6 +1,7 @@
 //! Simulated arms: rigid bodies, drivetrains, multirate servos, sensors and environment.
 //!
-//! A [`SimulatedArm`] is a [`Backend`](opspace_backend::Backend), alone or as one arm of a [`Simulation`]. All kinds of
+//! A [`ServoArm`] and a [`TorqueArm`] are each a [`Backend`](opspace_backend::Backend), alone or as an arm of a
+//! [`Simulation`]; a [`SimulatedArm`] is one of them. All kinds of
 //! robot have the same plant and the same interface; they differ in their behaviour without a command:
 //!
 //! | robot | before the first command, on `Hold` and after `stop` |
@@ -55,6 +56,7 @@
 
 pub mod arm;
 pub mod bus;
+mod command_queue;
 pub mod config;
 mod drives;
 pub mod drivetrain;
@@ -70,6 +72,7 @@ mod ideal;
 pub mod integrator;
 mod interface;
 pub mod motor;
+mod motors;
 pub mod parameters;
 pub mod plant;
 pub mod plant_arms;
@@ -78,10 +81,16 @@ pub mod random;
 pub mod rigid;
 mod rotating_body;
 mod sensor_load;
+mod servo;
+pub mod servo_arm;
+mod servo_drives;
 mod setpoint_check;
+mod shared_arm;
 pub mod simulation;
 mod sines;
 mod timing;
+pub mod torque_arm;
+mod torque_drives;
 mod torque_sensor;
 mod truth;
 
@@ -101,8 +110,10 @@ pub use plant::{
     PlantObject, Scene,
 };
 pub use plant_arms::PlantArms;
-pub use rigid::RigidPlant;
+pub use rigid::{RigidEngine, RigidPlant};
+pub use servo_arm::ServoArm;
 pub use simulation::Simulation;
+pub use torque_arm::TorqueArm;
 
 /// Code examples of the README, compiled and run as doctests.
 #[cfg(doctest)]

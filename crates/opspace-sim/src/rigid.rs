@@ -3,7 +3,7 @@
 use crate::environment::EnvironmentObject;
 use crate::external::ExternalForce;
 use crate::held_object::HeldObject;
-use crate::plant::{Plant, PlantConfig, PlantFrame};
+use crate::plant::{PhysicsEngine, Plant, PlantConfig, PlantError, PlantFrame, Scene};
 use crate::plant_arms::PlantArms;
 use nalgebra::Vector3;
 use opspace_model::Force;
@@ -23,6 +23,33 @@ impl RigidPlant {
     #[must_use]
     pub fn new(config: PlantConfig) -> Self {
         Self { arms: PlantArms::new(config) }
+    }
+}
+
+/// Engine that builds the library's own plant.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct RigidEngine;
+
+impl RigidEngine {
+    /// Name in results, logs and on the command line.
+    pub const NAME: &'static str = "own";
+}
+
+impl PhysicsEngine for RigidEngine {
+    fn name(&self) -> &str {
+        Self::NAME
+    }
+
+    fn version(&self) -> &str {
+        env!("CARGO_PKG_VERSION")
+    }
+
+    fn scene(&self) -> Option<&Scene> {
+        None
+    }
+
+    fn build(&self, parts: PlantConfig) -> Result<Box<dyn Plant>, PlantError> {
+        Ok(Box::new(RigidPlant::new(parts)))
     }
 }
 

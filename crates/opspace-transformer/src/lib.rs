@@ -40,7 +40,8 @@
 #![forbid(unsafe_code)]
 
 mod active_setpoints;
-pub mod closed_loop_transformer;
+pub mod cascaded_servo;
+pub mod closed_loop_model;
 pub mod current;
 pub mod drive_timing;
 pub mod estimator;
@@ -58,22 +59,27 @@ pub mod observer;
 #[cfg(feature = "schema")]
 mod optional_keys;
 pub mod parameters;
+pub mod pid_servo;
 pub mod polynomial;
 pub mod servo;
+pub mod servo_gains;
 pub mod servo_inversion;
 pub mod servo_law;
 pub mod servo_model_transformer;
+pub mod servo_structure;
 pub mod setpoint_average;
+pub mod setpoint_filter;
 pub mod setpoint_governor;
 pub mod setpoint_limits;
 pub mod torque_observer;
 pub mod torque_response;
+pub mod transfer_function_servo;
 pub mod transformer;
+pub mod velocity_servo;
 pub mod velocity_transformer;
 
-pub use closed_loop_transformer::{
-    ClosedLoopModel, IdentificationError, LiteralTransformer, TransferFunction,
-};
+pub use cascaded_servo::CascadedServo;
+pub use closed_loop_model::{ClosedLoopModel, IdentificationError, TransferFunction};
 pub use current::{CurrentFeedback, CurrentObserver};
 pub use drive_timing::DriveTiming;
 pub use estimator::{EstimatorParameters, VelocityEstimator, VelocitySource};
@@ -86,16 +92,22 @@ pub use momentum_observer::MomentumObserver;
 pub use observed::ObservedTransformer;
 pub use observer::{ObservedJoint, ObserverGain};
 pub use parameters::{JointParameters, ProfileParameters, RotorParameters};
-pub use servo::{CascadedServo, ServoGains, ServoParameters, SetpointFilter, VelocityServo};
+pub use pid_servo::{DerivativeOf, PidServo};
+pub use servo::ServoParameters;
+pub use servo_gains::ServoGains;
 pub use servo_inversion::{EmulationError, TorqueObjective};
-pub use servo_law::{ServoError, ServoLaw, ServoState};
+pub use servo_law::{ServoError, ServoLaw, ServoState, SetpointParameters};
 pub use servo_model_transformer::{EmulatingTransformer, EmulationSetup};
+pub use servo_structure::{IdentifiedGains, IdentifiedKeys, ServoStructure};
 pub use setpoint_average::SetpointAverage;
+pub use setpoint_filter::SetpointFilter;
 pub use setpoint_limits::{
     JointSetpointLimits, SetpointLimit, SetpointLimitParameters, SetpointReaction, SetpointStream,
 };
 pub use torque_observer::{TorqueObserver, TorqueObserverSetup};
-pub use transformer::{DeclaredProperties, Gears, Method, PaperTransformer, Transformer, TransformerKind};
+pub use transfer_function_servo::TransferFunctionServo;
+pub use transformer::{DeclaredProperties, Gears, PaperTransformer, Transformer, TransformerName};
+pub use velocity_servo::VelocityServo;
 pub use velocity_transformer::VelocityTransformer;
 
 /// Code examples of the README, compiled and run as doctests.

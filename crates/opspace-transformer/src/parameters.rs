@@ -1,14 +1,15 @@
 //! Nominal parameters of a robot's drives: the parts of robot.toml that describe joints and profiles.
 
-use crate::closed_loop_transformer::ClosedLoopModel;
+use crate::closed_loop_model::ClosedLoopModel;
 use crate::estimator::EstimatorParameters;
 use crate::friction::FrictionParameters;
 use crate::gain_adaptation::GainAdaptationParameters;
 #[cfg(feature = "schema")]
 use crate::optional_keys::with_optional_keys;
-use crate::servo::{ServoParameters, VelocityServo};
+use crate::servo::ServoParameters;
 use crate::setpoint_limits::SetpointLimitParameters;
-use crate::transformer::TransformerKind;
+use crate::transformer::TransformerName;
+use crate::velocity_servo::VelocityServo;
 use opspace_backend::quantity::{Count, NonNegative, Positive};
 #[cfg(feature = "schema")]
 use schemars::JsonSchema;
@@ -93,7 +94,7 @@ pub struct ProfileParameters {
     pub delay_servo_ticks: Option<u32>,
     /// Transformer that converts torques to positions or velocities.
     #[cfg_attr(feature = "schema", schemars(extend("x-default" = "the best one for the robot's declared properties")))]
-    pub transformer: Option<TransformerKind>,
+    pub transformer: Option<TransformerName>,
     /// Adaptation of the servo gains from measured motor current during a run; none if absent.
     pub adapt_gains: Option<GainAdaptationParameters>,
     /// Estimator of joint velocity at the interface.

@@ -8,11 +8,9 @@
 //! velocity instead of q_desired. A servo that [averages](crate::setpoint_average) its setpoints has their mean in place of
 //! q_desired. The simulated drives run this law, and the emulating transformer predicts with it.
 
-use crate::servo::{
-    CascadedServo, DerivativeOf, PidServo, ServoGains, ServoParameters, SetpointFilter,
-    TransferFunctionServo, VelocityServo,
-};
+use crate::servo_gains::ServoGains;
 use crate::setpoint_average::{self, AverageTicks, MAX_TICKS, SetpointAverage};
+use crate::setpoint_filter::SetpointFilter;
 use nalgebra::{Complex, DMatrix, DVector};
 use opspace_backend::low_pass;
 use opspace_backend::quantity::Positive;
@@ -28,7 +26,7 @@ pub const MAX_ORDER: usize = 6;
 const LARGEST: f64 = 1e12;
 
 /// Memory entry of the setpoint of the servo tick before, of a servo without an integral.
-const SETPOINT_BEFORE: usize = 2;
+pub(crate) const SETPOINT_BEFORE: usize = 2;
 
 /// Memory of a servo from one servo tick to the next.
 pub type ServoState = [f64; MAX_ORDER];
@@ -78,17 +76,18 @@ pub struct ServoLaw {
 
 /// Weighted sum of a servo's memory and inputs.
 #[derive(Clone, Copy, Debug, Default)]
-struct Form {
+pub(crate) struct Form {
     memory: ServoState,
     setpoint: f64,
     position: f64,
 }
 
 impl Form {
-    const SET_POINT: Self = Self { memory: [0.0; MAX_ORDER], setpoint: 1.0, position: 0.0 };
-    const POSITION: Self = Self { memory: [0.0; MAX_ORDER], setpoint: 0.0, position: 1.0 };
+    pub const SET_POINT: Self = Self { memory: [0.0; MAX_ORDER], setpoint: 1.0, position: 0.0 };
+    pub const POSITION: Self = Self { memory: [0.0; MAX_ORDER], setpoint: 0.0, position: 1.0 };
 
-    fn memory(i: usize) -> Self {
+    /// Entry of the memory.
+    pub fn memory(i: usize) -> Self {
         let mut form = Self::default();
         form.memory[i] = 1.0;
         form
@@ -133,22 +132,17 @@ impl Mul<f64> for Form {
 }
 
 impl ServoLaw {
-    /// Returns the law of a servo that runs every `period_s` (s).
+    /// Returns the law of a loop with what it needs at rest, and the averages of its setpoint.
     ///
     /// # Errors
-    /// If the transfer function is not realizable, or the servo cannot hold a torque at rest.
-    pub fn new(servo: &ServoParameters, period_s: f64) -> Result<Self, ServoError> {
-        let law = match servo {
-            ServoParameters::Cascaded(servo) => Self::cascaded(servo, period_s),
-            ServoParameters::Pid(servo) => Self::pid(servo, period_s)?,
-            ServoParameters::TransferFunction(servo) => Self::transfer_function(servo)?,
-            ServoParameters::Velocity(servo) => Self::velocity(servo, period_s),
-        };
-        let rest = [law.solve_rest(1.0, 0.0)?, law.solve_rest(0.0, 1.0)?];
-        Ok(Self { rest, average: average_ticks(servo, period_s)?, ..law })
+    /// If the loop cannot hold a torque at rest, or an average is too long.
+    pub(crate) fn completed(self, filter: Option<SetpointFilter>, period_s: f64) -> Result<Self, ServoError> {
+        let rest = [self.solve_rest(1.0, 0.0)?, self.solve_rest(0.0, 1.0)?];
+        Ok(Self { rest, average: average_ticks(filter, period_s)?, ..self })
     }
 
-    fn of(next: &[Form], torque: Form) -> Self {
+    /// Returns the law of a loop with the next values of its memory, and its torque.
+    pub(crate) fn of(next: &[Form], torque: Form) -> Self {
         let mut all = [Form::default(); MAX_ORDER];
         all[..next.len()].copy_from_slice(next);
         let rest = [([0.0; MAX_ORDER], 0.0); 2];
@@ -156,7 +150,7 @@ impl ServoLaw {
     }
 
     /// Returns the law of a loop behind a setpoint path, whose memory follows that of the loop.
-    fn with_path(next: &[Form], torque: Form, path: &SetpointPath) -> Self {
+    pub(crate) fn with_path(next: &[Form], torque: Form, path: &SetpointPath) -> Self {
         let next: Vec<Form> = next.iter().chain(&path.next).copied().collect();
         Self::of(&next, path.add_acceleration(torque))
     }
@@ -182,103 +176,6 @@ impl ServoLaw {
         Ok((std::array::from_fn(|i| if i < n { solution[i] } else { 0.0 }), solution[n]))
     }
 
-    /// Cascade: `w ← w + a ((y − y₋)/Ts − w)`, `e = kp (q_desired − y) − w`, `z ← z + e Ts/Ti`, `τ = kv (e + z)`. With
-    /// feed-forward, e also has the setpoint's velocity and τ its acceleration.
-    fn cascaded(servo: &CascadedServo, period_s: f64) -> Self {
-        let (velocity, integral) = (Form::memory(0), Form::memory(2));
-        let velocity = filtered_rate(
-            velocity,
-            Form::POSITION - Form::memory(1),
-            servo.velocity_filter_hz.get(),
-            period_s,
-        );
-        let path = SetpointPath::new(
-            servo.setpoint_filter,
-            servo.velocity_feed_forward.get(),
-            servo.acceleration_feed_forward_kg_m2.get(),
-            if servo.velocity_integral_time_s.is_some() { 3 } else { SETPOINT_BEFORE },
-            period_s,
-        );
-        let error = (path.setpoint - Form::POSITION) * servo.kp_per_s.get() - velocity;
-        let error = path.add_velocity(error, 1.0);
-        let kv = servo.kv_nms_per_rad.get();
-        match servo.velocity_integral_time_s {
-            None => Self::with_path(&[velocity, Form::POSITION], error * kv, &path),
-            Some(time_s) => {
-                let integral = integral + error * (period_s / time_s.get());
-                Self::with_path(&[velocity, Form::POSITION, integral], (error + integral) * kv, &path)
-            }
-        }
-    }
-
-    /// PID: `τ = K e + D w + i`, with w the filtered rate of e or of −y, and `i ← i + Ki Ts e`. With feed-forward, τ also
-    /// has the setpoint's velocity and acceleration.
-    fn pid(servo: &PidServo, period_s: f64) -> Result<Self, ServoError> {
-        let feed_forward = servo.velocity_feed_forward.get();
-        if servo.derivative_of == DerivativeOf::Error && feed_forward > 0.0 {
-            return Err(ServoError::FeedForwardTwice);
-        }
-        let gain = servo.integral_nm_per_rad_s.get();
-        let path = SetpointPath::new(
-            servo.setpoint_filter,
-            feed_forward,
-            servo.acceleration_feed_forward_kg_m2.get(),
-            if gain == 0.0 { SETPOINT_BEFORE } else { 3 },
-            period_s,
-        );
-        let error = path.setpoint - Form::POSITION;
-        let differentiated = match servo.derivative_of {
-            DerivativeOf::Position => Form::POSITION * -1.0,
-            DerivativeOf::Error => error,
-        };
-        let change = differentiated - Form::memory(1);
-        let rate = filtered_rate(Form::memory(0), change, servo.derivative_filter_hz.get(), period_s);
-        let damping = servo.damping_nms_per_rad.get();
-        let torque = error * servo.stiffness_nm_per_rad.get() + rate * damping;
-        let torque = path.add_velocity(torque, damping);
-        if gain == 0.0 {
-            return Ok(Self::with_path(&[rate, differentiated], torque, &path));
-        }
-        let integral = Form::memory(2) + error * (gain * period_s);
-        Ok(Self::with_path(&[rate, differentiated, integral], torque + integral, &path))
-    }
-
-    /// Velocity loop: `w ← w + a ((y − y₋)/Ts − w)`, `e = q̇_desired − w`, `i ← i + ki Ts e`, `τ = kv e + i`.
-    fn velocity(servo: &VelocityServo, period_s: f64) -> Self {
-        let change = Form::POSITION - Form::memory(1);
-        let rate = filtered_rate(Form::memory(0), change, servo.velocity_filter_hz.get(), period_s);
-        let error = Form::SET_POINT - rate;
-        let torque = error * servo.kv_nms_per_rad.get();
-        let gain = servo.ki_nm_per_rad.get();
-        if gain == 0.0 {
-            return Self::of(&[rate, Form::POSITION], torque);
-        }
-        let integral = Form::memory(2) + error * (gain * period_s);
-        Self::of(&[rate, Form::POSITION, integral], torque + integral)
-    }
-
-    /// Transfer function in the transposed direct form.
-    fn transfer_function(servo: &TransferFunctionServo) -> Result<Self, ServoError> {
-        let (b, a) = (&servo.numerator, &servo.denominator);
-        let order = b.len().max(a.len()).saturating_sub(1);
-        if order > MAX_ORDER {
-            return Err(ServoError::Order { order });
-        }
-        let Some(&first) = a.first().filter(|first| **first != 0.0) else {
-            return Err(ServoError::Improper);
-        };
-        if b.iter().all(|b| *b == 0.0) {
-            return Err(ServoError::NoTorque);
-        }
-        let weight = |coefficients: &[f64], i: usize| coefficients.get(i).map_or(0.0, |c| c / first);
-        let shifted = |i: usize| if i < order { Form::memory(i) } else { Form::default() };
-        let error = Form::SET_POINT - Form::POSITION;
-        let torque = error * weight(b, 0) + shifted(0);
-        let next: Vec<Form> =
-            (1..=order).map(|i| error * weight(b, i) - torque * weight(a, i) + shifted(i)).collect();
-        Ok(Self::of(&next, torque))
-    }
-
     /// Returns the moving averages of the servo's setpoint, with setpoints of zero; the setpoint itself if it has none.
     #[must_use]
     pub fn setpoint_average(&self) -> SetpointAverage {
@@ -298,7 +195,7 @@ impl ServoLaw {
     }
 
     /// Sets the stiffness and the damping to `to` in place of `from`, for a servo that
-    /// [has two gains](ServoParameters::has_two_gains). Allocates nothing.
+    /// [has two gains](crate::ServoParameters::has_two_gains). Allocates nothing.
     pub fn retune(&mut self, from: ServoGains, to: ServoGains) {
         let error = Form::SET_POINT - Form::POSITION;
         // The torque without K e is the damping torque.
@@ -312,7 +209,7 @@ impl ServoLaw {
     }
 
     /// Adds the torque `gain` (Nms/rad) times the setpoint's velocity, for a servo that feeds velocity forward and
-    /// [has two gains](ServoParameters::has_two_gains), and runs every `period_s` (s). Allocates nothing.
+    /// [has two gains](crate::ServoParameters::has_two_gains), and runs every `period_s` (s). Allocates nothing.
     pub fn add_feed_forward(&mut self, gain: f64, period_s: f64) {
         let change = Form::SET_POINT - Form::memory(SETPOINT_BEFORE);
         self.torque = self.torque + change * (gain / period_s);
@@ -364,8 +261,8 @@ impl ServoLaw {
 }
 
 /// Numbers of servo ticks of the moving averages of a servo's setpoint.
-fn average_ticks(servo: &ServoParameters, period_s: f64) -> Result<AverageTicks, ServoError> {
-    let Some(SetpointFilter::MovingAverage { time_s, second_time_s }) = servo.setpoint_filter() else {
+fn average_ticks(filter: Option<SetpointFilter>, period_s: f64) -> Result<AverageTicks, ServoError> {
+    let Some(SetpointFilter::MovingAverage { time_s, second_time_s }) = filter else {
         return Ok([1; 2]);
     };
     let ticks = |time_s: Positive| {
@@ -375,10 +272,21 @@ fn average_ticks(servo: &ServoParameters, period_s: f64) -> Result<AverageTicks,
     Ok([ticks(time_s)?, second_time_s.map_or(Ok(1), ticks)?])
 }
 
+/// Filter and feed-forward of a servo's setpoint.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct SetpointParameters {
+    /// Filter of the setpoint, if any.
+    pub filter: Option<SetpointFilter>,
+    /// Fraction of the setpoint's velocity that is fed forward.
+    pub velocity_feed_forward: f64,
+    /// Torque fed forward per acceleration of the setpoint, kg m² (kg).
+    pub acceleration_feed_forward_kg_m2: f64,
+}
+
 /// Path of a setpoint to the loop: filter and feed-forward.
-struct SetpointPath {
+pub(crate) struct SetpointPath {
     /// Filtered setpoint.
-    setpoint: Form,
+    pub setpoint: Form,
     /// Velocity fed forward.
     velocity: Option<Form>,
     /// Torque fed forward for the acceleration.
@@ -390,13 +298,10 @@ struct SetpointPath {
 impl SetpointPath {
     /// Returns the path whose memory begins at the entry `first`. Its first entry is the filtered setpoint of the servo
     /// tick before, which the differences of the feed-forward need too.
-    fn new(
-        filter: Option<SetpointFilter>,
-        velocity_feed_forward: f64,
-        acceleration_feed_forward: f64,
-        first: usize,
-        period_s: f64,
-    ) -> Self {
+    pub fn new(parameters: SetpointParameters, first: usize, period_s: f64) -> Self {
+        let SetpointParameters { filter, velocity_feed_forward, acceleration_feed_forward_kg_m2 } =
+            parameters;
+        let acceleration_feed_forward = acceleration_feed_forward_kg_m2;
         let before = Form::memory(first);
         let mut next = match filter {
             None | Some(SetpointFilter::MovingAverage { .. }) => vec![Form::SET_POINT],
@@ -427,7 +332,7 @@ impl SetpointPath {
     }
 
     /// Adds the velocity fed forward, times `gain`.
-    fn add_velocity(&self, to: Form, gain: f64) -> Form {
+    pub fn add_velocity(&self, to: Form, gain: f64) -> Form {
         self.velocity.map_or(to, |velocity| to + velocity * gain)
     }
 
@@ -460,7 +365,7 @@ fn second_order(natural: f64, damping_ratio: f64, time_s: f64) -> [[f64; 2]; 2] 
 
 /// Filtered finite difference of a quantity that changed by `change` since the last servo tick; `rate` is its previous
 /// value.
-fn filtered_rate(rate: Form, change: Form, filter_hz: f64, period_s: f64) -> Form {
+pub(crate) fn filtered_rate(rate: Form, change: Form, filter_hz: f64, period_s: f64) -> Form {
     let gain = low_pass::gain(filter_hz, period_s);
     rate * (1.0 - gain) + change * (gain / period_s)
 }

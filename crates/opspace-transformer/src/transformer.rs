@@ -3,148 +3,68 @@
 //! O. Khatib, P. Thaulad, T. Yoshikawa, J. Park, *Torque-Position Transformer for Task Control of Position
 //! Controlled Robots*.
 
-use crate::servo::ServoGains;
+use crate::servo_gains::ServoGains;
 use opspace_backend::{CommandKind, Sample, Setpoints};
 use opspace_model::Data;
 #[cfg(feature = "schema")]
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
-use serde::de::Error;
-use serde::{Deserialize, Deserializer, Serialize};
-#[cfg(feature = "schema")]
+use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
+use std::fmt;
 
-/// Method of converting torques to positions or velocities.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Method {
+/// Name of a transformer in files, tables and on the command line. A program has a table of those that it knows; `+current` at
+/// the end of a name means that measured motor current corrects it.
+#[derive(Clone, Debug, PartialEq, Eq, Hash, Deserialize, Serialize)]
+#[serde(transparent)]
+pub struct TransformerName(Cow<'static, str>);
+
+/// End of the name of a transformer that is corrected by measured motor current.
+const WITH_CURRENT: &str = "+current";
+
+impl TransformerName {
     /// Equation (K10) of the paper; for velocity servos, its inner stage.
-    Paper,
+    pub const PAPER: Self = Self::literal("paper");
     /// Emulation of the servo over the next interval; matches the mean torque.
-    Emulation,
+    pub const EMULATION: Self = Self::literal("emulation");
     /// Emulation of the servo for drives that interpolate setpoints; matches the torque of each servo tick.
-    Interpolating,
+    pub const INTERPOLATING: Self = Self::literal("interpolating");
     /// Extrapolation of each joint at its velocity over the next interval; matches the mean torque.
-    Extrapolation,
+    pub const EXTRAPOLATION: Self = Self::literal("extrapolation");
     /// Equation (K10) with the gains of a measured closed loop.
-    Identified,
-    /// Equation (K8) on a measured closed loop, for a single free joint.
-    IdentifiedLiteral,
-    /// Second form of equation (K8), which doesn't use the measured position.
-    IdentifiedOpenLoop,
-}
+    pub const IDENTIFIED: Self = Self::literal("identified");
 
-impl Method {
-    /// True if the method needs a measured closed loop.
+    /// Returns a name.
     #[must_use]
-    pub fn needs_identification(self) -> bool {
-        matches!(self, Self::Identified | Self::IdentifiedLiteral | Self::IdentifiedOpenLoop)
+    pub const fn literal(name: &'static str) -> Self {
+        Self(Cow::Borrowed(name))
     }
 
-    /// True if the method needs the delay until a setpoint acts.
+    /// Text of the name.
     #[must_use]
-    pub fn needs_delay(self) -> bool {
-        self.emulates_arm() || self == Self::Extrapolation
+    pub fn as_str(&self) -> &str {
+        &self.0
     }
 
-    /// True if the method emulates the arm with its drives.
+    /// Name of the method, without the correction by measured motor current.
     #[must_use]
-    pub fn emulates_arm(self) -> bool {
-        matches!(self, Self::Emulation | Self::Interpolating)
+    pub fn method(&self) -> &str {
+        self.0.strip_suffix(WITH_CURRENT).unwrap_or(&self.0)
     }
-}
 
-/// Transformer: a method, with or without correction by measured motor current.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct TransformerKind {
-    /// Method of converting torques to positions or velocities.
-    pub method: Method,
     /// True if measured motor current corrects it.
-    pub current: bool,
-}
-
-impl TransformerKind {
-    /// All transformers.
-    pub const ALL: [Self; 14] = [
-        Self::new(Method::Paper, false),
-        Self::new(Method::Paper, true),
-        Self::new(Method::Emulation, false),
-        Self::new(Method::Emulation, true),
-        Self::new(Method::Interpolating, false),
-        Self::new(Method::Interpolating, true),
-        Self::new(Method::Extrapolation, false),
-        Self::new(Method::Extrapolation, true),
-        Self::new(Method::Identified, false),
-        Self::new(Method::Identified, true),
-        Self::new(Method::IdentifiedLiteral, false),
-        Self::new(Method::IdentifiedLiteral, true),
-        Self::new(Method::IdentifiedOpenLoop, false),
-        Self::new(Method::IdentifiedOpenLoop, true),
-    ];
-
-    /// Names of all transformers, in the order of [`ALL`](Self::ALL).
-    pub const NAMES: [&'static str; Self::ALL.len()] = [
-        "paper",
-        "paper+current",
-        "emulation",
-        "emulation+current",
-        "interpolating",
-        "interpolating+current",
-        "extrapolation",
-        "extrapolation+current",
-        "identified",
-        "identified+current",
-        "identified-literal",
-        "identified-literal+current",
-        "identified-open-loop",
-        "identified-open-loop+current",
-    ];
-
-    const fn new(method: Method, current: bool) -> Self {
-        Self { method, current }
+    #[must_use]
+    pub fn has_current(&self) -> bool {
+        self.0.ends_with(WITH_CURRENT)
     }
 
-    /// Name in files, tables and on the command line.
+    /// Name of the same method with or without correction by measured motor current.
     #[must_use]
-    pub fn name(self) -> &'static str {
-        let place = Self::ALL.iter().position(|kind| *kind == self);
-        Self::NAMES[place.unwrap_or_default()]
-    }
-
-    /// Returns the transformer of that name.
-    #[must_use]
-    pub fn named(name: &str) -> Option<Self> {
-        let place = Self::NAMES.iter().position(|known| *known == name);
-        place.map(|place| Self::ALL[place])
-    }
-
-    /// One-line description.
-    #[must_use]
-    pub fn description(self) -> &'static str {
-        if self.current {
-            return "the same method, corrected by measured motor current";
+    pub fn with_current(&self, current: bool) -> Self {
+        if current == self.has_current() {
+            return self.clone();
         }
-        match self.method {
-            Method::Paper => "equation (K10) of the paper",
-            Method::Emulation => "emulates the servo up to the next setpoint and matches the mean torque",
-            Method::Interpolating => {
-                "emulates the servo of drives that interpolate setpoints and matches the torque of each servo tick"
-            }
-            Method::Extrapolation => {
-                "extrapolates each joint at its velocity up to the next setpoint and matches the mean torque"
-            }
-            Method::Identified => "equation (K10) with gains from a measured closed loop",
-            Method::IdentifiedLiteral => {
-                "equation (K8) on a measured closed loop: one joint without gravity and contact; simulation only"
-            }
-            Method::IdentifiedOpenLoop => {
-                "second form of (K8), without the measured position: drifts; simulation only"
-            }
-        }
-    }
-
-    /// True if it needs measured motor current.
-    #[must_use]
-    pub fn needs_current(self) -> bool {
-        self.current
+        let end = if current { WITH_CURRENT } else { "" };
+        Self(Cow::Owned(format!("{}{end}", self.method())))
     }
 
     /// Returns the best transformer for a robot with these declared properties, and the reason:
@@ -165,7 +85,7 @@ impl TransformerKind {
         let Some(delay) = delay_servo_ticks else {
             let why =
                 "the delay of setpoints is unknown, and this transformer works with any delay".to_owned();
-            return (Self::new(Method::Paper, false), why);
+            return (Self::PAPER, why);
         };
         let current = if measures_current { "measured" } else { "not measured" };
         if gears == Gears::Elastic {
@@ -174,21 +94,21 @@ impl TransformerKind {
                  is {current}"
             );
             if takes == CommandKind::Velocity || measures_current {
-                return (Self::new(Method::Extrapolation, measures_current), why);
+                return (Self::EXTRAPOLATION.with_current(measures_current), why);
             }
             let why = why
                 + ": this transformer keeps a part of the servo's damping, so that a wrong gain does less harm";
-            return (Self::new(Method::Paper, false), why);
+            return (Self::PAPER, why);
         }
         let (method, setpoints) = match setpoints {
-            Setpoints::Held => (Method::Emulation, "held"),
-            Setpoints::Interpolated => (Method::Interpolating, "interpolated"),
+            Setpoints::Held => (Self::EMULATION, "held"),
+            Setpoints::Interpolated => (Self::INTERPOLATING, "interpolated"),
         };
         let why = format!(
             "the gears are declared rigid, setpoints are {setpoints}, their delay is known ({delay} servo ticks), motor \
              current is {current}"
         );
-        (Self::new(method, measures_current), why)
+        (method.with_current(measures_current), why)
     }
 }
 
@@ -205,7 +125,7 @@ pub enum Gears {
     Elastic,
 }
 
-/// Declared properties of a robot that determine its [best](TransformerKind::best) transformer.
+/// Declared properties of a robot that determine its [best](TransformerName::best) transformer.
 #[derive(Clone, Copy, Debug)]
 pub struct DeclaredProperties {
     /// Quantity of its setpoints: position or velocity.
@@ -220,21 +140,33 @@ pub struct DeclaredProperties {
     pub gears: Gears,
 }
 
-impl<'de> Deserialize<'de> for TransformerKind {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        let name = String::deserialize(deserializer)?;
-        Self::named(&name).ok_or_else(|| D::Error::unknown_variant(&name, &Self::NAMES))
+impl fmt::Display for TransformerName {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.0)
+    }
+}
+
+impl From<&'static str> for TransformerName {
+    fn from(name: &'static str) -> Self {
+        Self::literal(name)
+    }
+}
+
+impl From<String> for TransformerName {
+    fn from(name: String) -> Self {
+        Self(Cow::Owned(name))
     }
 }
 
 #[cfg(feature = "schema")]
-impl JsonSchema for TransformerKind {
+impl JsonSchema for TransformerName {
     fn schema_name() -> Cow<'static, str> {
-        "TransformerKind".into()
+        "TransformerName".into()
     }
 
+    /// Schema without the names, which the program adds from its table.
     fn json_schema(_: &mut SchemaGenerator) -> Schema {
-        json_schema!({ "description": "Transformer from desired torques to setpoints.", "type": "string", "enum": Self::NAMES })
+        json_schema!({ "description": "Transformer from desired torques to setpoints.", "type": "string" })
     }
 }
 

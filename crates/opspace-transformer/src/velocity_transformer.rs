@@ -1,6 +1,6 @@
 //! Conversion of torques to velocities: the first of the paper's two consecutive transformers.
 
-use crate::servo::ServoGains;
+use crate::servo_gains::ServoGains;
 use crate::transformer::Transformer;
 use opspace_backend::CommandKind;
 use opspace_model::Data;

@@ -6,13 +6,13 @@ use opspace_backend::{Backend, CommandKind, GroundTruth, Layout, Observable, Sig
 use opspace_control::{ControlInput, Controller, Measurement};
 use opspace_experiment::evaluate::metrics::metrics;
 use opspace_experiment::{
-    ControllerKind, Experiment, Files, Metrics, RobotDefinition, RunOptions, TaskDefinition,
+    ControllerKind, Experiment, Extensions, Files, Metrics, RobotDefinition, RunOptions, TaskDefinition,
 };
 use opspace_log::Recording;
 use opspace_log::recording::{ChannelData, Column};
 use opspace_loop::{ControlLoop, LoopConfig, Run as LoopRun, RunOutcome};
 use opspace_model::Data;
-use opspace_transformer::TransformerKind;
+use opspace_transformer::TransformerName;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -20,7 +20,7 @@ pub const ROBOT: &str = "robots/asimo-arm";
 
 /// Options of a position robot with operational-space control in a profile.
 pub fn osc(profile: &str) -> RunOptions {
-    let transformer = TransformerKind::named("paper");
+    let transformer = Some(TransformerName::from("paper"));
     RunOptions { profile: Some(profile.to_owned()), transformer, ..RunOptions::default() }
 }
 
@@ -41,7 +41,8 @@ pub fn robot(settings: &[&str]) -> RobotDefinition {
 
 pub fn task(name: &str, settings: &[&str]) -> TaskDefinition {
     let path = format!("tasks/{name}.toml");
-    TaskDefinition::load(Files::Embedded, Path::new(&path), &owned(settings))
+    let extensions = Extensions::default().with_comparisons();
+    TaskDefinition::load_with(&extensions, Files::Embedded, Path::new(&path), &owned(settings))
         .unwrap_or_else(|e| panic!("{e}"))
 }
 

@@ -31,7 +31,7 @@ pub fn bench(args: &BenchArgs, extensions: &Extensions, console: Console) -> Out
         }
         None => (Suite::load(Files::Embedded, Path::new(PAPER_SUITE))?, "bench".to_owned()),
     };
-    let suite = suite.on_plants(&open_plants(&args.plants)?)?;
+    let suite = suite.on_plants(&open_plants(&args.plants, extensions)?)?;
     let shard = args.shard.map(ShardChoice::resolve).transpose()?;
     let header = SuiteHeader::new(&suite, &name, shard);
     if !suite.coupled.is_empty() {

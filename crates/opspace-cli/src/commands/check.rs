@@ -19,6 +19,7 @@ use opspace_experiment::preflight::{
     gear_resonances, not_checked, path_durations, singular_postures,
 };
 use opspace_experiment::run::collision::KeptDistances;
+use opspace_experiment::transformers::check_robot;
 use opspace_experiment::{
     Code, ControllerKind, CoupledExperiment, Experiment, Extensions, FileError, Files, Finding,
     RobotDefinition, RunOptions, Source, Suite,
@@ -195,7 +196,7 @@ fn find<'a>(
     for experiment in experiments {
         // All options except the seed, which does not affect any diagnostic.
         let RunOptions { backend, controller, duration_s, .. } = experiment.options();
-        let transformer = experiment.transformer_kind().map(|kind| kind.name());
+        let transformer = experiment.transformer_name();
         let sources = [&experiment.task().source, &experiment.robot().source].map(|s| s.text().to_owned());
         let profile = experiment.profile().0.to_owned();
         let names = [experiment.task().source.name().to_owned(), experiment.robot().source.name().to_owned()];
@@ -299,6 +300,7 @@ fn check_one(
     let robot = || {
         no_settings()?;
         let robot = RobotDefinition::load(Files::Disk, path, &[])?;
+        check_robot(extensions, &robot)?;
         let mut warnings = model_warnings_of(robot.urdf.name(), &robot.warnings, &robot.model);
         warnings.extend(capsule_warnings_of(&robot));
         let values = values_text(&robot);
@@ -330,7 +332,7 @@ fn check_one(
             let ControlArgs { backend, controller } = args.control;
             let robot = args.robot.as_deref();
             let backend = backend.unwrap_or_else(|| own_backend(path, robot, settings, extensions));
-            let (transformer, allow) = (args.transformer, allow.to_vec());
+            let (transformer, allow) = (args.transformer.clone(), allow.to_vec());
             let options = RunOptions { backend, controller, transformer, allow, ..RunOptions::default() };
             let experiment = Experiment::load_with(extensions, Files::Disk, path, robot, options, settings)?;
             let what = format!("a task for the robot '{}'", experiment.robot().name());

@@ -112,7 +112,7 @@ fn margins_json(margins: &Margins) -> Value {
         })
     };
     json!({
-        "transformer": margins.transformer.name(),
+        "transformer": margins.transformer,
         "unstable": margins.unstable,
         "ranges": margins.ranges.iter().map(range).collect::<Vec<Value>>(),
         "gears": margins.gears.as_ref().map(gears_json),

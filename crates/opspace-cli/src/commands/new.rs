@@ -5,10 +5,9 @@ use crate::commands::schema::text as schema_text;
 use crate::console::{Console, Exit, Failure, Outcome, print};
 use crate::output::write;
 use opspace_backend::CommandKind;
-use opspace_experiment::Extensions;
-use opspace_experiment::Source;
 use opspace_experiment::setup::arm_template::ArmTemplate;
 use opspace_experiment::setup::new_robot::{DriveValues, NewFiles, Part, new_files};
+use opspace_experiment::{Extensions, Source};
 use std::fs;
 use std::path::Path;
 
@@ -22,7 +21,7 @@ pub fn new(args: &NewArgs, extensions: &Extensions, console: Console) -> Outcome
         let text = "a new robot needs a folder and a URDF: opspace new DIR --urdf FILE --like ARM".to_owned();
         return Err(Failure::Other(text, Exit::Bad));
     };
-    create(args, (dir, urdf), template.as_ref(), extensions, console)
+    create(args, extensions, (dir, urdf), template.as_ref(), console)
 }
 
 /// Prints the names of the templates.
@@ -38,9 +37,9 @@ fn list_templates() -> Outcome {
 
 fn create(
     args: &NewArgs,
+    extensions: &Extensions,
     (dir, file): (&Path, &Path),
     template: Option<&ArmTemplate>,
-    extensions: &Extensions,
     console: Console,
 ) -> Outcome {
     let source = Source::read(file)?;

@@ -22,7 +22,7 @@ pub fn replay(args: &ReplayArgs, extensions: &Extensions, console: Console) -> O
     let changes = Changes {
         task: args.task.as_deref(),
         controller: args.controller,
-        transformer: args.transformer,
+        transformer: args.transformer.clone(),
         set: &args.set,
         ..Changes::default()
     };

@@ -7,7 +7,6 @@ use crate::commands::run_on_log::run_on_log;
 use crate::console::{Console, Exit, Failure, Outcome, results as table};
 use crate::interrupt;
 use crate::output::pretty;
-use crate::plant::PlantChoice;
 use crate::result_folder::{MOVE_TO_START, prepare};
 use crate::run_progress::{exit_code, with_bar};
 use opspace_experiment::files::origin::Kind;
@@ -32,7 +31,7 @@ pub fn run(args: &RunArgs, extensions: &Extensions, console: Console) -> Outcome
     let options = args.options(own_backend(&args.task, robot, &args.set, extensions));
     let experiment = Experiment::load_with(extensions, Files::Disk, &args.task, robot, options, &args.set)?;
     let on_driver = experiment.has_driver() && !args.simulate;
-    let experiment = match args.plant.open()? {
+    let experiment = match args.plant.open(extensions)? {
         None => experiment,
         Some(_) if on_driver => {
             let text =
@@ -46,11 +45,11 @@ pub fn run(args: &RunArgs, extensions: &Extensions, console: Console) -> Outcome
         console.detail(&format!("{}: {warning} [{code}]", experiment.robot().urdf.name()));
     }
     let (task, robot) = (experiment.task().name(), experiment.robot().name());
-    let plant = if args.plant == PlantChoice::Own { "" } else { "-mujoco" };
+    let plant = args.plant.suffix();
     let default =
         PathBuf::from(format!("runs/{task}-{robot}-{}{plant}", experiment.options().backend.name()));
-    if let (Some(kind), Some(reason)) = (experiment.transformer_kind(), experiment.transformer_reason()) {
-        console.detail(&format!("transformer '{}': {reason}", kind.name()));
+    if let (Some(name), Some(reason)) = (experiment.transformer_name(), experiment.transformer_reason()) {
+        console.detail(&format!("transformer '{name}': {reason}"));
     }
     let experiment = if on_driver { checked_for_real_robot(experiment)? } else { experiment };
     experiment.allowed().iter().for_each(|refusal| console.note(&format!("warning: {refusal}")));

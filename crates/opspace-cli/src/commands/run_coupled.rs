@@ -4,7 +4,6 @@ use crate::cli::RunArgs;
 use crate::console::{Console, Exit, Failure, Outcome, render};
 use crate::interrupt;
 use crate::output::pretty;
-use crate::plant::PlantChoice;
 use crate::result_folder::prepare;
 use crate::run_progress::{coupled_exit_code, with_bar};
 use opspace_experiment::report::coupled_table::coupling_table;
@@ -25,17 +24,17 @@ pub fn run_coupled(args: &RunArgs, extensions: &Extensions, console: Console) ->
     } else {
         experiment.real_robots().into_iter().map(str::to_owned).collect()
     };
-    if let (Some(robot), true) = (real.first(), args.plant != PlantChoice::Own) {
+    if let (Some(robot), true) = (real.first(), !args.plant.is_own()) {
         let text = format!("robot '{robot}' is real, as its [driver] says: add --simulate to choose a plant");
         return Err(Failure::Other(text, Exit::Bad));
     }
     experiment = experiment.checked_for_real_robots(&real)?;
     let on_drivers = !real.is_empty();
-    if let Some(engine) = args.plant.open()? {
+    if let Some(engine) = args.plant.open(extensions)? {
         experiment = experiment.on_engine(&engine)?;
     }
     let name = experiment.name();
-    let plant = if args.plant == PlantChoice::Own { "" } else { "-mujoco" };
+    let plant = args.plant.suffix();
     let default = PathBuf::from(format!("runs/{name}{plant}"));
     let of_robots = experiment
         .members

@@ -15,7 +15,7 @@ use opspace_experiment::{
     TaskDefinition,
 };
 use opspace_log::Recording;
-use opspace_transformer::TransformerKind;
+use opspace_transformer::TransformerName;
 use std::path::{Path, PathBuf};
 
 /// Changes of a run on a log; all else is as in the log.
@@ -24,7 +24,7 @@ pub struct Changes<'a> {
     pub task: Option<&'a Path>,
     pub robot: Option<&'a Path>,
     pub controller: Option<ControllerKind>,
-    pub transformer: Option<TransformerKind>,
+    pub transformer: Option<TransformerName>,
     pub set: &'a [String],
     pub others: Others,
 }
@@ -56,7 +56,7 @@ pub fn run_on_log(args: &RunArgs, extensions: &Extensions, console: Console) -> 
         task: Some(&args.task),
         robot: args.robot.as_deref(),
         controller: Some(args.controller),
-        transformer: args.transformer,
+        transformer: args.transformer.clone(),
         set: &args.set,
         others: Others { profile: args.profile.clone(), seed: args.seed, duration_s: args.duration_s },
     };
@@ -104,7 +104,10 @@ pub fn experiment_on_log(
     let options = RunOptions {
         controller,
         // The transformer of the log does not suit another controller, nor a choice of its own.
-        transformer: changes.transformer.or(options.transformer.filter(|_| controller == options.controller)),
+        transformer: changes
+            .transformer
+            .clone()
+            .or(options.transformer.filter(|_| controller == options.controller)),
         profile: profile.clone().or(options.profile),
         seed: seed.or(options.seed),
         duration_s: duration_s.or(options.duration_s),

@@ -10,7 +10,7 @@ use opspace_experiment::files::robot::RobotFile;
 use opspace_experiment::files::task::TaskFile;
 use opspace_experiment::metrics::metric::column_schema;
 use opspace_experiment::suites::suite::SuiteFile;
-use opspace_experiment::{Entry, Extensions, TaskKind};
+use opspace_experiment::{Entry, Extensions, TaskKind, TransformerEntry};
 use schemars::schema_for;
 use serde_json::{Value, json};
 
@@ -33,6 +33,9 @@ fn of(kind: SchemaKind, extensions: &Extensions) -> Value {
         SchemaKind::Experiment => schema_for!(ExperimentFile),
     };
     let mut schema = schema.to_value();
+    if let Some(transformer) = schema.pointer_mut("/$defs/TransformerName") {
+        transformer["enum"] = extensions.names::<TransformerEntry>().collect();
+    }
     add_empty_defaults(&mut schema);
     add_extensions(&mut schema, extensions);
     schema

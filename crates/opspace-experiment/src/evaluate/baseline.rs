@@ -55,7 +55,7 @@ impl RunKey {
             backend: experiment.options().backend.name().to_owned(),
             plant: experiment.plant(),
             controller: experiment.options().controller.name().to_owned(),
-            transformer: experiment.transformer_kind().map(|kind| kind.name().to_owned()),
+            transformer: experiment.transformer_name().map(|name| name.to_string()),
             profile: experiment.profile().0.to_owned(),
             overrides: experiment.settings().to_vec(),
             seed: Some(experiment.seed()),

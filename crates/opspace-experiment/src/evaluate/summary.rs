@@ -197,7 +197,7 @@ impl Experiment {
             robot: self.robot().name(),
             backend: self.options().backend.name().to_owned(),
             controller: self.options().controller.name().to_owned(),
-            transformer: self.transformer_kind().map(|kind| kind.name().to_owned()),
+            transformer: self.transformer_name().map(|name| name.to_string()),
             transformer_reason: self.transformer_reason(),
             profile: self.profile().0.to_owned(),
             ratio: self.profile().1.servo_ticks_per_cycle.get(),

@@ -6,7 +6,7 @@ use opspace_backend::CommandKind;
 use opspace_backend::quantity::{Fraction, NonNegative, Positive, exactly};
 use opspace_control::{CarryParameters, TeleoperationParameters};
 use opspace_sim::HeldObjectParameters;
-use opspace_transformer::TransformerKind;
+use opspace_transformer::TransformerName;
 #[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::Deserialize;
@@ -67,7 +67,7 @@ pub struct ExperimentRobot {
     pub controller: Option<ControllerKind>,
     /// Transformer that replaces the one of the profile.
     #[cfg_attr(feature = "schema", schemars(extend("x-default" = "that of the profile")))]
-    pub transformer: Option<TransformerKind>,
+    pub transformer: Option<TransformerName>,
     /// Profile that replaces the default profile of the robot.
     #[cfg_attr(feature = "schema", schemars(extend("x-default" = "the default one of the robot")))]
     pub profile: Option<String>,

@@ -1,10 +1,11 @@
 //! Identification results in the format of robot.toml: the servo section, and a complete file.
 
-use super::{IdentificationResults, JointIdentification, Structure};
+use super::{IdentificationResults, JointIdentification};
 use crate::files::source::{FileError, KeyPath};
 use opspace_identify::identification::Servo;
 use opspace_identify::interval::SetpointFilterModel;
 use opspace_identify::{Interval95, TorqueScale};
+use opspace_transformer::IdentifiedGains;
 use std::fmt::Write as _;
 use std::path::Path;
 use toml_edit::{Array, DocumentMut, InlineTable, Item, Table, Value};
@@ -246,23 +247,16 @@ fn remark(joint: &JointIdentification) -> String {
 fn servo(joint: &JointIdentification) -> Value {
     let (mut kind, mut values) = (InlineTable::new(), InlineTable::new());
     if let Some(servo) = &joint.found.servo {
-        let filter = rounded(servo.velocity_filter_hz);
-        match joint.structure {
-            Structure::Cascaded => {
-                values.insert("kp_per_s", rounded(servo.kp));
-                values.insert("kv_nms_per_rad", rounded(servo.kv));
-                values.insert("velocity_filter_hz", filter);
-                add_setpoint_path(&mut values, servo);
-                kind.insert("cascaded", values.into());
-            }
-            Structure::Pid => {
-                values.insert("stiffness_nm_per_rad", rounded(servo.kp * servo.kv));
-                values.insert("damping_nms_per_rad", rounded(servo.kv));
-                values.insert("derivative_filter_hz", filter);
-                add_setpoint_path(&mut values, servo);
-                kind.insert("pid", values.into());
-            }
+        let gains = IdentifiedGains {
+            kp_per_s: servo.kp,
+            kv_nms_per_rad: servo.kv,
+            filter_hz: servo.velocity_filter_hz,
+        };
+        for (key, value) in (joint.structure.keys)(&gains) {
+            values.insert(key, rounded(value));
         }
+        add_setpoint_path(&mut values, servo);
+        kind.insert(joint.structure.name, values.into());
     }
     kind.into()
 }

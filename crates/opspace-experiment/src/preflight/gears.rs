@@ -20,7 +20,7 @@ use crate::run::experiment::Experiment;
 use opspace_backend::quantity::Positive;
 use opspace_model::{Data, update};
 use opspace_sim::ArmConfig;
-use opspace_transformer::{Gears, Method};
+use opspace_transformer::Gears;
 use std::f64::consts::TAU;
 use std::fmt;
 
@@ -70,17 +70,17 @@ impl GearMargin {
     /// Returns a diagnostic if the arm oscillates with gears that it may have.
     #[must_use]
     pub fn finding(&self, experiment: &Experiment) -> Option<Finding> {
-        let transformer = experiment.transformer_kind()?;
+        let transformer = experiment.transformer_name()?;
         if experiment.robot().gears() == Gears::Rigid
             || !self.oscillates.iter().any(|(value, _)| self.is_possible(*value))
         {
             return None;
         }
-        let message = format!("with transformer '{}' the arm on elastic gears {self}", transformer.name());
-        let instead = match (transformer.method, experiment.measures_current()) {
-            (Method::Extrapolation, _) => "",
+        let message = format!("with transformer '{transformer}' the arm on elastic gears {self}");
+        let instead = match (transformer.method(), experiment.measures_current()) {
+            ("extrapolation", _) => "",
             (_, true) => "use 'extrapolation+current', ",
-            (Method::Paper, false) => "use 'extrapolation', ",
+            ("paper", false) => "use 'extrapolation', ",
             (_, false) => "use 'paper' or 'extrapolation', ",
         };
         let help = match self.scale {
@@ -123,7 +123,7 @@ impl fmt::Display for GearMargin {
 /// without a transformer.
 #[must_use]
 pub fn gear_margin(experiment: &Experiment) -> Option<GearMargin> {
-    examine(&NudgedArm::new(experiment, experiment.transformer_kind()?)?)
+    examine(&NudgedArm::new(experiment, &experiment.transformer_name()?)?)
 }
 
 /// Examines an arm with elastic gears; `None` if it cannot be simulated with them.

@@ -6,7 +6,7 @@ use crate::files::controller_kind::ControllerKind;
 use crate::finding::Finding;
 use crate::run::compliance::compliance;
 use crate::run::experiment::Experiment;
-use opspace_transformer::{Method, TransformerKind};
+use opspace_transformer::TransformerName;
 
 /// Reports each task whose compliance the controller ignores, or the transformer damps, once.
 pub(crate) fn ignored(case: &PreflightCase<'_>) -> Vec<Finding> {
@@ -48,9 +48,9 @@ pub(crate) fn ignored(case: &PreflightCase<'_>) -> Vec<Finding> {
 
 /// Reason for which the transformer is by default one that keeps a part of the servo's damping; `None` if it is not.
 fn damping(experiment: &Experiment) -> Option<String> {
-    let kind = experiment.transformer_kind()?;
+    let name = experiment.transformer_name()?;
     let is_default =
         experiment.options().transformer.is_none() && experiment.profile().1.transformer.is_none();
-    let is_paper = kind == TransformerKind { method: Method::Paper, current: false };
+    let is_paper = name == TransformerName::PAPER;
     if is_paper && is_default { experiment.transformer_reason() } else { None }
 }

@@ -49,7 +49,7 @@ pub struct JointImpedance {
 /// Computes the impedances of all joints at the start of a task; `None` if commands pass without a transformer.
 #[must_use]
 pub fn impedances(experiment: &Experiment) -> Option<Vec<JointImpedance>> {
-    experiment.transformer_kind()?;
+    experiment.transformer_name()?;
     let model = &experiment.robot().model;
     let (n, profile) = (model.n(), experiment.profile().1);
     let mut data = Data::new(model);
@@ -105,7 +105,7 @@ impl JointImpedance {
         let active = impedances.iter().filter(|joint| relative(joint) < -REPORTED);
         let worst = active.min_by(|a, b| relative(a).total_cmp(&relative(b)))?;
         let [from, to] = worst.active_hz?;
-        let transformer = experiment.transformer_kind()?.name();
+        let transformer = experiment.transformer_name()?;
         let message = format!(
             "joint '{}' is active between {from:.0} and {to:.0} Hz with transformer '{transformer}' (real part of the \
              impedance {} Nms/rad at {:.0} Hz, viscous friction {} Nms/rad): gear or contact resonances there may \

@@ -11,7 +11,7 @@ use crate::codes::Code;
 use crate::finding::Finding;
 use crate::run::experiment::Experiment;
 use opspace_backend::CommandKind;
-use opspace_transformer::TransformerKind;
+use opspace_transformer::TransformerName;
 use std::fmt;
 
 /// Largest excess that is examined: three times and a third of the nominal value.
@@ -26,7 +26,7 @@ const RELATIVE: f64 = 0.02;
 #[non_exhaustive]
 pub struct Margins {
     /// Transformer.
-    pub transformer: TransformerKind,
+    pub transformer: TransformerName,
     /// Joint that gets the most power if the arm is unstable with its nominal values; there are no ranges then.
     pub unstable: Option<String>,
     /// Ranges of the varied values, in the order of the table.
@@ -114,15 +114,15 @@ impl Margins {
 /// current is measured. The transformer in use is the first. Empty if commands pass without a transformer.
 #[must_use]
 pub fn margins(experiment: &Experiment) -> Vec<Margins> {
-    let Some(used) = experiment.transformer_kind() else { return Vec::new() };
-    let other = TransformerKind { current: !used.current, ..used };
+    let Some(used) = experiment.transformer_name() else { return Vec::new() };
+    let other = used.with_current(!used.has_current());
     let others = Some(other).filter(|_| experiment.measures_current());
-    std::iter::once(used).chain(others).filter_map(|kind| margins_with(experiment, kind)).collect()
+    std::iter::once(used).chain(others).filter_map(|name| margins_with(experiment, &name)).collect()
 }
 
 /// Computes the margins of an experiment with another transformer than its own; `None` if it cannot be run with it.
 #[must_use]
-pub fn margins_with(experiment: &Experiment, transformer: TransformerKind) -> Option<Margins> {
+pub fn margins_with(experiment: &Experiment, transformer: &TransformerName) -> Option<Margins> {
     let nudged = NudgedArm::new(experiment, transformer)?;
     let factors: &[Variation] = match experiment.command_kind() {
         CommandKind::Position => {
@@ -133,17 +133,17 @@ pub fn margins_with(experiment: &Experiment, transformer: TransformerKind) -> Op
     let gears = examine(&nudged);
     if let Nudge::Grows(joint) = nudged.nudge(nudged.nominal())? {
         let unstable = Some(name(&nudged, joint));
-        return Some(Margins { transformer, unstable, ranges: Vec::new(), gears });
+        return Some(Margins { transformer: transformer.clone(), unstable, ranges: Vec::new(), gears });
     }
     let mut ranges: Vec<StableRange> =
         factors.iter().filter_map(|&variation| factor_range(&nudged, variation)).collect();
     ranges.extend(delay_range(&nudged));
-    Some(Margins { transformer, unstable: None, ranges, gears })
+    Some(Margins { transformer: transformer.clone(), unstable: None, ranges, gears })
 }
 
 impl fmt::Display for Margins {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let name = self.transformer.name();
+        let name = &self.transformer;
         match &self.unstable {
             Some(joint) => {
                 write!(

@@ -15,7 +15,7 @@ use opspace_control::{ControlInput, Controller, Measurement, Targets};
 use opspace_loop::{ControlLoop, LoopConfig, SafetyParameters};
 use opspace_model::{Data, update};
 use opspace_sim::{ArmConfig, SimulatedArm, SimulatedParameters, SimulationError};
-use opspace_transformer::{FrictionCompensation, Transformer, TransformerKind};
+use opspace_transformer::{FrictionCompensation, Transformer, TransformerName};
 
 /// Duration of the run after a nudge, s: negative damping of 1 % of kv doubles the motion within a few tenths of a
 /// second.
@@ -59,7 +59,7 @@ pub(super) struct NudgedArm {
 
 impl NudgedArm {
     /// Returns the nominal arm of an experiment, with this transformer; `None` if the experiment cannot be run.
-    pub(super) fn new(experiment: &Experiment, transformer: TransformerKind) -> Option<Self> {
+    pub(super) fn new(experiment: &Experiment, transformer: &TransformerName) -> Option<Self> {
         let bare = bare(experiment, transformer)?;
         let (robot, profile) = (bare.robot(), bare.profile().1);
         let n = robot.model.n();
@@ -280,7 +280,7 @@ impl Observable for NudgedDamping {
 }
 
 /// Returns the experiment on the nominal arm without effects that hide the growth of a motion.
-fn bare(experiment: &Experiment, transformer: TransformerKind) -> Option<Experiment> {
+fn bare(experiment: &Experiment, transformer: &TransformerName) -> Option<Experiment> {
     let (mut robot, mut task) = (experiment.robot().clone(), experiment.task().clone());
     let servo_hz = experiment.profile().1.servo_hz.get();
     let current_loop_hz = robot.file.simulated.as_ref().and_then(|s| s.current_loop_hz);
@@ -307,12 +307,13 @@ fn bare(experiment: &Experiment, transformer: TransformerKind) -> Option<Experim
             joint.gear_stiffness_nm_per_rad = None;
         }
     });
+    let adapts_gains = experiment.traits_of(transformer).needs_current;
     robot.file.profile.values_mut().for_each(|profile| {
         profile.setpoint_limits = None;
-        profile.adapt_gains = profile.adapt_gains.filter(|_| transformer.needs_current());
+        profile.adapt_gains = profile.adapt_gains.filter(|_| adapts_gains);
     });
     robot.model = robot.model.with_gravity(Vector3::zeros());
     task.file.environment.clear();
-    let options = RunOptions { transformer: Some(transformer), ..experiment.options().clone() };
-    Experiment::new(robot, task, options, Vec::new()).ok()
+    let options = RunOptions { transformer: Some(transformer.clone()), ..experiment.options().clone() };
+    experiment.with_parts(robot, task, options).ok()
 }

@@ -43,7 +43,7 @@ pub fn checked_for_real_robot(mut experiment: Experiment) -> Result<Experiment, 
 }
 
 fn nudged(experiment: &Experiment) -> Option<NudgedArm> {
-    NudgedArm::new(experiment, experiment.transformer_kind()?)
+    NudgedArm::new(experiment, &experiment.transformer_name()?)
 }
 
 fn small_gain_margin(experiment: &Experiment) -> Option<Finding> {

@@ -107,13 +107,13 @@ pub struct GainMargin {
 #[must_use]
 pub fn gain_margin(experiment: &Experiment) -> Option<GainMargin> {
     let servo_loop = ServoLoop::of(experiment.command_kind())?;
-    let kind = experiment.transformer_kind()?;
-    let nudged = NudgedArm::new(experiment, kind)?;
+    let transformer = experiment.transformer_name()?;
+    let nudged = NudgedArm::new(experiment, &transformer)?;
     let varied = |excess: f64| servo_loop.varied().of(nudged.nominal(), 1.0 + excess);
     let found = boundary(&nudged, MOST_EXCESS, RESOLUTION, 0.0, varied)?;
     let excess = found.as_ref().map(|found| found.last_stable);
     let joint = found.map(|found| experiment.robot().model.joints()[found.joint].name.clone());
-    Some(GainMargin { servo_loop, excess, joint, transformer: kind.name().to_owned() })
+    Some(GainMargin { servo_loop, excess, joint, transformer: transformer.to_string() })
 }
 
 /// Describes a margin, which may be below the resolution.

@@ -62,9 +62,7 @@ use opspace_control::{
 };
 use opspace_transformer::moving_joint::MovingJoint;
 use opspace_transformer::torque_response::torque_response;
-use opspace_transformer::{
-    Method, ProfileParameters, ServoGains, ServoLaw, ServoParameters, VelocityEstimator,
-};
+use opspace_transformer::{ProfileParameters, ServoGains, ServoLaw, ServoParameters, VelocityEstimator};
 use std::f64::consts::TAU;
 
 /// Phase margin below which a loop is reported, degrees: it oscillates, and an error of a few per cent in inertia or
@@ -93,9 +91,7 @@ pub(crate) fn stiff_gains(case: &PreflightCase<'_>) -> Vec<Finding> {
 /// Responses to a desired torque of the joints whose drives only the transformer inverts (n); empty for the others.
 fn responses(case: &PreflightCase<'_>) -> Vec<Vec<f64>> {
     let experiment = case.experiment;
-    let evaluates_law = experiment.transformer_kind().is_some_and(|kind| {
-        matches!(kind.method, Method::Emulation | Method::Interpolating | Method::Extrapolation)
-    });
+    let evaluates_law = experiment.transformer_traits().is_some_and(|traits| traits.evaluates_servo_law);
     let (n, timing) = (case.model.n(), experiment.drive_timing());
     let mut responses = vec![Vec::new(); n];
     let (Ok(mut transformer), Ok(servos), true) =

@@ -41,7 +41,7 @@ pub struct JointFloor {
 /// Computes the torque errors of all joints; `None` if commands pass without a transformer.
 #[must_use]
 pub fn floors(experiment: &Experiment) -> Option<Vec<JointFloor>> {
-    experiment.transformer_kind()?;
+    experiment.transformer_name()?;
     let (robot, profile) = (experiment.robot(), experiment.profile().1);
     let (servos, gains) = (experiment.servos().ok()?, experiment.servo_gains().ok()?);
     let limits = profile.setpoint_limits.as_ref();
@@ -80,7 +80,7 @@ fn amplitude(experiment: &Experiment, law: &ServoLaw, limits: &JointSetpointLimi
 /// Finds velocity feed-forward with held setpoints whose torque impulse at the speed limit exceeds the torque limit: a
 /// setpoint that moves on by v T within one servo tick gives R kv φ v.
 pub(crate) fn feed_forward_impulses(experiment: &Experiment) -> Option<Finding> {
-    experiment.transformer_kind()?;
+    experiment.transformer_name()?;
     let (robot, (profile_name, profile)) = (experiment.robot(), experiment.profile());
     if robot.file.interface.setpoints == Setpoints::Interpolated {
         return None;

@@ -59,12 +59,7 @@ pub(super) fn delayed(nominal: &ArmConfig, ticks: u32) -> ArmConfig {
 fn filter(arm: &mut ArmConfig, factor: f64) -> Option<()> {
     for (joint, nominal) in arm.model.joints().iter().zip(&arm.servos) {
         let mut servo = nominal.clone();
-        let cut_off = match &mut servo {
-            ServoParameters::Cascaded(servo) => &mut servo.velocity_filter_hz,
-            ServoParameters::Pid(servo) => &mut servo.derivative_filter_hz,
-            ServoParameters::Velocity(servo) => &mut servo.velocity_filter_hz,
-            _ => return None,
-        };
+        let cut_off = servo.structure_mut().velocity_filter_hz()?;
         *cut_off = Positive::try_from(factor * cut_off.get()).ok()?;
         match servo {
             ServoParameters::Velocity(servo) => {

@@ -19,6 +19,7 @@ use crate::run::experiment::{Experiment, RunOptions};
 use crate::run::membership::Membership;
 use crate::suggest::choices;
 use crate::text::format_short;
+use crate::transformers::check_name;
 use opspace_backend::quantity::{NonNegative, Positive};
 use opspace_backend::{
     Backend, Capabilities, GroundTruth, Layout, Signal, Sink, TICK, TruthLayouts, signal_names,
@@ -163,6 +164,10 @@ impl CoupledExperiment {
         let kept: Vec<String> = settings.iter().filter(|set| !is_seed(set)).cloned().collect();
         let mut members = Vec::new();
         for (number, (name, robot)) in file.robots.iter().enumerate() {
+            if let Some(transformer) = &robot.transformer {
+                let key = ["robots", name, "transformer"];
+                check_name(extensions, transformer, &source, key)?;
+            }
             let mut set = robot.set.clone();
             set.push(format!("settle_s={}", file.settle_s.get()));
             for coupling in &couplings {
@@ -538,7 +543,7 @@ fn member(
     let options = RunOptions {
         backend,
         controller: robot.controller.unwrap_or(ControllerKind::Osc),
-        transformer: robot.transformer,
+        transformer: robot.transformer.clone(),
         profile: robot.profile.clone(),
         seed: Some(seed),
         duration_s: Some(file.duration_s.get()),

@@ -9,6 +9,7 @@ use crate::files::robot::RobotDefinition;
 use crate::files::source::FileError;
 use crate::files::task::TaskDefinition;
 use crate::run::collision::{KeptDistances, kept_distances};
+use crate::run::comparisons::refuse_comparisons;
 use crate::run::expectations;
 use crate::run::membership::Membership;
 use crate::run::path_bounds::{PASSES, bounds, path_of, time_optimal_paths};
@@ -17,6 +18,7 @@ use crate::run::physics::Physics;
 use crate::run::rollout::{Rollout, RolloutCase};
 use crate::run::start_positions::{IN_DEGREES, are_degrees, check_start, others_outside};
 use crate::suggest::choices;
+use crate::transformers::check_robot;
 use opspace_backend::quantity::Positive;
 use opspace_backend::{Capabilities, CommandKind, GravityCompensation, MissedCycle};
 use opspace_control::hierarchy::task_parameters::largest_unused_damping_per_s;
@@ -33,7 +35,7 @@ use opspace_sim::{
     SimulationError,
 };
 use opspace_transformer::{
-    FrictionCompensation, FrictionObserver, JointParameters, ProfileParameters, ServoGains, TransformerKind,
+    FrictionCompensation, FrictionObserver, JointParameters, ProfileParameters, ServoGains, TransformerName,
 };
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -48,7 +50,7 @@ pub struct RunOptions {
     /// Controller.
     pub controller: ControllerKind,
     /// Transformer that replaces the one of the profile.
-    pub transformer: Option<TransformerKind>,
+    pub transformer: Option<TransformerName>,
     /// Profile that replaces the default profile of the robot.
     pub profile: Option<String>,
     /// Seed that replaces the one of the task.
@@ -159,6 +161,10 @@ impl Experiment {
         options: RunOptions,
         settings: Vec<String>,
     ) -> Result<Self, FileError> {
+        check_robot(&task.tables, &robot)?;
+        if !task.tables.has_comparisons {
+            refuse_comparisons(&task)?;
+        }
         let (name, profile) = robot.profile(options.profile.as_deref())?;
         let (profile_name, profile) = (name.to_owned(), profile.clone());
         let distances = kept_distances(&robot, &task)?;
@@ -185,6 +191,20 @@ impl Experiment {
             experiment.simulated_arm()?;
         }
         Ok(experiment)
+    }
+
+    /// Combines another robot and another task with the tables of this experiment.
+    ///
+    /// # Errors
+    /// As [`new`](Self::new).
+    pub(crate) fn with_parts(
+        &self,
+        robot: RobotDefinition,
+        task: TaskDefinition,
+        options: RunOptions,
+    ) -> Result<Self, FileError> {
+        let tables = self.task.tables.clone();
+        Self::new(robot, TaskDefinition { tables, ..task }, options, Vec::new())
     }
 
     /// The robot.
@@ -465,7 +485,7 @@ impl Experiment {
     /// # Errors
     /// A robot or a scene that the engine cannot simulate, or a robot that cannot be simulated at all.
     pub fn on_engine(mut self, engine: Arc<dyn PhysicsEngine>) -> Result<Self, FileError> {
-        self.physics = Physics::Engine(engine);
+        self.physics = Physics::of_engine(engine);
         self.simulated_arm()?;
         Ok(self)
     }
@@ -636,8 +656,8 @@ impl Experiment {
             return Err(FileError::at_key(&self.robot.source, "interface.on_missed_cycle", message, help));
         }
         self.servos()?;
-        if let Some(kind) = self.transformer_kind() {
-            self.check_transformer(kind)?;
+        if let Some(name) = self.transformer_name() {
+            self.check_transformer(&name)?;
         }
         let counted_s = self.duration_s() - self.task.file.settle_s.get();
         if counted_s > 0.0 && counted_s < self.profile.period_s() {

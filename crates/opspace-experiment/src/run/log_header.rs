@@ -15,7 +15,7 @@ use crate::run::physics::{Physics, ReplayedLog};
 use opspace_backend::quantity::Positive;
 use opspace_backend::{CommandKind, World};
 use opspace_log::{Attachment, Header, LOG, Recording};
-use opspace_transformer::TransformerKind;
+use opspace_transformer::TransformerName;
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
@@ -86,7 +86,7 @@ impl Experiment {
         if world == World::Simulated {
             entries.extend(self.physics.entries());
         }
-        let transformer = self.chosen_transformer().0.name().to_owned();
+        let transformer = self.chosen_transformer().0.to_string();
         entries.insert("transformer".to_owned(), transformer);
         entries.insert("transformer_reason".to_owned(), self.transformer_reason().unwrap_or_default());
         let asked_for = if options.transformer.is_some() { "yes" } else { "no" };
@@ -190,8 +190,7 @@ impl Experiment {
             None => Vec::new(),
         };
         let unknown = |key: &str| RunError::Incomplete { what: format!("a known '{key}'") };
-        let transformer =
-            TransformerKind::named(entry("transformer")?).ok_or_else(|| unknown("transformer"))?;
+        let transformer = TransformerName::from(entry("transformer")?.to_owned());
         let mut options = RunOptions {
             backend: CommandKind::ALL
                 .into_iter()
@@ -201,7 +200,7 @@ impl Experiment {
                 .into_iter()
                 .find(|kind| entry("controller").is_ok_and(|name| name == kind.name()))
                 .ok_or_else(|| unknown("controller"))?,
-            transformer: (!entry(ASKED_FOR).is_ok_and(|asked| asked == "no")).then_some(transformer),
+            transformer: (!entry(ASKED_FOR).is_ok_and(|asked| asked == "no")).then(|| transformer.clone()),
             profile: Some(entry("profile")?.to_owned()),
             seed: Some(entry("seed")?.parse().map_err(|_| unknown("seed"))?),
             label: None,

@@ -1,12 +1,12 @@
 //! Plant of a simulation: the library's own, or another physics engine.
 
-use opspace_sim::{PhysicsEngine, Scene};
+use opspace_sim::{PhysicsEngine, RigidEngine, Scene};
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
 
 /// Name of the library's own plant in results, logs and on the command line.
-pub const OWN_PLANT: &str = "own";
+pub const OWN_PLANT: &str = RigidEngine::NAME;
 
 /// Entries of a log's metadata.
 const PLANT: &str = "plant";
@@ -31,6 +31,11 @@ pub(crate) enum Physics {
 }
 
 impl Physics {
+    /// Plant that an engine simulates.
+    pub fn of_engine(engine: Arc<dyn PhysicsEngine>) -> Self {
+        if engine.name() == OWN_PLANT { Self::Own } else { Self::Engine(engine) }
+    }
+
     /// Name in results: `own`, `mujoco 3.2.7` with the file name of the scene, or `log` with its path.
     pub fn label(&self) -> String {
         if let Self::Replay(log) = self {

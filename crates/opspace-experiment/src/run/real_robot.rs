@@ -6,12 +6,11 @@ use crate::extensions::Extensions;
 use crate::files::controller_kind::ControllerKind;
 use crate::files::source::{FileError, Source};
 use crate::files::task::TaskDefinition;
+use crate::run::comparisons::comparison_only;
 use crate::run::error::RunError;
 use crate::run::experiment::{Experiment, RunOptions};
 use opspace_backend::{Backend, CommandKind, DeviceFault, Sample};
-use opspace_control::{SingularityHandling, TaskParameters};
 use opspace_model::{Joint, JointKind};
-use opspace_transformer::Method;
 use std::fmt::Write;
 use std::path::Path;
 
@@ -39,29 +38,21 @@ impl Experiment {
     /// # Errors
     /// The first of these options, at its key.
     pub(super) fn refuse_comparison_options(&self) -> Result<(), FileError> {
-        let kind = self.transformer_kind();
-        if let Some(kind) =
-            kind.filter(|k| matches!(k.method, Method::IdentifiedLiteral | Method::IdentifiedOpenLoop))
-        {
-            let message = format!(
-                "transformer '{}' is only for comparisons in simulation, not for a real robot",
-                kind.name()
-            );
+        let simulation_only = self.transformer_traits().is_some_and(|traits| traits.simulation_only);
+        if let Some(name) = self.transformer_name().filter(|_| simulation_only) {
+            let message =
+                format!("transformer '{name}' is only for comparisons in simulation, not for a real robot");
             let help = Some("use 'identified' or 'emulation'".to_owned());
             let key = ["profile", &self.profile_name];
             let found = FileError::at_key(&self.robot.source, key, message, help);
             return Err(found.refused(Code::ComparisonOnly));
         }
-        let events = self.task.events.iter().map(|event| &event.task);
-        for (name, task) in std::iter::once(&self.task.file.task).chain(events).flatten() {
-            let TaskParameters::Cartesian(task) = task else { continue };
-            if task.singularities != SingularityHandling::Damped {
-                let message = "this handling of singularities is only for comparisons in simulation, not for a real robot";
-                let key = ["task", name, "cartesian", "singularities"];
-                let help = Some("omit it, or use \"damped\"".to_owned());
-                let found = FileError::at_key(&self.task.source, key, message, help);
-                return Err(found.refused(Code::ComparisonOnly));
-            }
+        if let Some(key) = comparison_only(&self.task) {
+            let message =
+                "this handling of singularities is only for comparisons in simulation, not for a real robot";
+            let help = Some("omit it, or use \"damped\"".to_owned());
+            let found = FileError::at_key(&self.task.source, key, message, help);
+            return Err(found.refused(Code::ComparisonOnly));
         }
         Ok(())
     }
@@ -108,7 +99,7 @@ impl Experiment {
             CommandKind::Velocity | CommandKind::Torque => ControllerKind::Osc,
         };
         let options = RunOptions { controller, duration_s: None, label: None, ..self.options.clone() };
-        Self::new(self.robot.clone(), task, options, Vec::new()).map(Some)
+        self.with_parts(self.robot.clone(), task, options).map(Some)
     }
 
     /// Text of the task file of a motion from `q` to `goal`.

@@ -13,9 +13,10 @@ use crate::run::experiment::{Experiment, RunOptions};
 use crate::run::physics::OWN_PLANT;
 use crate::suites::grid::{Grid, GridMode, GridPoint};
 use crate::suites::seeds;
+use crate::transformers::check_name;
 use opspace_backend::CommandKind;
 use opspace_sim::PhysicsEngine;
-use opspace_transformer::TransformerKind;
+use opspace_transformer::TransformerName;
 #[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::Deserialize;
@@ -74,7 +75,7 @@ pub struct SuiteRun {
     pub controller: Option<ControllerKind>,
     /// Transformer that replaces the one of the profile.
     #[cfg_attr(feature = "schema", schemars(extend("x-default" = "that of the profile")))]
-    pub transformer: Option<TransformerKind>,
+    pub transformer: Option<TransformerName>,
     /// Profiles that replace those of the suite.
     #[cfg_attr(feature = "schema", schemars(extend("x-default" = "those of the suite")))]
     pub profiles: Option<Vec<String>>,
@@ -172,6 +173,10 @@ impl Suite {
         };
         let mut runs = Vec::new();
         for (number, run) in file.run.iter().enumerate() {
+            if let Some(name) = &run.transformer {
+                let key = ["run", &number.to_string(), "transformer"];
+                check_name(extensions, name, &source, key)?;
+            }
             runs.extend(run.settings(&file, &source, number, MAX_RUNS - runs.len())?);
         }
         if runs.is_empty() {
@@ -357,7 +362,7 @@ impl SuiteRun {
                         };
                         let options = RunOptions {
                             controller: self.controller.unwrap_or(ControllerKind::Osc),
-                            transformer: self.transformer,
+                            transformer: self.transformer.clone(),
                             profile: profile.clone(),
                             seed,
                             label: label.clone(),

@@ -10,7 +10,7 @@ use opspace_experiment::{Code, ControllerKind, Experiment, Files, Finding, RunOp
 use opspace_log::Recording;
 use opspace_loop::RunOutcome;
 use opspace_model::{Data, frame_placement, kinematics};
-use opspace_transformer::{Method, TransformerKind};
+use opspace_transformer::TransformerName;
 use std::fs;
 use std::path::{Path, PathBuf};
 use tempfile::TempDir;
@@ -155,7 +155,7 @@ fn compliance_that_inverse_kinematics_ignores_is_found() {
 /// Checks compliant x with the default transformer of an arm with elastic gears and no motor current, and with others.
 #[test]
 fn compliance_that_the_default_transformer_damps_is_found() {
-    let of = |settings: &[&str], transformer: Option<TransformerKind>| {
+    let of = |settings: &[&str], transformer: Option<TransformerName>| {
         let options = RunOptions { transformer, ..RunOptions::default() };
         let compliant = ("x = \"motion\"", "x = \"compliant\"");
         let found = diagnostics(&experiment(HAND, &[compliant], options, settings));
@@ -165,7 +165,7 @@ fn compliance_that_the_default_transformer_damps_is_found() {
     let [found] = &of(&unknown, None)[..] else { panic!("one diagnostic") };
     assert_says(found, "task.hand.cartesian.axes", &["compliance along x is damped", "no", "'paper'"]);
     assert_eq!(of(&[], None), []);
-    assert_eq!(of(&unknown, Some(TransformerKind { method: Method::Extrapolation, current: false })), []);
+    assert_eq!(of(&unknown, Some(TransformerName::EXTRAPOLATION)), []);
 }
 
 /// Checks a motion of 58 mm in 0.2 s from the start on, and the same one half a second later; the torque ramps in over 0.2 s.
@@ -498,7 +498,7 @@ fn drives_that_only_a_transformer_inverts_have_its_margin() {
         let with = |transformer: &str, frequency: f64| {
             let options = RunOptions {
                 backend: CommandKind::Position,
-                transformer: TransformerKind::named(transformer),
+                transformer: Some(TransformerName::from(transformer.to_owned())),
                 duration_s: Some(1.2),
                 ..RunOptions::default()
             };

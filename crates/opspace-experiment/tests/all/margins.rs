@@ -8,7 +8,7 @@ use opspace_experiment::preflight::{
 };
 use opspace_experiment::{Experiment, Files, Progress, RunOptions};
 use opspace_loop::RunOutcome;
-use opspace_transformer::{ServoLaw, TransformerKind};
+use opspace_transformer::{ServoLaw, TransformerName};
 use std::io::Cursor;
 use std::path::Path;
 
@@ -25,7 +25,7 @@ fn typical_gears() -> Vec<String> {
 
 /// Gravity compensation by the ASIMO-like arm, with settings.
 fn experiment(backend: CommandKind, transformer: Option<&str>, settings: &[String]) -> Experiment {
-    let transformer = transformer.map(|name| TransformerKind::named(name).unwrap());
+    let transformer = transformer.map(|name| TransformerName::from(name.to_owned()));
     let options = RunOptions { backend, transformer, duration_s: Some(2.0), ..RunOptions::default() };
     let path = Path::new("tasks/gravity-compensation.toml");
     Experiment::load(Files::Embedded, path, None, options, settings).unwrap()
@@ -40,8 +40,8 @@ fn position(transformer: &str, settings: &[String]) -> Experiment {
 #[test]
 fn largest_gain_of_position_loops_matches_formula() {
     const TOLERANCE: f64 = 0.003;
-    let emulation = TransformerKind::named("emulation").unwrap();
-    let margins = margins_with(&position("emulation", &[]), emulation).unwrap();
+    let emulation = TransformerName::from("emulation");
+    let margins = margins_with(&position("emulation", &[]), &emulation).unwrap();
     assert_eq!(margins.unstable, None);
     let gain = margins.ranges.iter().find(|r| r.quantity == Quantity::Factor(Variation::PositionGain));
     let [least, most] = &gain.unwrap().ends;
@@ -62,8 +62,8 @@ fn simulated_servos_outside_the_stable_range_are_found() {
     let found = |kp: &str| {
         let settings = [format!("robot.simulated.true_over_nominal.kp={kp}")];
         let experiment = position("paper", &settings);
-        let transformer = TransformerKind::named("paper").unwrap();
-        margins_with(&experiment, transformer).unwrap().finding(&experiment)
+        let transformer = TransformerName::from("paper");
+        margins_with(&experiment, &transformer).unwrap().finding(&experiment)
     };
     assert_eq!(found("1.0"), None);
     let unstable = found("2.9").unwrap();
@@ -78,7 +78,7 @@ fn simulated_servos_outside_the_stable_range_are_found() {
 fn largest_gain_of_velocity_loops_matches_formula() {
     const TOLERANCE: f64 = 0.03;
     let experiment = experiment(CommandKind::Velocity, Some("extrapolation"), &[]);
-    let margins = margins_with(&experiment, experiment.transformer_kind().unwrap()).unwrap();
+    let margins = margins_with(&experiment, &experiment.transformer_name().unwrap()).unwrap();
     let most = &margins.ranges[0].ends[1];
     assert_eq!(margins.ranges[0].quantity, Quantity::Factor(Variation::VelocityGain));
     assert!((most.value - 1.0 / 0.8).abs() < TOLERANCE, "{most:?}");
@@ -114,13 +114,13 @@ fn emulation_oscillates_on_elastic_gears_and_extrapolation_does_not() {
 fn gears_of_unknown_stiffness_are_taken_to_be_elastic() {
     let elastic = ["robot.interface.gears=\"elastic\"".to_owned()];
     let default = experiment(CommandKind::Position, None, &elastic);
-    assert_eq!(default.transformer_kind().unwrap().name(), "extrapolation+current");
+    assert_eq!(default.transformer_name().unwrap().as_str(), "extrapolation+current");
     assert!(default.transformer_reason().unwrap().contains("the gears are not declared rigid"));
     assert_eq!(refusals(&default), []);
     let stated = experiment(CommandKind::Position, None, &typical_gears());
-    assert_eq!(stated.transformer_kind().unwrap().name(), "extrapolation+current", "stiffness is declared");
+    assert_eq!(stated.transformer_name().unwrap().as_str(), "extrapolation+current", "stiffness is declared");
     let rigid = experiment(CommandKind::Position, None, &[]);
-    assert_eq!(rigid.transformer_kind().unwrap().name(), "emulation+current");
+    assert_eq!(rigid.transformer_name().unwrap().as_str(), "emulation+current");
     assert_eq!(refusals(&rigid), []);
 
     let refused = refusals(&position("emulation+current", &elastic)).remove(0);

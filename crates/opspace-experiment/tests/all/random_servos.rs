@@ -9,7 +9,7 @@ use opspace_experiment::preflight::floors;
 use opspace_experiment::{Experiment, Files, Progress, RunOptions};
 use opspace_log::Recording;
 use opspace_loop::RunOutcome;
-use opspace_transformer::{ServoParameters, TransformerKind};
+use opspace_transformer::{ServoParameters, TransformerName};
 use std::io::Cursor;
 use std::path::Path;
 
@@ -41,7 +41,7 @@ impl Random {
 pub fn load(task: &Path, settings: &[String]) -> Experiment {
     let options = RunOptions {
         backend: CommandKind::Position,
-        transformer: TransformerKind::named("extrapolation+current"),
+        transformer: Some(TransformerName::from("extrapolation+current")),
         duration_s: Some(3.0),
         ..RunOptions::default()
     };

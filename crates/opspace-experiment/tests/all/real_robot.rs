@@ -190,13 +190,20 @@ fn real_robot_moves_slowly_to_start_first() {
     }
 }
 
-/// Options that are allowed in simulation and refused on a real robot, each with its key.
+/// Options that a program without comparisons refuses, and one with them allows in simulation, not on a real robot.
 #[test]
 fn comparison_options_are_refused_on_real_robot() {
     for singularities in ["plain", "least-squares", "clamped"] {
         let setting = format!("task.hand.cartesian.singularities={singularities}");
-        let settings = [setting.as_str(), "robot.driver.name=one-arm"];
-        let experiment = experiment("tasks/cartesian-tracking.toml", CommandKind::Position, &settings);
+        let settings = [setting, "robot.driver.name=one-arm".to_owned()];
+        let options = RunOptions { duration_s: Some(2.0), ..RunOptions::default() };
+        let read = |extensions: &Extensions| {
+            let task = Path::new("tasks/cartesian-tracking.toml");
+            Experiment::load_with(extensions, Files::Embedded, task, None, options.clone(), &settings)
+        };
+        let words = read(&Extensions::default()).unwrap_err().to_string();
+        assert!(words.contains("which this program does not have"), "{words}");
+        let experiment = read(&Extensions::default().with_comparisons()).unwrap();
         let (_, extensions) = arm_away_from_start(&experiment, 0.0);
         let progress = Progress::default();
         let refused = experiment.run_on_driver(&extensions, Cursor::new(Vec::new()), &progress);

@@ -8,7 +8,7 @@ use opspace_experiment::{
     Experiment, FileError, Files, Progress, RobotDefinition, RunOptions, Source, TaskDefinition,
 };
 use opspace_log::Recording;
-use opspace_transformer::{Method, ServoParameters, TransformerKind};
+use opspace_transformer::{ServoParameters, TransformerName};
 use std::io::Cursor;
 use std::path::Path;
 
@@ -28,7 +28,7 @@ fn on_robot(
     transformer: Option<&str>,
 ) -> Result<Experiment, FileError> {
     let task = TaskDefinition::load(Files::Embedded, Path::new("tasks/cartesian-tracking.toml"), &[])?;
-    let transformer = transformer.map(|name| TransformerKind::named(name).unwrap());
+    let transformer = transformer.map(|name| TransformerName::from(name.to_owned()));
     Experiment::new(robot, task, RunOptions { backend, transformer, ..RunOptions::default() }, Vec::new())
 }
 
@@ -61,7 +61,7 @@ fn velocity_robot_transformers_command_velocities() {
         ("interpolating+current", "interface.setpoints=interpolated"),
     ] {
         let experiment = experiment(Some(name), &[setting]).unwrap();
-        assert_eq!(experiment.transformer_kind(), TransformerKind::named(name));
+        assert_eq!(experiment.transformer_name(), Some(TransformerName::from(name)));
         let config = experiment.loop_config().unwrap();
         assert_eq!(config.transformer.takes(), CommandKind::Velocity, "{name}");
         let kv: Vec<f64> = config.servo_gains.iter().map(|gains| gains.damping).collect();
@@ -74,22 +74,22 @@ fn velocity_robot_transformers_command_velocities() {
 /// The default transformer of a velocity robot, and that of a position robot with the same declarations.
 #[test]
 fn default_transformer_matches_position_robot() {
-    for (settings, method, current) in [
-        (vec![], Method::Emulation, true),
-        (vec!["interface.measured=[\"position\"]"], Method::Emulation, false),
-        (vec!["interface.setpoints=interpolated"], Method::Interpolating, true),
+    for (settings, expected) in [
+        (vec![], "emulation+current"),
+        (vec!["interface.measured=[\"position\"]"], "emulation"),
+        (vec!["interface.setpoints=interpolated"], "interpolating+current"),
     ] {
         let [velocity, position] = [CommandKind::Velocity, CommandKind::Position]
-            .map(|backend| on_robot(robot(&settings).unwrap(), backend, None).unwrap().transformer_kind());
+            .map(|backend| on_robot(robot(&settings).unwrap(), backend, None).unwrap().transformer_name());
         assert_eq!(velocity, position);
-        assert_eq!(velocity, Some(TransformerKind { method, current }));
+        assert_eq!(velocity, Some(TransformerName::from(expected)));
     }
 }
 
 /// Messages of the errors for transformers that a velocity robot does not support.
 #[test]
 fn position_loop_transformers_are_refused() {
-    for name in ["identified", "identified+current", "identified-literal", "identified-open-loop"] {
+    for name in ["identified", "identified+current"] {
         let error = experiment(Some(name), &[]).unwrap_err();
         assert!(error.message().contains(&format!("'{name}'")), "{error}");
         assert!(error.message().contains("position servo, which a velocity robot does not have"), "{error}");

@@ -3,7 +3,7 @@
 
 use opspace_backend::CommandKind;
 use opspace_experiment::{Experiment, FileError, Files, Progress, RunOptions};
-use opspace_transformer::{TransformerKind, VelocitySource};
+use opspace_transformer::{TransformerName, VelocitySource};
 use std::path::Path;
 
 const SOURCE: &str = "robot.profile.a-med.estimator.velocity";
@@ -13,7 +13,7 @@ fn load(
     transformer: Option<&str>,
     settings: &[String],
 ) -> Result<Experiment, FileError> {
-    let transformer = transformer.map(|name| TransformerKind::named(name).unwrap());
+    let transformer = transformer.map(|name| TransformerName::from(name.to_owned()));
     let options = RunOptions { backend, transformer, duration_s: Some(2.0), ..RunOptions::default() };
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tasks/cartesian-tracking.toml");
     let settings: Vec<String> =
@@ -96,7 +96,7 @@ fn observer_needs_a_known_delay() {
     let text = std::fs::read_to_string(&file).unwrap().replacen("delay_servo_ticks = 0\n", "", 1);
     let options = || RunOptions {
         backend: CommandKind::Velocity,
-        transformer: TransformerKind::named("paper"),
+        transformer: Some(TransformerName::from("paper")),
         ..RunOptions::default()
     };
     let task = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tasks/cartesian-tracking.toml");

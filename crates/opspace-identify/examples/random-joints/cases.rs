@@ -12,7 +12,7 @@ use opspace_sim::parameters::{
     CurrentMeasurementParameters, GearParameters, ScaleParameters, SimulatedParameters,
 };
 use opspace_sim::{ArmConfig, SimulatedArm};
-use opspace_transformer::servo::SetpointFilter;
+use opspace_transformer::SetpointFilter;
 use opspace_transformer::{CascadedServo, FrictionParameters, RotorParameters, ServoParameters};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;

@@ -48,6 +48,10 @@ struct CollectArgs {
     #[arg(long)]
     program: PathBuf,
 
+    /// The program for the suites that use what exists only for comparisons [default: the same].
+    #[arg(long)]
+    comparisons: Option<PathBuf>,
+
     /// The checkout with the files to run.
     #[arg(long)]
     checkout: PathBuf,
@@ -106,6 +110,10 @@ struct LocateArgs {
     #[arg(long)]
     new_program: PathBuf,
 
+    /// The program of the new build for the suites that use what exists only for comparisons [default: the same].
+    #[arg(long)]
+    new_comparisons: Option<PathBuf>,
+
     /// The checkout of the new build.
     #[arg(long)]
     new_checkout: PathBuf,
@@ -137,6 +145,7 @@ fn main() -> ExitCode {
 
 fn collect_all(args: &CollectArgs) -> Result<(), String> {
     let side = Side::new(&args.program, &args.checkout, args.duration_s)?;
+    let side = side.with_comparisons(args.comparisons.as_deref())?;
     std::fs::create_dir_all(&args.out).map_err(|e| format!("{}: {e}", args.out.display()))?;
     let mut units = units(&side, &args.parts)?;
     units.retain(|unit| !file_of(&args.out, &unit.part).exists());
@@ -185,8 +194,11 @@ fn parts_in(folder: &Path) -> Result<BTreeSet<String>, String> {
 /// Compares one run of both builds; returns true if it is equal or its differences are explained.
 fn locate(args: &LocateArgs) -> Result<bool, String> {
     let table = table(args.accepted.as_deref())?;
-    let (old_results, old) = record(args, &args.old_program, &args.old_checkout)?;
-    let (new_results, new) = record(args, &args.new_program, &args.new_checkout)?;
+    let (old_results, old) =
+        record(args, &Side::new(&args.old_program, &args.old_checkout, args.duration_s)?)?;
+    let new_side = Side::new(&args.new_program, &args.new_checkout, args.duration_s)?;
+    let new_side = new_side.with_comparisons(args.new_comparisons.as_deref())?;
+    let (new_results, new) = record(args, &new_side)?;
     for old in &old {
         let Some(new) = new.iter().find(|new| new.robot == old.robot) else { continue };
         if let (Ok(old_rows), Ok(new_rows)) = (&old.recording, &new.recording) {
@@ -202,13 +214,12 @@ fn locate(args: &LocateArgs) -> Result<bool, String> {
 }
 
 /// Executes the run with one of the builds.
-fn record(args: &LocateArgs, program: &Path, checkout: &Path) -> Result<(Results, Vec<Log>), String> {
+fn record(args: &LocateArgs, side: &Side) -> Result<(Results, Vec<Log>), String> {
     let scratch = tempfile::tempdir().map_err(|e| e.to_string())?;
-    let side = Side::new(program, checkout, args.duration_s)?;
-    let units = units(&side, std::slice::from_ref(&args.part))?;
+    let units = units(side, std::slice::from_ref(&args.part))?;
     let mut found = Vec::new();
     for unit in &units {
-        found.extend(unit.run_alone(&side, &args.run, scratch.path())?);
+        found.extend(unit.run_alone(side, &args.run, scratch.path())?);
     }
     let [(item, logs)] = <[_; 1]>::try_from(found)
         .map_err(|found| format!("{} has {} runs {}", args.part, found.len(), args.run))?;

@@ -15,10 +15,15 @@ use std::process::{Command, Output};
 /// Place of what concerns a suite as a whole.
 const WHOLE: &str = "(suite)";
 
+/// Suites that use what exists only for comparisons.
+const COMPARISONS: [&str; 1] = ["singularity.toml"];
+
 /// A build.
 #[derive(Clone, Debug)]
 pub struct Side {
     program: PathBuf,
+    /// Program for the suites of [`COMPARISONS`], if it is another one.
+    comparisons: Option<PathBuf>,
     /// Folder with the files.
     pub checkout: PathBuf,
     /// Settings of every run.
@@ -45,7 +50,16 @@ impl Side {
         let settings =
             duration_s.map(|s| vec![format!("duration_s={s:?}"), format!("settle_s={:?}", 0.25 * s)]);
         let settings = settings.unwrap_or_default();
-        Ok(Self { program: absolute(program)?, checkout: absolute(checkout)?, settings })
+        Ok(Self { program: absolute(program)?, comparisons: None, checkout: absolute(checkout)?, settings })
+    }
+
+    /// Returns the build with another program for the suites that use what exists only for comparisons.
+    ///
+    /// # Errors
+    /// A program that does not exist.
+    pub fn with_comparisons(self, program: Option<&Path>) -> Result<Self, String> {
+        let absolute = |path: &Path| path.canonicalize().map_err(|e| error_text(path, &e));
+        Ok(Self { comparisons: program.map(absolute).transpose()?, ..self })
     }
 
     /// Reads a suite as single runs.
@@ -75,15 +89,18 @@ impl Side {
         let out = folder.join("out");
         suite.write(&path, &self.checkout, &file.path, &self.settings)?;
         let jobs = jobs.to_string();
-        let output = self.run([
-            OsStr::new("--quiet"),
-            "bench".as_ref(),
-            path.as_ref(),
-            "--jobs".as_ref(),
-            jobs.as_ref(),
-            "--out".as_ref(),
-            out.as_ref(),
-        ])?;
+        let output = self.run_for(
+            file,
+            [
+                OsStr::new("--quiet"),
+                "bench".as_ref(),
+                path.as_ref(),
+                "--jobs".as_ref(),
+                jobs.as_ref(),
+                "--out".as_ref(),
+                out.as_ref(),
+            ],
+        )?;
         let mut bench = read_json(&out.join("bench.json")).unwrap_or_default();
         let logs = logs_of_rows(&out.join("rows.jsonl"));
         for (number, run) in suite.runs.iter().enumerate() {
@@ -112,7 +129,7 @@ impl Side {
             [OsStr::new("--quiet"), "run".as_ref(), file.path.as_os_str(), "--out".as_ref(), folder.as_ref()]
                 .to_vec();
         arguments.extend(self.settings.iter().flat_map(|setting| [OsStr::new("--set"), setting.as_ref()]));
-        let output = self.run(arguments)?;
+        let output = self.run_for(file, arguments)?;
         let summary = read_json(&folder.join("summary.json"));
         let entries =
             [facts(&output), summary.map(|summary| keys::of("", &summary)).unwrap_or_default()].concat();
@@ -125,7 +142,7 @@ impl Side {
     /// # Errors
     /// A program that cannot be started.
     pub fn check(&self, file: &Shipped) -> Result<Item, String> {
-        let output = self.run([OsStr::new("check"), file.path.as_ref()])?;
+        let output = self.run_for(file, [OsStr::new("check"), file.path.as_ref()])?;
         let entries = [facts(&output), lines("stdout", &output.stdout)].concat();
         Ok(Item { place: file.name.clone(), spelling: "checked".to_owned(), entries })
     }
@@ -135,9 +152,27 @@ impl Side {
         &self,
         arguments: impl IntoIterator<Item = impl AsRef<OsStr>>,
     ) -> Result<Output, String> {
-        let mut command = Command::new(&self.program);
+        self.execute(&self.program, arguments)
+    }
+
+    /// Executes the program for a file in the checkout.
+    fn run_for(
+        &self,
+        file: &Shipped,
+        arguments: impl IntoIterator<Item = impl AsRef<OsStr>>,
+    ) -> Result<Output, String> {
+        let other = self.comparisons.as_ref().filter(|_| COMPARISONS.contains(&file.name.as_str()));
+        self.execute(other.unwrap_or(&self.program), arguments)
+    }
+
+    fn execute(
+        &self,
+        program: &Path,
+        arguments: impl IntoIterator<Item = impl AsRef<OsStr>>,
+    ) -> Result<Output, String> {
+        let mut command = Command::new(program);
         command.args(arguments).current_dir(&self.checkout);
-        command.output().map_err(|e| error_text(&self.program, &e))
+        command.output().map_err(|e| error_text(program, &e))
     }
 }
 

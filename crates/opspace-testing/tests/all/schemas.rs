@@ -10,6 +10,7 @@ use opspace_experiment::files::experiment_file::ExperimentFile;
 use opspace_experiment::files::source::parse;
 use opspace_experiment::files::task::TaskFile;
 use opspace_experiment::suites::suite::SuiteFile;
+use opspace_experiment::transformers::check_robot;
 use opspace_experiment::{
     ControllerKind, CoupledExperiment, Experiment, Extensions, FileError, Files, RobotDefinition, RunOptions,
     Source, Suite, TaskDefinition,
@@ -108,6 +109,7 @@ impl Comparison {
 }
 
 fn robots() -> Comparison {
+    let extensions = Extensions::default();
     let mut comparison = Comparison::default();
     let schema = SchemaFile::read(&root(ROBOTS.0));
     let mut changes = Changes::new(&schema);
@@ -115,18 +117,20 @@ fn robots() -> Comparison {
         let robot = RobotDefinition::load(Files::Disk, &path, &[]).expect("a robot");
         comparison.add(&robot.source, &schema, &mut changes, |source, _| {
             let robot = RobotDefinition::from_sources(source, robot.urdf.clone());
-            robot.map(|robot| contents(&robot.file)).map_err(|error| message(&error))
+            let known = robot.and_then(|robot| check_robot(&extensions, &robot).map(|()| robot));
+            known.map(|robot| contents(&robot.file)).map_err(|error| message(&error))
         });
     }
     comparison
 }
 
 fn tasks() -> Comparison {
+    let extensions = Extensions::default().with_comparisons();
     let mut comparison = Comparison::default();
     let schema = SchemaFile::read(&root(TASKS.0));
     let mut changes = Changes::new(&schema);
     for path in files(TASKS) {
-        let task = TaskDefinition::load(Files::Disk, &path, &[]).expect("a task");
+        let task = TaskDefinition::load_with(&extensions, Files::Disk, &path, &[]).expect("a task");
         let robot = RobotDefinition::load(Files::Disk, &task.robot_path(), &[]).expect("a robot");
         let experiment =
             |task, options: &RunOptions| Experiment::new(robot.clone(), task, options.clone(), Vec::new());
@@ -136,7 +140,8 @@ fn tasks() -> Comparison {
             let file = parse::<TaskFile>(&source).map_err(|error| message(&error))?;
             let then = |error: FileError| format!("then {}", message(&error));
             let task =
-                TaskDefinition::from_sources(source, |named| Source::read(named.path)).map_err(then)?;
+                TaskDefinition::from_sources_with(&extensions, source, |named| Source::read(named.path))
+                    .map_err(then)?;
             experiment(task, &options).map(|_| contents(&file)).map_err(then)
         });
     }
@@ -158,7 +163,7 @@ fn suites() -> Comparison {
     compare_with_copies(SUITES, |source, is_allowed, copy| {
         let file = parse::<SuiteFile>(source)?;
         if !is_allowed {
-            Suite::load(Files::Disk, copy)?;
+            Suite::load_with(&Extensions::default().with_comparisons(), Files::Disk, copy)?;
         }
         Ok(contents(&file))
     })

@@ -6,6 +6,7 @@ mod extrapolation;
 mod impedance;
 mod momentum_observer;
 
+mod servo_structures;
 mod servos;
 mod setpoint_governor;
 mod setpoint_limits;

@@ -5,7 +5,7 @@ use opspace_model::{Data, Inertia, Joint, JointKind, Limits, Model, Placement};
 use opspace_transformer::{
     CurrentFeedback, DeclaredProperties, EstimatorParameters, FrictionCompensation,
     FrictionCompensationParameters, FrictionParameters, Gears, PaperTransformer, ServoGains, Transformer,
-    TransformerKind, VelocityEstimator, VelocityTransformer,
+    TransformerName, VelocityEstimator, VelocityTransformer,
 };
 use std::f64::consts::TAU;
 
@@ -286,8 +286,8 @@ fn best_transformer_emulates_rigid_gears_only() {
         (Velocity, Held, Some(1), false, Elastic, "extrapolation", "motor current is not measured"),
     ] {
         let robot = DeclaredProperties { takes, setpoints, delay_servo_ticks, measures_current, gears };
-        let (best, why) = TransformerKind::best(&robot);
-        assert_eq!(best.name(), expected, "{robot:?}");
+        let (best, why) = TransformerName::best(&robot);
+        assert_eq!(best.as_str(), expected, "{robot:?}");
         assert!(why.contains(reason), "{robot:?}: {why}");
     }
     assert_eq!(Gears::default(), Elastic, "unknown gears may be elastic");

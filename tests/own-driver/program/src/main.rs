@@ -5,5 +5,5 @@ use opspace_cli::{Extensions, main_with};
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
-    main_with(&Extensions::default().with_driver(LaggingArmDriver))
+    main_with(Extensions::default().with_driver(LaggingArmDriver))
 }

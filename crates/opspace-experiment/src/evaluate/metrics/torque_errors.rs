@@ -123,7 +123,7 @@ impl HeldRipple {
     /// Returns `None` if no setpoint is held for longer than a servo tick, and for velocity robots, whose torque within
     /// an interval depends on acceleration and not on speed.
     fn new(experiment: &Experiment) -> Option<Self> {
-        experiment.transformer_kind()?;
+        experiment.transformer_name()?;
         if experiment.command_kind() != CommandKind::Position {
             return None;
         }

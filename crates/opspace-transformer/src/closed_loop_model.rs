@@ -1,4 +1,5 @@
-//! Transformer from a joint's measured closed loop T(s), without knowledge of its servo: the paper's steps 1) to 5).
+//! A joint's measured closed loop T(s), and the gains of the servo that explains it, without knowledge of its structure: the
+//! paper's steps 1) to 5).
 //!
 //! H(s) is the assumed model of the joint, from torque to position. E is the servo that explains T; if H is the ideal
 //! joint G* of equation (K5), E is the paper's D*:
@@ -10,7 +11,8 @@
 //! ```
 //!
 //! **Literally**, τ is the net torque on a single free joint. Gravity, other joints and contact are not included, and
-//! with them 1/E predicts a motion that doesn't happen. The second form doesn't use q, so it drifts. **Split**, 1/E is
+//! with them 1/E predicts a motion that doesn't happen. The second form doesn't use q, so it drifts. Both are only in the program
+//! `opspace-comparisons` of the crate `opspace-testing`. **Split**, 1/E is
 //! the sum of a compliance α and a velocity term β s H. The velocity is then measured instead of predicted from the
 //! torque, so the split form is valid for arms under gravity and contact:
 //!
@@ -21,12 +23,9 @@
 //! which is equation (K10) with kp = 1/β and kv = β/α.
 
 use crate::polynomial::{product, roots, value};
-use crate::servo::ServoGains;
-use crate::transformer::Transformer;
-use nalgebra::{Complex, DVector, Matrix2, Vector2};
-use opspace_backend::Sample;
+use crate::servo_gains::ServoGains;
+use nalgebra::{Complex, Matrix2, Vector2};
 use opspace_backend::quantity::Positive;
-use opspace_model::Data;
 #[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -81,23 +80,6 @@ pub enum IdentificationError {
     /// Band from a higher to a lower frequency.
     #[error("to_hz is not above from_hz")]
     Band,
-    /// Closed loop that rolls off faster than the open loop: q_desired would depend on the rate of the torque.
-    #[error(
-        "closed_loop rolls off faster than open_loop (by {excess} powers of s): setpoints would depend on the rate of \
-         the torque"
-    )]
-    Improper {
-        /// Excess powers of s.
-        excess: usize,
-    },
-    /// Unstable inverse: setpoints would grow without bound.
-    #[error(
-        "setpoints would be unbounded: closed_loop has a zero, or open_loop a pole, at s = {at:.3} rad/s"
-    )]
-    Unstable {
-        /// Real part of the zero or pole, rad/s.
-        at: f64,
-    },
     /// Inverse 1/E that is not the sum of a compliance and a velocity term.
     #[error(
         "1/E is not the sum of a compliance and a velocity term within the band: a fraction of {left:.2} remains, \
@@ -130,7 +112,8 @@ impl TransferFunction {
     }
 
     /// Returns the ratio of two polynomials without their common powers of s.
-    fn reduced(numerator: Vec<f64>, denominator: Vec<f64>) -> Self {
+    #[must_use]
+    pub fn reduced(numerator: Vec<f64>, denominator: Vec<f64>) -> Self {
         let (mut numerator, mut denominator) = (trimmed(numerator), trimmed(denominator));
         let rooted_at_zero = |p: &[f64]| {
             let largest = p.iter().fold(0.0, |largest: f64, c| largest.max(c.abs()));
@@ -151,8 +134,9 @@ impl TransferFunction {
 }
 
 impl ClosedLoopModel {
-    /// Inverse servo 1/E.
-    fn inverse_servo(&self) -> TransferFunction {
+    /// Inverse servo 1/E, rad/Nm.
+    #[must_use]
+    pub fn inverse_servo(&self) -> TransferFunction {
         let (t, h) = (&self.closed_loop, &self.open_loop);
         let order = t.numerator.len().max(t.denominator.len());
         let of = |p: &[f64], i: usize| p.get(i).copied().unwrap_or(0.0);
@@ -160,7 +144,11 @@ impl ClosedLoopModel {
         TransferFunction::reduced(product(&h.numerator, &rest), product(&h.denominator, &t.numerator))
     }
 
-    fn check(&self) -> Result<(), IdentificationError> {
+    /// Checks that the closed loop can be inverted at all.
+    ///
+    /// # Errors
+    /// A polynomial that is zero, or a band from a higher to a lower frequency.
+    pub fn check(&self) -> Result<(), IdentificationError> {
         let polynomials = [
             ("closed_loop.numerator", &self.closed_loop.numerator),
             ("closed_loop.denominator", &self.closed_loop.denominator),
@@ -207,115 +195,5 @@ impl ClosedLoopModel {
             return Err(IdentificationError::Split { alpha, beta, left });
         }
         Ok(ServoGains { stiffness: 1.0 / alpha, damping: beta / alpha })
-    }
-}
-
-/// Transfer function in s, discretized for the period `period_s` by Tustin's rule.
-#[derive(Clone, Debug)]
-struct Filter {
-    numerator: Vec<f64>,
-    denominator: Vec<f64>,
-    memory: Vec<f64>,
-}
-
-impl Filter {
-    fn new(rational: &TransferFunction, period_s: f64) -> Self {
-        let order = rational.denominator.len() - 1;
-        let discrete = |p: &[f64]| {
-            let mut sum = vec![0.0; order + 1];
-            for (i, c) in p.iter().enumerate() {
-                // c (2/T)^i (1 − z⁻¹)^i (1 + z⁻¹)^(order − i)
-                let mut term = vec![c * (2.0 / period_s).powi(i as i32)];
-                for k in 0..order {
-                    term = product(&term, if k < i { &[1.0, -1.0] } else { &[1.0, 1.0] });
-                }
-                sum.iter_mut().zip(term).for_each(|(sum, c)| *sum += c);
-            }
-            sum
-        };
-        let (mut numerator, mut denominator) =
-            (discrete(&rational.numerator), discrete(&rational.denominator));
-        let first = denominator[0];
-        numerator.iter_mut().chain(&mut denominator).for_each(|c| *c /= first);
-        Self { numerator, denominator, memory: vec![0.0; order + 1] }
-    }
-
-    /// Computes the next output, in the transposed direct form.
-    fn step(&mut self, input: f64) -> f64 {
-        let output = self.numerator[0] * input + self.memory[0];
-        for i in 1..self.numerator.len() {
-            self.memory[i - 1] = self.numerator[i] * input - self.denominator[i] * output + self.memory[i];
-        }
-        output
-    }
-}
-
-/// Transformer by equation (K8), applied literally: valid for a single free joint.
-#[derive(Clone, Debug)]
-pub struct LiteralTransformer {
-    joints: Vec<Filter>,
-    /// True if the measured q is used; otherwise the position at the start.
-    measured: bool,
-    start: DVector<f64>,
-    begun: bool,
-}
-
-impl LiteralTransformer {
-    /// Returns the transformer for joints with these models, called every `period_s` (s). If `measured` is true it uses
-    /// the measured position (first form), otherwise it doesn't (second form).
-    ///
-    /// # Errors
-    /// Index of the first joint that cannot be inverted, and the reason.
-    pub fn new(
-        joints: &[ClosedLoopModel],
-        measured: bool,
-        period_s: f64,
-    ) -> Result<Self, (usize, IdentificationError)> {
-        let filter = |joint: &ClosedLoopModel| {
-            joint.check()?;
-            let (t, h) = (&joint.closed_loop, &joint.open_loop);
-            let rational = if measured {
-                joint.inverse_servo()
-            } else {
-                let numerator = product(&h.numerator, &t.denominator);
-                TransferFunction::reduced(numerator, product(&h.denominator, &t.numerator))
-            };
-            if let Some(excess) = rational.numerator.len().checked_sub(rational.denominator.len() + 1) {
-                return Err(IdentificationError::Improper { excess: excess + 1 });
-            }
-            // The integration from velocity to position, a pole at zero, counts as stable.
-            let slowest = rational.slowest_pole().unwrap_or(f64::NEG_INFINITY);
-            if slowest > NOTHING {
-                return Err(IdentificationError::Unstable { at: slowest });
-            }
-            Ok(Filter::new(&rational, period_s))
-        };
-        let joints: Result<Vec<Filter>, _> =
-            joints.iter().enumerate().map(|(i, joint)| filter(joint).map_err(|e| (i, e))).collect();
-        let joints = joints?;
-        let start = DVector::zeros(joints.len());
-        Ok(Self { joints, measured, start, begun: false })
-    }
-}
-
-impl Transformer for LiteralTransformer {
-    fn observe(&mut self, sample: &Sample) -> Option<&[f64]> {
-        if !self.begun {
-            self.start.copy_from_slice(&sample.q);
-        }
-        None
-    }
-
-    fn transform(&mut self, data: &Data, tau: &[f64], q_desired: &mut [f64]) {
-        self.begun = true;
-        let from = if self.measured { &data.q } else { &self.start };
-        for (i, filter) in self.joints.iter_mut().enumerate() {
-            q_desired[i] = from[i] + filter.step(tau[i]);
-        }
-    }
-
-    fn reset(&mut self) {
-        self.begun = false;
-        self.joints.iter_mut().for_each(|filter| filter.memory.fill(0.0));
     }
 }

@@ -1,0 +1,96 @@
+//! Arm of a shared simulation: what all kinds of robot have.
+
+use crate::external::ExternalForceHandle;
+use crate::interface::ArmInterface;
+use crate::plant::Plant;
+use crate::simulation::Simulation;
+use nalgebra::DVector;
+use opspace_backend::{Capabilities, DeviceFault, GroundTruth, Sample, TruthLayouts, TruthRow};
+use std::cell::RefCell;
+use std::rc::Rc;
+
+/// Arm of a simulation that its other arms share.
+pub(crate) struct SharedArm {
+    simulation: Rc<RefCell<Simulation>>,
+    index: usize,
+    capabilities: Capabilities,
+    external: Option<ExternalForceHandle>,
+}
+
+impl SharedArm {
+    /// Returns the arms of a simulation, in the order of the configuration.
+    pub fn all_of(mut simulation: Simulation) -> Vec<Self> {
+        let capabilities = std::mem::take(&mut simulation.capabilities);
+        let handles: Vec<_> = simulation.arms.iter().map(|arm| arm.external.clone()).collect();
+        let simulation = Rc::new(RefCell::new(simulation));
+        (capabilities.into_iter().zip(handles).enumerate())
+            .map(|(index, (capabilities, external))| Self {
+                simulation: Rc::clone(&simulation),
+                index,
+                capabilities,
+                external,
+            })
+            .collect()
+    }
+
+    pub fn capabilities(&self) -> &Capabilities {
+        &self.capabilities
+    }
+
+    pub fn external_force(&self) -> Option<ExternalForceHandle> {
+        self.external.clone()
+    }
+
+    /// Passes the arm and the plant to `act`.
+    pub fn with<T>(&self, act: impl FnOnce(&mut ArmInterface, &dyn Plant) -> T) -> T {
+        let Simulation { plant, arms, .. } = &mut *self.simulation.borrow_mut();
+        act(&mut arms[self.index], &**plant)
+    }
+
+    pub fn read(&mut self, sample: &mut Sample) -> Result<(), DeviceFault> {
+        self.simulation.borrow_mut().read(self.index, sample)
+    }
+
+    pub fn stop(&mut self) {
+        self.with(ArmInterface::stop);
+    }
+
+    pub fn true_q(&self) -> DVector<f64> {
+        self.with(|arm, plant| DVector::from_column_slice(arm.q(plant)))
+    }
+
+    pub fn true_dq(&self) -> DVector<f64> {
+        self.with(|arm, plant| DVector::from_column_slice(arm.dq(plant)))
+    }
+
+    pub fn next_sample_s(&self) -> f64 {
+        self.with(|arm, _| arm.next_sample_s())
+    }
+
+    pub fn next_sample_cycle(&self) -> u64 {
+        self.with(|arm, _| arm.next_sample)
+    }
+}
+
+impl Drop for SharedArm {
+    fn drop(&mut self) {
+        if let Ok(mut simulation) = self.simulation.try_borrow_mut() {
+            simulation.arms[self.index].rows.abandon();
+        }
+    }
+}
+
+impl GroundTruth for SharedArm {
+    fn layouts(&self) -> TruthLayouts {
+        self.simulation.borrow().arms[self.index].rows.layouts()
+    }
+
+    fn visit(&self, visit: &mut dyn FnMut(TruthRow<'_>)) {
+        let arm = &self.simulation.borrow().arms[self.index];
+        arm.rows.visit(&arm.timing, visit);
+    }
+
+    fn next_sample_cycle(&self) -> Option<u64> {
+        Some(SharedArm::next_sample_cycle(self))
+    }
+}
