@@ -16,7 +16,6 @@ mod browser;
 mod cli;
 mod commands;
 mod console;
-mod coupled_results;
 mod interrupt;
 mod key_page;
 mod output;

@@ -44,6 +44,7 @@ pub mod text;
 
 pub use codes::Code;
 pub use evaluate::metrics::{Metrics, Timing};
+pub use evaluate::run_summary::RunSummary;
 pub use evaluate::summary::Summary;
 pub use extensions::Extensions;
 pub use files::controller_kind::ControllerKind;
@@ -54,10 +55,10 @@ pub use files::task::TaskDefinition;
 pub use files::task_kinds::{TaskKindError, TaskKinds};
 pub use preflight::{Diagnostic, diagnostics};
 pub use registry::{NameTaken, Named, Registry, UnknownName};
-pub use run::coupled_experiment::CoupledExperiment;
 pub use run::error::RunError;
 pub use run::execute::{Progress, RunResult};
 pub use run::experiment::{Experiment, RunOptions};
+pub use run::scenario::Scenario;
 pub use suites::suite::Suite;
 
 /// Code examples of the README, compiled and run as doctests.

@@ -3,7 +3,6 @@
 
 use crate::cli::{CheckArgs, ControlArgs};
 use crate::commands::margins::Strength;
-use crate::commands::own_backend;
 use crate::console::{Console, Exit, Outcome, report};
 use crate::output::pretty;
 use crate::outputs::check_outputs;
@@ -20,8 +19,8 @@ use opspace_experiment::preflight::{
 };
 use opspace_experiment::run::collision::KeptDistances;
 use opspace_experiment::{
-    Code, ControllerKind, CoupledExperiment, Diagnostic, Experiment, Extensions, FileError, Files,
-    RobotDefinition, RunOptions, Source, Suite, diagnostics,
+    Code, ControllerKind, Diagnostic, Experiment, Extensions, FileError, Files, RobotDefinition, RunOptions,
+    Scenario, Source, Suite, diagnostics,
 };
 use opspace_model::collision::DropReason;
 use opspace_model::{Model, UrdfOptions, UrdfWarning, model_warnings};
@@ -108,6 +107,44 @@ impl Checked {
             found: Vec::new(),
             allowed: Vec::new(),
             skipped: Vec::new(),
+        }
+    }
+
+    /// Finds the problems of all robots of these scenarios and of their couplings.
+    fn of_scenarios(what: String, scenarios: &[Scenario]) -> Self {
+        let experiments = || scenarios.iter().flat_map(Scenario::experiments);
+        let mut found = find(experiments(), diagnostics);
+        found.extend(find_in_couplings(scenarios));
+        let mut allowed: Vec<AllowedRefusal> = Vec::new();
+        for refusal in experiments().flat_map(Experiment::allowed) {
+            if !allowed.contains(refusal) {
+                allowed.push(refusal.clone());
+            }
+        }
+        Self { found, allowed, skipped: find(experiments(), not_checked), ..Self::clean(what) }
+    }
+
+    /// Adds the margins, durations, distances and values of a single robot.
+    fn with_details(self, experiment: &Experiment) -> Self {
+        let margin = gain_margin(experiment);
+        let strength = Strength::of(experiment);
+        let small = margin.as_ref().and_then(|margin| margin.finding(experiment));
+        let of_transformer = strength.iter().flat_map(|strength| strength.diagnostics(experiment));
+        let more = small.into_iter().chain(of_transformer).map(|new| Found::new(new, experiment));
+        Self {
+            is_task: true,
+            values: values_text(experiment.robot()),
+            gears: gear_resonances(experiment),
+            forces: detectable_forces(experiment),
+            thresholds: collision_thresholds(experiment),
+            singular: singular_postures(experiment),
+            paths: path_durations(experiment),
+            distances: experiment.kept_distances().cloned(),
+            warnings: capsule_warnings_of(experiment.robot()).collect(),
+            found: self.found.into_iter().chain(more).collect(),
+            margin,
+            strength,
+            ..self
         }
     }
 
@@ -211,11 +248,11 @@ fn find<'a>(
 }
 
 /// Collects the diagnostics of couplings without duplicates.
-fn find_in_couplings<'a>(experiments: impl IntoIterator<Item = &'a CoupledExperiment>) -> Vec<Found> {
+fn find_in_couplings(scenarios: &[Scenario]) -> Vec<Found> {
     let mut found: Vec<Found> = Vec::new();
-    for experiment in experiments {
-        for finding in coupling_diagnostics(experiment) {
-            let place = finding.placed_in(&experiment.source);
+    for scenario in scenarios {
+        for finding in coupling_diagnostics(scenario) {
+            let place = finding.placed_in(&scenario.source);
             let same = |old: &Found| old.finding == finding && old.place.path() == place.path();
             if !found.iter().any(same) {
                 found.push(Found { finding, place });
@@ -223,17 +260,6 @@ fn find_in_couplings<'a>(experiments: impl IntoIterator<Item = &'a CoupledExperi
         }
     }
     found
-}
-
-/// Refusals of these experiments that the user has allowed, each once.
-fn allowed_in<'a>(experiments: impl Iterator<Item = &'a Experiment>) -> Vec<AllowedRefusal> {
-    let mut all: Vec<AllowedRefusal> = Vec::new();
-    for refusal in experiments.flat_map(Experiment::allowed) {
-        if !all.contains(refusal) {
-            all.push(refusal.clone());
-        }
-    }
-    all
 }
 
 /// Warnings about a URDF and about the model built from it.
@@ -304,63 +330,29 @@ fn check_one(
         Some(Kind::Suite) => {
             no_settings()?;
             let suite = Suite::load_allowing(extensions, Files::Disk, path, allow)?;
-            let what = format!("a suite of {} runs", suite.runs());
-            let (mut found, skipped) =
-                (find(suite.of_robots(), diagnostics), find(suite.of_robots(), not_checked));
-            found.extend(find_in_couplings(&suite.coupled));
-            let allowed = allowed_in(suite.of_robots());
-            Ok(Checked { found, skipped, allowed, ..Checked::clean(what) })
+            let what = format!("a suite of {} runs", suite.runs.len());
+            Ok(Checked::of_scenarios(what, &suite.runs))
         }
-        Some(Kind::Experiment) => {
-            refuse_options_of_tasks(path, args)?;
-            let coupled = CoupledExperiment::load_allowing(extensions, Files::Disk, path, settings, allow)?;
-            let what = format!("an experiment with {} robots", coupled.members.len());
-            let members = || coupled.members.iter().map(|member| &member.experiment);
-            let (mut found, skipped) = (find(members(), diagnostics), find(members(), not_checked));
-            found.extend(find_in_couplings([&coupled]));
-            let allowed = allowed_in(members());
-            Ok(Checked { found, skipped, allowed, ..Checked::clean(what) })
-        }
-        Some(Kind::Task) => {
+        Some(kind @ (Kind::Task | Kind::Experiment)) => {
+            if kind == Kind::Experiment {
+                refuse_options_of_tasks(path, args)?;
+            }
             let ControlArgs { backend, controller } = args.control;
+            let options = RunOptions {
+                controller,
+                transformer: args.transformer,
+                allow: allow.to_vec(),
+                ..RunOptions::default()
+            };
             let robot = args.robot.as_deref();
-            let backend = backend.unwrap_or_else(|| own_backend(path, robot, settings, extensions));
-            let (transformer, allow) = (args.transformer, allow.to_vec());
-            let options = RunOptions { backend, controller, transformer, allow, ..RunOptions::default() };
-            let experiment = Experiment::load_with(extensions, Files::Disk, path, robot, options, settings)?;
-            let what = format!("a task for the robot '{}'", experiment.robot().name());
+            let scenario = Scenario::load(extensions, Files::Disk, path, robot, backend, options, settings)?;
+            let Some(experiment) = scenario.single() else {
+                let what = format!("an experiment with {} robots", scenario.members.len());
+                return Ok(Checked::of_scenarios(what, std::slice::from_ref(&scenario)));
+            };
             console.detail(&format!("{}: {}", path.display(), experiment.start_text()?));
-            let margin = gain_margin(&experiment);
-            let mut found = find([&experiment], diagnostics);
-            let skipped = find([&experiment], not_checked);
-            let small = margin.as_ref().and_then(|margin| margin.finding(&experiment));
-            let strength = Strength::of(&experiment);
-            let of_transformer = strength.iter().flat_map(|strength| strength.diagnostics(&experiment));
-            found.extend(small.into_iter().chain(of_transformer).map(|new| Found::new(new, &experiment)));
-            let singular = singular_postures(&experiment);
-            let paths = path_durations(&experiment);
-            let warnings = capsule_warnings_of(experiment.robot()).collect();
-            let distances = experiment.kept_distances().cloned();
-            let gears = gear_resonances(&experiment);
-            let forces = detectable_forces(&experiment);
-            let thresholds = collision_thresholds(&experiment);
-            Ok(Checked {
-                what,
-                is_task: true,
-                values: values_text(experiment.robot()),
-                margin,
-                gears,
-                forces,
-                thresholds,
-                strength,
-                singular,
-                paths,
-                distances,
-                warnings,
-                found,
-                allowed: experiment.allowed().to_vec(),
-                skipped,
-            })
+            let what = format!("a task for the robot '{}'", experiment.robot().name());
+            Ok(Checked::of_scenarios(what, std::slice::from_ref(&scenario)).with_details(experiment))
         }
         Some(Kind::Robot) => robot(),
         // A folder denotes a robot.

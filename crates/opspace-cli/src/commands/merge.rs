@@ -8,7 +8,7 @@ use crate::suite_results::SuiteResults;
 use opspace_experiment::run::result_files::{REPORT, replace_file};
 use opspace_experiment::suites::shard::Shard;
 use opspace_experiment::suites::suite_rows::{SUITE_ROWS, SuiteHeader, SuiteRow, SuiteRows};
-use opspace_experiment::{Extensions, Summary};
+use opspace_experiment::{Extensions, RunSummary};
 use std::collections::BTreeMap;
 use std::fs;
 use std::io;
@@ -21,9 +21,9 @@ pub fn merge(args: &MergeArgs, extensions: &Extensions, console: Console) -> Out
     let baseline = args.results.check()?;
     let shards = read_shards(&args.shards)?;
     let (rows, logs) = join(&shards)?;
-    let summaries: Vec<Summary> = rows.rows.values().map(|row| row.row.clone()).collect();
+    let summaries: Vec<RunSummary> = rows.rows.values().map(|row| row.row.clone()).collect();
     if let Some(baseline) = &baseline
-        && baseline.compare(&summaries).metrics.is_empty()
+        && baseline.compare(&RunSummary::of_single_robots(&summaries)).metrics.is_empty()
     {
         return Err(args.results.refuse_foreign());
     }
@@ -62,7 +62,9 @@ fn read_shards(paths: &[PathBuf]) -> Result<Vec<(PathBuf, SuiteRows)>, Failure> 
     let mut shards = Vec::new();
     for path in paths {
         for folder in folders(path)? {
-            let rows = SuiteRows::read(&folder).ok_or_else(|| {
+            // A suite of several robots has no shards.
+            let rows = SuiteRows::read(&folder).filter(|rows| !rows.header.has_several_robots());
+            let rows = rows.ok_or_else(|| {
                 let file = folder.join(SUITE_ROWS);
                 Failure::Other(
                     format!("{}: is not a file of rows of `opspace bench`", file.display()),
@@ -95,7 +97,7 @@ fn join(shards: &[(PathBuf, SuiteRows)]) -> Result<(SuiteRows, BTreeMap<String, 
                     "{}: run {number} ({}) differs from that of another shard; it is the same run of the same suite, so \
                      the programs or the machines differ",
                     folder.display(),
-                    row.row.task
+                    row.row.experiment
                 );
                 return Err(Failure::Other(text, Exit::Failed));
             }

@@ -6,7 +6,7 @@ use crate::console::{Console, Exit, Failure, Outcome, results as table};
 use crate::interrupt;
 use crate::output::{pretty, read_log};
 use crate::result_folder::prepare;
-use crate::run_progress::{exit_code, with_bar};
+use crate::run_progress::{exit_code_of_robot, with_bar};
 use opspace_experiment::evaluate::results::MEASURES;
 use opspace_experiment::files::overrides::split;
 use opspace_experiment::run::result_files::{LOG, REPORT, SUMMARY};
@@ -66,7 +66,7 @@ pub fn run_on_log(args: &RunArgs, extensions: &Extensions, console: Console) -> 
         .json
         .print(|| pretty(&summary), || table(console, std::slice::from_ref(&summary), MEASURES))?;
     say_files(&summary, &folder, &args.open, console);
-    Ok(exit_code(&summary))
+    Ok(exit_code_of_robot(&summary))
 }
 
 /// Experiment of a log with changes, on the log in place of a robot.

@@ -6,10 +6,9 @@ use crate::extensions::Extensions;
 use crate::files::controller_kind::ControllerKind;
 use crate::files::origin::{Files, Kind, beside};
 use crate::files::source::{FileError, Source, parse};
-use crate::files::toml_path::dotted;
-use crate::run::coupled_experiment::CoupledExperiment;
 use crate::run::experiment::{Experiment, RunOptions};
 use crate::run::physics::OWN_PLANT;
+use crate::run::scenario::Scenario;
 use crate::suites::grid::{Grid, GridMode, GridPoint};
 use crate::suites::seeds;
 use opspace_backend::CommandKind;
@@ -125,11 +124,9 @@ pub struct Suite {
     pub columns: Vec<Measure>,
     /// True if the file lists the columns; false for the default ones.
     pub columns_required: bool,
-    /// Experiments, in the order of the file: tasks, then variants, points of the grid, profiles, seeds. Empty if the suite
-    /// has experiments with several robots.
-    pub experiments: Vec<Experiment>,
-    /// Experiments with several robots, in the same order. Empty if the suite has tasks.
-    pub coupled: Vec<CoupledExperiment>,
+    /// Runs, in the order of the file: tasks or experiments, then variants, points of the grid, profiles, seeds. All have one
+    /// robot, or all have several.
+    pub runs: Vec<Scenario>,
 }
 
 impl Suite {
@@ -171,24 +168,20 @@ impl Suite {
             let help = Some("add a [[run]] with tasks or experiments".to_owned());
             return Err(FileError::of_file(source.name(), "this suite has no runs", help));
         }
-        let (mut experiments, mut coupled) = (Vec::new(), Vec::new());
+        let mut scenarios = Vec::new();
         let mut read = HashSet::new();
         for mut run in runs {
             run.options.allow = allow.to_vec();
             let entry = &file.run[run.number];
-            let (kind, files_of_run) = entry.files();
+            let (key, kind, files_of_run) = entry.files();
             let named = beside(path, &files_of_run[run.file]);
             if read.insert((run.number, run.file)) {
-                let key = ["run", &run.number.to_string(), kind, &run.file.to_string()];
-                files.read_named(&named, &source, key)?;
+                let key = ["run", &run.number.to_string(), key, &run.file.to_string()];
+                kind.require(&files.read_named(&named, &source, key)?)?;
             }
             let robot = entry.robot.as_ref().map(|robot| beside(path, robot));
-            let placed = |error| run.placed(error, &source);
-            if kind == EXPERIMENTS {
-                coupled.push(run.load_coupled(extensions, files, &named).map_err(placed)?);
-            } else {
-                experiments.push(run.load(extensions, files, &named, robot.as_deref()).map_err(placed)?);
-            }
+            let scenario = run.load(extensions, files, &named, robot.as_deref());
+            scenarios.push(scenario.map_err(|error| run.placed(error, &source))?);
         }
         let columns_required = file.columns.is_some();
         let suite = Self {
@@ -196,39 +189,34 @@ impl Suite {
             title: file.title,
             columns: file.columns.unwrap_or_else(|| MEASURES.to_vec()),
             columns_required,
-            experiments,
-            coupled,
+            runs: scenarios,
         };
         suite.check_columns()?;
         Ok(suite)
     }
 
-    /// Returns the suite with each experiment on each of the plants, one after the other; `None` is the library's own
-    /// plant.
+    /// Returns the suite with each run on each of the plants, one after the other; `None` is the library's own plant.
     ///
     /// # Errors
     /// A robot or a scene that an engine cannot simulate.
     pub fn on_plants(self, plants: &[Option<Arc<dyn PhysicsEngine>>]) -> Result<Self, FileError> {
-        let each = |experiment: Experiment, engine: &Arc<dyn PhysicsEngine>| {
-            experiment.on_engine(Arc::clone(engine))
-        };
-        Ok(Self {
-            experiments: on_each(&self.experiments, plants, each)?,
-            coupled: on_each(&self.coupled, plants, CoupledExperiment::on_engine)?,
-            ..self
-        })
+        let pairs = self.runs.iter().flat_map(|run| plants.iter().map(move |plant| (run.clone(), plant)));
+        let runs = pairs.map(|(run, plant)| match plant {
+            None => Ok(run),
+            Some(engine) => run.on_engine(engine),
+        });
+        Ok(Self { runs: runs.collect::<Result<_, _>>()?, ..self })
     }
 
-    /// Number of runs.
+    /// True if the runs have several robots.
     #[must_use]
-    pub fn runs(&self) -> usize {
-        self.experiments.len() + self.coupled.len()
+    pub fn has_several_robots(&self) -> bool {
+        self.runs.iter().any(|run| run.single().is_none())
     }
 
     /// Experiments of all robots of all runs, in the order of the file.
     pub fn of_robots(&self) -> impl Iterator<Item = &Experiment> {
-        let members = self.coupled.iter().flat_map(|coupled| &coupled.members);
-        self.experiments.iter().chain(members.map(|member| &member.experiment))
+        self.runs.iter().flat_map(Scenario::experiments)
     }
 
     /// SHA-256 of the texts of the suite and of all files that it names, as hexadecimal digits: two suites with equal
@@ -244,7 +232,8 @@ impl Suite {
             }
         };
         add(self.source.text());
-        self.coupled.iter().for_each(|coupled| add(coupled.source.text()));
+        let several = self.runs.iter().filter(|run| run.single().is_none());
+        several.for_each(|run| add(run.source.text()));
         for experiment in self.of_robots() {
             let (robot, task) = (experiment.robot(), experiment.task());
             for source in
@@ -270,7 +259,7 @@ impl Suite {
     fn check_columns(&self) -> Result<(), FileError> {
         for (place, measure) in self.columns.iter().enumerate().filter(|_| self.columns_required) {
             if let Some(needed) = measure.needed()
-                && !self.experiments.iter().any(|experiment| measure.is_possible(experiment))
+                && !self.of_robots().any(|experiment| measure.is_possible(experiment))
             {
                 let message = format!("no run of this suite has a value for `{}`", measure.name());
                 let help = Some(format!("this column needs {needed}"));
@@ -315,7 +304,7 @@ impl SuiteRun {
         let points = or_default(&points.unwrap_or_default());
         let (variants, seeds) = (or_default(&self.variant), or_default(&self.seeds));
         let profiles = or_default(self.profiles.as_ref().unwrap_or(&file.profiles));
-        let (_, files) = self.files();
+        let (.., files) = self.files();
         let counts = [files.len(), variants.len(), points.len(), profiles.len(), seeds.len()];
         if counts.into_iter().fold(1, usize::saturating_mul) > most {
             let message = format!("a suite has at most {MAX_RUNS} runs; with these it has more");
@@ -365,9 +354,12 @@ impl SuiteRun {
         Ok(runs)
     }
 
-    /// Key and paths of the files of this entry.
-    fn files(&self) -> (&'static str, &[PathBuf]) {
-        if self.experiments.is_empty() { ("tasks", &self.tasks) } else { (EXPERIMENTS, &self.experiments) }
+    /// Key, kind and paths of the files of this entry.
+    fn files(&self) -> (&'static str, Kind, &[PathBuf]) {
+        match self.experiments.as_slice() {
+            [] => ("tasks", Kind::Task, &self.tasks),
+            experiments => (EXPERIMENTS, Kind::Experiment, experiments),
+        }
     }
 
     /// Name of the settings in the table: of the variant or the run, and of the point of the grid.
@@ -383,38 +375,11 @@ impl SingleRun {
         &self,
         extensions: &Extensions,
         files: Files,
-        task: &Path,
-        robot: Option<&Path>,
-    ) -> Result<Experiment, FileError> {
-        let set: Vec<String> = self.settings.iter().map(|(set, _)| set.clone()).collect();
-        let backend = match self.backend {
-            Some(backend) => backend,
-            None => Experiment::declared_command(extensions, files, task, robot, &set)?,
-        };
-        let options = RunOptions { backend, ..self.options.clone() };
-        Experiment::load_with(extensions, files, task, robot, options, &set)
-    }
-
-    /// Loads an experiment with several robots: the profile is that of all robots, unless a setting states another one.
-    fn load_coupled(
-        &self,
-        extensions: &Extensions,
-        files: Files,
         path: &Path,
-    ) -> Result<CoupledExperiment, FileError> {
-        let RunOptions { profile, seed, label, .. } = &self.options;
-        let mut set = Vec::new();
-        if let Some(profile) = profile {
-            let robots = CoupledExperiment::robot_names(files, path)?;
-            set.extend(robots.into_iter().map(|robot| {
-                format!("{}=\"{profile}\"", dotted(&["robots".to_owned(), robot, "profile".to_owned()]))
-            }));
-        }
-        set.extend(self.settings.iter().map(|(set, _)| set.clone()));
-        set.extend(seed.map(|seed| format!("seed={seed}")));
-        let experiment =
-            CoupledExperiment::load_allowing(extensions, files, path, &set, &self.options.allow)?;
-        Ok(CoupledExperiment { label: label.clone(), ..experiment })
+        robot: Option<&Path>,
+    ) -> Result<Scenario, FileError> {
+        let set: Vec<String> = self.settings.iter().map(|(set, _)| set.clone()).collect();
+        Scenario::load(extensions, files, path, robot, self.backend, self.options.clone(), &set)
     }
 
     /// Places an error about a setting at its line in the suite file.
@@ -441,8 +406,8 @@ const EXPERIMENTS: &str = "experiments";
 
 /// Checks that all runs have tasks or all have experiments with several robots, and that the latter have no keys of the former.
 fn check_kinds(file: &SuiteFile, source: &Source) -> Result<(), FileError> {
-    let is_coupled = file.run.first().is_some_and(|run| !run.experiments.is_empty());
-    if is_coupled && file.columns.is_some() {
+    let has_several = file.run.first().is_some_and(|run| !run.experiments.is_empty());
+    if has_several && file.columns.is_some() {
         let help = Some("remove it: the table of experiments has columns of its own".to_owned());
         let message = "these columns are for suites of tasks, but this one has experiments";
         return Err(FileError::at_key(source, "columns", message, help));
@@ -457,7 +422,7 @@ fn check_kinds(file: &SuiteFile, source: &Source) -> Result<(), FileError> {
             let help = "add `tasks = [\"TASK.toml\"]` or `experiments = [\"EXPERIMENT.toml\"]`";
             return refuse(None, "this run has neither tasks nor experiments", help.to_owned());
         }
-        if tasks && experiments || experiments != is_coupled {
+        if tasks && experiments || experiments != has_several {
             let help = "write two suite files, one with `tasks` and one with `experiments`";
             let key = if experiments { EXPERIMENTS } else { "tasks" };
             return refuse(Some(key), "a suite has either tasks or experiments, not both", help.to_owned());
@@ -475,21 +440,6 @@ fn check_kinds(file: &SuiteFile, source: &Source) -> Result<(), FileError> {
         }
     }
     Ok(())
-}
-
-/// Returns each experiment on each of the plants.
-fn on_each<T: Clone>(
-    experiments: &[T],
-    plants: &[Option<Arc<dyn PhysicsEngine>>],
-    on: impl Fn(T, &Arc<dyn PhysicsEngine>) -> Result<T, FileError>,
-) -> Result<Vec<T>, FileError> {
-    let pairs = experiments.iter().flat_map(|experiment| plants.iter().map(move |plant| (experiment, plant)));
-    pairs
-        .map(|(experiment, plant)| match plant {
-            None => Ok(experiment.clone()),
-            Some(engine) => on(experiment.clone(), engine),
-        })
-        .collect()
 }
 
 /// Returns the items of the list, or a single `None` if it is empty.

@@ -1,25 +1,25 @@
-//! Page about an experiment with several robots.
+//! Pages about runs of several robots, and about suites of them.
 
-use crate::evaluate::coupled_summary::CoupledSummary;
 use crate::evaluate::coupling::FELT_HZ;
+use crate::evaluate::run_summary::RunSummary;
 use crate::metrics::coupling_metrics::{CouplingMetrics, FeltLine};
-use crate::report::coupled_table::{coupling_notes, coupling_table};
+use crate::report::coupling_table::{coupling_notes, coupling_table};
 use crate::report::document::{run_blocks, with_assumed};
 use crate::report::figure::{Figure, Panel, Series, Style};
 use crate::report::html::Page;
 use crate::report::run_section::RunSection;
-use crate::run::coupled_experiment::CoupledExperiment;
+use crate::run::scenario::Scenario;
 
 /// Builds the page about a run: the couplings, then each robot.
-pub(crate) fn coupled_page(
-    experiment: &CoupledExperiment,
-    summary: &CoupledSummary,
+pub(crate) fn coupling_page(
+    scenario: &Scenario,
+    summary: &RunSummary,
     figures: &[Figure],
     robots: &[(String, RunSection)],
 ) -> String {
     let notes = coupling_notes(std::slice::from_ref(summary));
     let notes: Vec<&str> = notes.iter().map(String::as_str).collect();
-    let settle_s = experiment.file.settle_s.get();
+    let settle_s = scenario.settle_s;
     let head = Page::new(format!("{}, seed {}", summary.experiment, summary.seed))
         .lead("Several robots, coupled through channels, in one run.");
     let mut page = with_assumed(head, summary.robots.values()).section("Couplings").table(
@@ -46,11 +46,34 @@ pub(crate) fn coupled_page(
     for (name, section) in robots {
         page = run_blocks(page, &format!("{name}: {}", section.title), section);
     }
-    page.facts([("experiment", experiment.source.name())]).render()
+    page.facts([("experiment", scenario.source.name())]).render()
+}
+
+/// Builds the page about a suite. `pages` are names of runs, and the pages about them, as paths beside this page.
+#[must_use]
+pub fn coupling_suite_page(title: &str, summaries: &[RunSummary], pages: &[(String, String)]) -> String {
+    let notes = coupling_notes(summaries);
+    let notes: Vec<&str> = notes.iter().map(String::as_str).collect();
+    let head = Page::new(title).lead(&format!(
+        "{} runs of several robots, coupled through channels, in simulation.",
+        summaries.len()
+    ));
+    let mut page = with_assumed(head, summaries.iter().flat_map(|summary| summary.robots.values()))
+        .section("Couplings")
+        .table("Couplings, after settle_s", &coupling_table(summaries), &notes);
+    for summary in summaries {
+        for failure in summary.failures() {
+            page = page.warning(&format!("{}: {failure}.", summary.title()));
+        }
+    }
+    if !pages.is_empty() {
+        page = page.section("Pages about single runs").facts(pages.iter().map(|(run, page)| (run, page)));
+    }
+    page.render()
 }
 
 /// Figure of the felt stiffness over the frequency; `None` without a probe.
-fn felt_figure(summary: &CoupledSummary) -> Option<Figure> {
+fn felt_figure(summary: &RunSummary) -> Option<Figure> {
     let panels: Vec<Panel> = summary
         .couplings
         .iter()
