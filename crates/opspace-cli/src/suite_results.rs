@@ -12,7 +12,7 @@ use opspace_experiment::evaluate::results::group_rows;
 use opspace_experiment::report::coupling_pages::coupling_suite_page;
 use opspace_experiment::report::coupling_table::{coupling_notes, coupling_table};
 use opspace_experiment::report::document::{RunSection, page};
-use opspace_experiment::run::result_files::REPORT;
+use opspace_experiment::run::result_files::{REPORT, ResultFolder};
 use opspace_experiment::suites::suite_rows::{SUITE_ROWS, SuiteRows};
 use opspace_experiment::{Experiment, Extensions, RunSummary, Source, Summary};
 use opspace_log::LogFile;
@@ -78,18 +78,18 @@ fn worst(codes: &[Exit]) -> Exit {
 }
 
 /// Results of a suite in a folder.
-pub struct SuiteResults<'a> {
-    /// Rows in the folder.
-    pub rows: &'a SuiteRows,
-    /// Summaries to be shown: those of the rows, and of runs that were interrupted.
-    pub summaries: &'a [RunSummary],
+pub struct SuiteResults {
+    /// Folder of the results.
+    pub folder: ResultFolder,
+    /// Rows of the complete runs.
+    pub rows: SuiteRows,
+    /// Summaries to be shown, in the order of the suite: those of the rows, and of runs that were interrupted.
+    pub summaries: Vec<RunSummary>,
     /// True if results without all runs are final; otherwise they leave no `bench.json`, and can be continued.
     pub partial: bool,
-    /// The folder.
-    pub folder: &'a Path,
 }
 
-impl SuiteResults<'_> {
+impl SuiteResults {
     /// Writes and prints the results, and returns the exit code that they give.
     pub fn write(
         &self,
@@ -98,29 +98,29 @@ impl SuiteResults<'_> {
         extensions: &Extensions,
         console: Console,
     ) -> Outcome {
-        let (header, folder) = (&self.rows.header, self.folder);
+        let (header, folder) = (&self.rows.header, self.folder.path());
         let several = header.has_several_robots();
-        let summaries = RunSummary::of_single_robots(self.summaries);
+        let summaries = RunSummary::of_single_robots(&self.summaries);
         let comparison = baseline.map(|baseline| baseline.compare(&summaries));
         let (page, logs) = if several { self.page_of_robots() } else { self.page(&summaries, extensions) };
         write(&folder.join(REPORT), &page)?;
         let json = self.json(&summaries, &logs, comparison.as_ref());
-        let is_final = self.partial || self.missing().is_empty();
+        let is_final = self.partial || self.rows.missing().is_empty();
         if is_final {
             write(&folder.join(ROWS), &json)?;
         }
         if let Some(path) = args.csv.as_deref().filter(|path| !is_stdout(path)) {
-            write_named(path, &csv(self.summaries), Format::Csv)?;
+            write_named(path, &csv(&self.summaries), Format::Csv)?;
         }
         if args.csv.as_deref().is_some_and(is_stdout) {
             if let Some(path) = args.output.json.path() {
                 write_named(path, &json, Format::Json)?;
             }
-            print_exactly(&csv(self.summaries))?;
+            print_exactly(&csv(&self.summaries))?;
         } else {
             let text = || {
                 if several {
-                    return coupling_results(console, self.summaries);
+                    return coupling_results(console, &self.summaries);
                 }
                 let compared = comparison.as_ref().map(|comparison| compared(comparison, console));
                 results(console, &summaries, &header.columns) + &compared.unwrap_or_default()
@@ -142,9 +142,16 @@ impl SuiteResults<'_> {
         Ok(worst(&codes))
     }
 
-    /// Numbers of the runs without a row.
-    fn missing(&self) -> Vec<usize> {
-        self.rows.header.numbers().filter(|number| !self.rows.rows.contains_key(number)).collect()
+    /// Returns the exit code of a suite that may have been interrupted: `exit` is that of the results.
+    pub fn ended(&self, exit: Exit, console: Console) -> Exit {
+        let missing = self.rows.missing().len();
+        if missing == 0 {
+            return exit;
+        }
+        let runs = self.rows.header.numbers().count();
+        console
+            .note(&format!("interrupted: {missing} of {runs} runs are missing; the same command continues"));
+        if exit == Exit::Failed { exit } else { Exit::Interrupted }
     }
 
     /// Formats the results as JSON.
@@ -166,7 +173,7 @@ impl SuiteResults<'_> {
         if let Some(shard) = header.shard {
             json["shard"] = shard.to_string().into();
         }
-        let missing = self.missing();
+        let missing = self.rows.missing();
         if !missing.is_empty() {
             json["missing"] = missing.into();
         }
@@ -184,7 +191,7 @@ impl SuiteResults<'_> {
     /// Columns that the suite lists and for which no run has a value, if all runs of the suite are there.
     fn empty_columns(&self, summaries: &[Summary]) -> Vec<String> {
         let header = &self.rows.header;
-        if !header.columns_required || header.shard.is_some() || !self.missing().is_empty() {
+        if !header.columns_required || header.shard.is_some() || !self.rows.missing().is_empty() {
             return Vec::new();
         }
         header.columns.iter().filter(|column| !column.is_in(summaries)).map(|c| c.name()).collect()
@@ -194,7 +201,7 @@ impl SuiteResults<'_> {
     fn page(&self, summaries: &[Summary], extensions: &Extensions) -> (String, Vec<String>) {
         let kept = self.rows.rows.values().filter_map(|row| {
             let name = row.log.clone()?;
-            let log = LogFile::open(self.folder.join(&name)).ok()?;
+            let log = LogFile::open(self.folder.path().join(&name)).ok()?;
             let experiment = Experiment::of_log_with(extensions, log.recording()).ok()?;
             let summary = row.row.single()?.clone();
             Some((RunSection::of_file(&experiment, &log, summary).ok()?, name))
@@ -212,7 +219,7 @@ impl SuiteResults<'_> {
             Some(((row.row.title(), format!("{folder}/{REPORT}")), folder))
         });
         let (pages, folders): (Vec<(String, String)>, Vec<String>) = kept.unzip();
-        (coupling_suite_page(&self.rows.header.title, self.summaries, &pages), folders)
+        (coupling_suite_page(&self.rows.header.title, &self.summaries, &pages), folders)
     }
 }
 

@@ -1,6 +1,6 @@
 //! Execution of the runs of a suite, several at a time.
 
-use crate::console::{Console, Exit, Failure, Outcome};
+use crate::console::{Console, Failure};
 use crate::result_folder::clear_run_of_robots;
 use crate::run_progress::style;
 use indicatif::ProgressBar;
@@ -56,32 +56,6 @@ fn run_with_file(experiment: &Experiment, path: &Path, watch: &Progress) -> Resu
         (Some(Ok(summary)), Err(_)) if summary.interrupted => Ok(summary),
         (_, Err(error)) => Err(Failure::io("cannot be written", path, &error)),
         (None, Ok(())) => Err(Failure::io("cannot be written", path, &io::ErrorKind::Other.into())),
-    }
-}
-
-/// Runs of a suite that are complete, or were interrupted.
-pub struct Executed {
-    /// Folder of the results.
-    pub folder: ResultFolder,
-    /// Rows of the complete runs.
-    pub rows: SuiteRows,
-    /// Summaries of all runs, in the order of the suite.
-    pub summaries: Vec<RunSummary>,
-}
-
-impl Executed {
-    /// Returns the exit code: `exit` is that of the results.
-    pub fn ended(&self, exit: Exit, console: Console) -> Outcome {
-        let header = &self.rows.header;
-        let missing = header.numbers().count() - self.rows.rows.len();
-        if missing > 0 {
-            console.note(&format!(
-                "interrupted: {missing} of {} runs are missing; the same command continues",
-                header.numbers().count()
-            ));
-            return Ok(if exit == Exit::Failed { exit } else { Exit::Interrupted });
-        }
-        Ok(exit)
     }
 }
 

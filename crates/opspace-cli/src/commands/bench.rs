@@ -8,7 +8,7 @@ use crate::plant::open_plants;
 use crate::result_folder::{ROWS, empty};
 use crate::shard::ShardChoice;
 use crate::suite_results::SuiteResults;
-use crate::sweep::{Executed, Sweep, log_names, print_start};
+use crate::sweep::{Sweep, log_names, print_start};
 use opspace_experiment::Progress;
 use opspace_experiment::evaluate::baseline::RunKey;
 use opspace_experiment::files::origin::PAPER_SUITE;
@@ -42,12 +42,10 @@ pub fn bench(args: &BenchArgs, extensions: &Extensions, console: Console) -> Out
     if baseline.as_ref().is_some_and(|baseline| !keys.is_empty() && !baseline.has_any(&keys)) {
         return Err(args.results.refuse_foreign());
     }
-    let done = execute(&suite, header, args, console)?;
-    let (rows, summaries, folder) = (&done.rows, done.summaries.as_slice(), done.folder.path());
-    let results = SuiteResults { rows, summaries, partial: false, folder };
+    let results = execute(&suite, header, args, console)?;
     let exit = results.write(&args.results, baseline.as_ref(), extensions, console)?;
-    args.open.show(&folder.join(REPORT), console);
-    done.ended(exit, console)
+    args.open.show(&results.folder.path().join(REPORT), console);
+    Ok(results.ended(exit, console))
 }
 
 /// Refuses options that a suite of experiments with several robots does not have.
@@ -73,7 +71,7 @@ fn execute(
     header: SuiteHeader,
     args: &BenchArgs,
     console: Console,
-) -> Result<Executed, Failure> {
+) -> Result<SuiteResults, Failure> {
     let shard = header.shard;
     let mut logs = log_names(&suite.runs);
     logs.retain(|&number, _| shard.is_none_or(|shard| shard.contains(number)));
@@ -98,8 +96,7 @@ fn execute(
         }
     };
     let folder = locked.path();
-    let pending: Vec<usize> =
-        rows.header.numbers().filter(|number| !rows.rows.contains_key(number)).collect();
+    let pending = rows.missing();
     let mut interrupted = BTreeMap::new();
     let file = rows.append_to(folder).map_err(|e| Failure::io("cannot be written", folder, &e))?;
     if !pending.is_empty() {
@@ -128,7 +125,7 @@ fn execute(
     let mut all: BTreeMap<usize, RunSummary> =
         rows.rows.iter().map(|(&number, row)| (number, row.row.clone())).collect();
     all.extend(interrupted);
-    Ok(Executed { folder: locked, rows, summaries: all.into_values().collect() })
+    Ok(SuiteResults { folder: locked, rows, summaries: all.into_values().collect(), partial: false })
 }
 
 /// Folder of the results: the one that the user named or that of the suite, and in it that of the shard.

@@ -57,6 +57,7 @@ pub fn check(args: &CheckArgs, extensions: &Extensions, console: Console) -> Out
 }
 
 /// Valid file with the predicted problems of its task.
+#[derive(Default)]
 struct Checked {
     /// Kind of the file.
     what: String,
@@ -90,26 +91,6 @@ struct Checked {
 }
 
 impl Checked {
-    fn clean(what: String) -> Self {
-        Self {
-            what,
-            is_task: false,
-            values: String::new(),
-            margin: None,
-            gears: Vec::new(),
-            forces: Vec::new(),
-            thresholds: Vec::new(),
-            strength: None,
-            singular: Vec::new(),
-            paths: Vec::new(),
-            distances: None,
-            warnings: Vec::new(),
-            found: Vec::new(),
-            allowed: Vec::new(),
-            skipped: Vec::new(),
-        }
-    }
-
     /// Finds the problems of all robots of these scenarios and of their couplings.
     fn of_scenarios(what: String, scenarios: &[Scenario]) -> Self {
         let experiments = || scenarios.iter().flat_map(Scenario::experiments);
@@ -121,7 +102,8 @@ impl Checked {
                 allowed.push(refusal.clone());
             }
         }
-        Self { found, allowed, skipped: find(experiments(), not_checked), ..Self::clean(what) }
+        let skipped = find(experiments(), not_checked);
+        Self { what, found, allowed, skipped, ..Self::default() }
     }
 
     /// Adds the margins, durations, distances and values of a single robot.
@@ -236,30 +218,30 @@ fn find<'a>(
         if !looked_at.insert((names, sources, profile, options)) {
             continue;
         }
-        for finding in diagnostics(experiment) {
-            let new = Found::new(finding, experiment);
-            let same = |old: &Found| old.finding == new.finding && old.place.path() == new.place.path();
-            if !found.iter().any(same) {
-                found.push(new);
-            }
-        }
+        let of_experiment = diagnostics(experiment).into_iter();
+        of_experiment.for_each(|finding| add(&mut found, Found::new(finding, experiment)));
     }
     found
 }
 
 /// Collects the diagnostics of couplings without duplicates.
 fn find_in_couplings(scenarios: &[Scenario]) -> Vec<Found> {
-    let mut found: Vec<Found> = Vec::new();
+    let mut found = Vec::new();
     for scenario in scenarios {
         for finding in coupling_diagnostics(scenario) {
             let place = finding.placed_in(&scenario.source);
-            let same = |old: &Found| old.finding == finding && old.place.path() == place.path();
-            if !found.iter().any(same) {
-                found.push(Found { finding, place });
-            }
+            add(&mut found, Found { finding, place });
         }
     }
     found
+}
+
+/// Adds a diagnostic that is not yet in the list.
+fn add(found: &mut Vec<Found>, new: Found) {
+    let same = |old: &Found| old.finding == new.finding && old.place.path() == new.place.path();
+    if !found.iter().any(same) {
+        found.push(new);
+    }
 }
 
 /// Warnings about a URDF and about the model built from it.
@@ -313,7 +295,7 @@ fn check_one(
         let loaded = load_urdf(&source, UrdfOptions::default())?;
         let warnings = model_warnings_of(source.name(), &loaded.warnings, &loaded.model);
         let what = format!("a URDF of {} moving joints", loaded.model.n());
-        return Ok(Checked { warnings, ..Checked::clean(what) });
+        return Ok(Checked { what, warnings, ..Checked::default() });
     }
     let file = Files::Disk.robot_file(path);
     let source = Source::read(&file)?;
@@ -324,7 +306,8 @@ fn check_one(
         warnings.extend(capsule_warnings_of(&robot));
         let values = values_text(&robot);
         robot.defaults().iter().for_each(|default| console.detail(&format!("  {default}")));
-        Ok(Checked { values, warnings, ..Checked::clean(format!("a robot of {} joints", robot.model.n())) })
+        let what = format!("a robot of {} joints", robot.model.n());
+        Ok(Checked { what, values, warnings, ..Checked::default() })
     };
     match Kind::of(source.text()) {
         Some(Kind::Suite) => {

@@ -37,7 +37,7 @@ pub fn merge(args: &MergeArgs, extensions: &Extensions, console: Console) -> Out
     check_outputs(&inputs, &overwritten)?;
     check_outputs(args.results.baseline.as_slice(), &overwritten)?;
     let locked = prepare(&args.results.output, &PathBuf::from("runs").join(name), &files, &inputs, console)?;
-    let folder = locked.path();
+    let folder = locked.path().to_owned();
     let mut lost = Vec::new();
     for (name, path) in &logs {
         match fs::File::open(path) {
@@ -49,11 +49,11 @@ pub fn merge(args: &MergeArgs, extensions: &Extensions, console: Console) -> Out
             Err(error) => lost.push(format!("{}: cannot be read: {error}", path.display())),
         }
     }
-    rows.append_to(folder).map_err(|e| Failure::io("cannot be written", folder, &e))?;
-    let results = SuiteResults { rows: &rows, summaries: &summaries, partial: true, folder };
+    rows.append_to(&folder).map_err(|e| Failure::io("cannot be written", &folder, &e))?;
+    let results = SuiteResults { folder: locked, rows, summaries, partial: true };
     let exit = results.write(&args.results, baseline.as_ref(), extensions, console)?;
     lost.iter().for_each(|text| console.note(text));
-    let incomplete = list_missing(&rows, &shards, console) || !lost.is_empty();
+    let incomplete = list_missing(&results.rows, &shards, console) || !lost.is_empty();
     Ok(if incomplete && exit == Exit::Done { Exit::DataLost } else { exit })
 }
 
@@ -155,8 +155,7 @@ fn is_same(a: &SuiteRow, b: &SuiteRow) -> bool {
 
 /// Lists the runs that no shard has, with their shards; true if there are any.
 fn list_missing(rows: &SuiteRows, shards: &[(PathBuf, SuiteRows)], console: Console) -> bool {
-    let missing: Vec<usize> =
-        rows.header.numbers().filter(|number| !rows.rows.contains_key(number)).collect();
+    let missing = rows.missing();
     if missing.is_empty() {
         return false;
     }

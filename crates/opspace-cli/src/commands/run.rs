@@ -1,7 +1,7 @@
 //! `opspace run`: executes a task on one robot, or an experiment with several.
 
 use crate::cli::{BackendChoice, RunArgs};
-use crate::commands::run_on_log::run_on_log;
+use crate::commands::run_on_log::{run_on_log, say_fault, say_written};
 use crate::console::{Console, Exit, Failure, Outcome, render, results as table};
 use crate::interrupt;
 use crate::output::pretty;
@@ -33,12 +33,8 @@ pub fn run(args: &RunArgs, extensions: &Extensions, console: Console) -> Outcome
     }
     let (robot, options) = (args.robot.as_deref(), args.options());
     let scenario = Scenario::load(extensions, Files::Disk, &args.task, robot, backend, options, &args.set)?;
-    let real: Vec<String> = if args.simulate {
-        Vec::new()
-    } else {
-        scenario.real_robots().into_iter().map(str::to_owned).collect()
-    };
-    if let (Some(name), true) = (real.first(), args.plant != PlantChoice::Own) {
+    let real = scenario.real_robots().first().map(|name| (*name).to_owned()).filter(|_| !args.simulate);
+    if let (Some(name), true) = (&real, args.plant != PlantChoice::Own) {
         let robot = scenario.single().map_or_else(|| format!("robot '{name}'"), |_| "this robot".to_owned());
         let text = format!("{robot} is real, as its [driver] says: add --simulate to choose a plant");
         return Err(Failure::Other(text, Exit::Bad));
@@ -48,7 +44,7 @@ pub fn run(args: &RunArgs, extensions: &Extensions, console: Console) -> Outcome
         Some(engine) => scenario.on_engine(&engine)?,
     };
     scenario.single().into_iter().for_each(|experiment| say_details(experiment, console));
-    let scenario = scenario.checked_for_real_robots(&real)?;
+    let scenario = if real.is_some() { scenario.checked_for_real_robots()? } else { scenario };
     scenario.allowed().iter().for_each(|refusal| console.note(&format!("warning: {refusal}")));
     scenario.single().into_iter().for_each(|experiment| note_problems(experiment, console));
     let default = default_folder(&scenario, &args.plant);
@@ -62,10 +58,10 @@ pub fn run(args: &RunArgs, extensions: &Extensions, console: Console) -> Outcome
         return Ok(exit);
     }
     let summary = with_bar((&scenario.name(), scenario.ticks()), &progress, console, || {
-        if real.is_empty() {
-            scenario.run_in_folder(&results, &progress)
-        } else {
+        if real.is_some() {
             scenario.run_on_drivers(extensions, &results, &progress)
+        } else {
+            scenario.run_in_folder(&results, &progress)
         }
     })?;
     args.output.json.print(|| pretty(&summary), || text(&summary, console))?;
@@ -74,9 +70,7 @@ pub fn run(args: &RunArgs, extensions: &Extensions, console: Console) -> Outcome
             say_end(robot, console);
             let expected = scenario.single().map_or(0, |experiment| experiment.task().file.expect.len());
             say_expectations(robot, expected, console);
-            if robot.not_saved.is_empty() {
-                console.note(&format!("wrote {}, {REPORT} and {SUMMARY}", folder.join(LOG).display()));
-            }
+            say_written(robot, folder, console);
         }
         None => say_end_of_robots(&summary, folder, console),
     }
@@ -229,11 +223,5 @@ fn say_end(summary: &Summary, console: Console) {
     if let Some(time_s) = summary.interrupted_time_s {
         console.note(&format!("interrupted at {time_s:.3} s; the log is closed"));
     }
-    if let Some(fault) = &summary.faulted {
-        let time = summary.fault_time_s.unwrap_or(f64::NAN);
-        console.note(&format!("stopped at {time:.3} s: {fault}"));
-    }
-    for file in &summary.not_saved {
-        console.note(&format!("not saved completely: {file}"));
-    }
+    say_fault(summary, console);
 }

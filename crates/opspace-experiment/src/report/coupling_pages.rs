@@ -17,15 +17,11 @@ pub(crate) fn coupling_page(
     figures: &[Figure],
     robots: &[(String, RunSection)],
 ) -> String {
-    let notes = coupling_notes(std::slice::from_ref(summary));
-    let notes: Vec<&str> = notes.iter().map(String::as_str).collect();
-    let settle_s = scenario.settle_s;
-    let head = Page::new(format!("{}, seed {}", summary.experiment, summary.seed))
-        .lead("Several robots, coupled through channels, in one run.");
-    let mut page = with_assumed(head, summary.robots.values()).section("Couplings").table(
-        &format!("Couplings, after the first {settle_s} s (settle_s)"),
-        &coupling_table(std::slice::from_ref(summary)),
-        &notes,
+    let mut page = head(
+        &format!("{}, seed {}", summary.experiment, summary.seed),
+        "Several robots, coupled through channels, in one run.",
+        &format!("Couplings, after the first {} s (settle_s)", scenario.settle_s),
+        std::slice::from_ref(summary),
     );
     for failure in summary.failures() {
         page = page.warning(&format!("{failure}."));
@@ -52,15 +48,9 @@ pub(crate) fn coupling_page(
 /// Builds the page about a suite. `pages` are names of runs, and the pages about them, as paths beside this page.
 #[must_use]
 pub fn coupling_suite_page(title: &str, summaries: &[RunSummary], pages: &[(String, String)]) -> String {
-    let notes = coupling_notes(summaries);
-    let notes: Vec<&str> = notes.iter().map(String::as_str).collect();
-    let head = Page::new(title).lead(&format!(
-        "{} runs of several robots, coupled through channels, in simulation.",
-        summaries.len()
-    ));
-    let mut page = with_assumed(head, summaries.iter().flat_map(|summary| summary.robots.values()))
-        .section("Couplings")
-        .table("Couplings, after settle_s", &coupling_table(summaries), &notes);
+    let lead =
+        format!("{} runs of several robots, coupled through channels, in simulation.", summaries.len());
+    let mut page = head(title, &lead, "Couplings, after settle_s", summaries);
     for summary in summaries {
         for failure in summary.failures() {
             page = page.warning(&format!("{}: {failure}.", summary.title()));
@@ -70,6 +60,15 @@ pub fn coupling_suite_page(title: &str, summaries: &[RunSummary], pages: &[(Stri
         page = page.section("Pages about single runs").facts(pages.iter().map(|(run, page)| (run, page)));
     }
     page.render()
+}
+
+/// Page with the table of the couplings of runs.
+fn head(title: &str, lead: &str, caption: &str, summaries: &[RunSummary]) -> Page {
+    let notes = coupling_notes(summaries);
+    let notes: Vec<&str> = notes.iter().map(String::as_str).collect();
+    let robots = summaries.iter().flat_map(|summary| summary.robots.values());
+    let page = with_assumed(Page::new(title).lead(lead), robots);
+    page.section("Couplings").table(caption, &coupling_table(summaries), &notes)
 }
 
 /// Figure of the felt stiffness over the frequency; `None` without a probe.

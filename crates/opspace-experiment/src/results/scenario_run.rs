@@ -30,19 +30,14 @@ impl Scenario {
         real.map(|member| member.name.as_str()).collect()
     }
 
-    /// Refuses the robots named in `real` whose margins are too small, unless that is allowed.
+    /// Refuses real robots whose margins are too small, unless that is allowed.
     ///
     /// # Errors
     /// The refusals of [`checked_for_real_robot`].
-    pub fn checked_for_real_robots(mut self, real: &[String]) -> Result<Self, FileError> {
-        let members = std::mem::take(&mut self.members).into_iter();
-        let checked = members.map(|mut member| {
-            if real.contains(&member.name) {
-                member.experiment = checked_for_real_robot(member.experiment)?;
-            }
-            Ok(member)
-        });
-        self.members = checked.collect::<Result<_, FileError>>()?;
+    pub fn checked_for_real_robots(mut self) -> Result<Self, FileError> {
+        for member in self.members.iter_mut().filter(|member| member.experiment.has_driver()) {
+            member.experiment = checked_for_real_robot(member.experiment.clone())?;
+        }
         Ok(self)
     }
 

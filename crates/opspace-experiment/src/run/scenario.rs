@@ -101,13 +101,7 @@ impl Scenario {
             set.extend(duration_s.map(|duration_s| format!("duration_s={duration_s}")));
             return Ok(Self { label, ..Self::load_robots(extensions, files, path, &set, &allow)? });
         }
-        // Mistakes in the files are reported when the files are combined.
-        let backend = backend.unwrap_or_else(|| {
-            Experiment::declared_command(extensions, files, path, robot, settings)
-                .unwrap_or(CommandKind::Position)
-        });
-        let options = RunOptions { backend, ..options };
-        Ok(Experiment::load_with(extensions, files, path, robot, options, settings)?.into())
+        Ok(of_task(extensions, files, (path, robot), backend, options, settings)?.into())
     }
 
     /// Reads an experiment with several robots and all files that it names, and allows refusals with the codes in `allow`.
@@ -375,6 +369,21 @@ fn seed_of(file: &ExperimentFile, robot: usize) -> u64 {
     file.seed.wrapping_mul(SEEDS_OF_A_SCENARIO).wrapping_add(robot as u64)
 }
 
+/// Reads a task and its robot, or `robot`; the command interface is that of robot.toml unless given.
+fn of_task(
+    extensions: &Extensions,
+    files: Files,
+    (task, robot): (&Path, Option<&Path>),
+    backend: Option<CommandKind>,
+    options: RunOptions,
+    settings: &[String],
+) -> Result<Experiment, FileError> {
+    // Mistakes in the files are reported when the files are combined.
+    let declared = || Experiment::declared_command(extensions, files, task, robot, settings);
+    let backend = backend.unwrap_or_else(|| declared().unwrap_or(CommandKind::Position));
+    Experiment::load_with(extensions, files, task, robot, RunOptions { backend, ..options }, settings)
+}
+
 /// Reads the task of a robot.
 fn member(
     extensions: &Extensions,
@@ -387,21 +396,16 @@ fn member(
 ) -> Result<Experiment, FileError> {
     let task = beside(path, &robot.task);
     let folder = robot.robot.as_ref().map(|robot| beside(path, robot));
-    let backend = match robot.backend {
-        Some(backend) => backend,
-        None => Experiment::declared_command(extensions, files, &task, folder.as_deref(), set)?,
-    };
     let options = RunOptions {
-        backend,
         controller: robot.controller.unwrap_or(ControllerKind::Osc),
         transformer: robot.transformer,
         profile: robot.profile.clone(),
         seed: Some(seed),
         duration_s: Some(file.duration_s.get()),
-        label: None,
         allow: allow.to_vec(),
+        ..RunOptions::default()
     };
-    Experiment::load_with(extensions, files, &task, folder.as_deref(), options, set)
+    of_task(extensions, files, (&task, folder.as_deref()), robot.backend, options, set)
 }
 
 /// Position of a robot's base in the world that the robots share.

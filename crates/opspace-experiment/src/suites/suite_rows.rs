@@ -157,6 +157,12 @@ impl SuiteRows {
         Some(Self { header, rows })
     }
 
+    /// Numbers of the runs, from 1, without a row.
+    #[must_use]
+    pub fn missing(&self) -> Vec<usize> {
+        self.header.numbers().filter(|number| !self.rows.contains_key(number)).collect()
+    }
+
     /// Text of the file, with the rows in the order of the suite.
     #[must_use]
     pub fn text(&self) -> String {
