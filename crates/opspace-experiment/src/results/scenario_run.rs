@@ -101,13 +101,10 @@ impl Scenario {
         folder: &ResultFolder,
         progress: &Progress,
     ) -> Result<RunSummary, RunError> {
-        let inner = match self.single() {
-            Some(_) => Vec::new(),
-            None => {
-                let folders = self.members.iter().map(|m| ResultFolder::open(&folder.path().join(&m.name)));
-                folders.collect::<Result<Vec<_>, _>>()?
-            }
-        };
+        // A single robot has no folder of its own.
+        let members = self.members.iter().filter(|_| self.single().is_none());
+        let inner = members.map(|member| ResultFolder::open(&folder.path().join(&member.name)));
+        let inner = inner.collect::<Result<Vec<_>, _>>()?;
         let folders: Vec<&ResultFolder> =
             if inner.is_empty() { vec![folder] } else { inner.iter().collect() };
         let (mut logs, mut files) = (Vec::new(), Vec::new());
@@ -137,6 +134,7 @@ impl Scenario {
             None => self.write_pages(folder.path(), summaries),
         }
     }
+
     /// Runs the scenario in simulation without logs.
     ///
     /// # Errors

@@ -88,7 +88,20 @@ impl Scenario {
         options: RunOptions,
         settings: &[String],
     ) -> Result<Self, FileError> {
-        if files.kind(path) == Some(Kind::Experiment) {
+        let has_several = files.kind(path) == Some(Kind::Experiment);
+        Self::load_as(has_several, (extensions, files), (path, robot), backend, options, settings)
+    }
+
+    /// Reads the file of an experiment with several robots or a task file, as [`load`](Self::load) does, whatever the file is.
+    pub(crate) fn load_as(
+        has_several: bool,
+        (extensions, files): (&Extensions, Files),
+        (path, robot): (&Path, Option<&Path>),
+        backend: Option<CommandKind>,
+        options: RunOptions,
+        settings: &[String],
+    ) -> Result<Self, FileError> {
+        if has_several {
             let RunOptions { profile, seed, duration_s, label, allow, .. } = options;
             let mut set = Vec::new();
             if let Some(profile) = profile {

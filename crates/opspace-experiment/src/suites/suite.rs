@@ -173,14 +173,18 @@ impl Suite {
         for mut run in runs {
             run.options.allow = allow.to_vec();
             let entry = &file.run[run.number];
-            let (key, kind, files_of_run) = entry.files();
+            let (key, files_of_run) = entry.files();
             let named = beside(path, &files_of_run[run.file]);
             if read.insert((run.number, run.file)) {
                 let key = ["run", &run.number.to_string(), key, &run.file.to_string()];
-                kind.require(&files.read_named(&named, &source, key)?)?;
+                files.read_named(&named, &source, key)?;
             }
             let robot = entry.robot.as_ref().map(|robot| beside(path, robot));
-            let scenario = run.load(extensions, files, &named, robot.as_deref());
+            let set: Vec<String> = run.settings.iter().map(|(set, _)| set.clone()).collect();
+            let has_several = !entry.experiments.is_empty();
+            let (paths, options) = ((&*named, robot.as_deref()), run.options.clone());
+            let scenario =
+                Scenario::load_as(has_several, (extensions, files), paths, run.backend, options, &set);
             scenarios.push(scenario.map_err(|error| run.placed(error, &source))?);
         }
         let columns_required = file.columns.is_some();
@@ -304,7 +308,7 @@ impl SuiteRun {
         let points = or_default(&points.unwrap_or_default());
         let (variants, seeds) = (or_default(&self.variant), or_default(&self.seeds));
         let profiles = or_default(self.profiles.as_ref().unwrap_or(&file.profiles));
-        let (.., files) = self.files();
+        let (_, files) = self.files();
         let counts = [files.len(), variants.len(), points.len(), profiles.len(), seeds.len()];
         if counts.into_iter().fold(1, usize::saturating_mul) > most {
             let message = format!("a suite has at most {MAX_RUNS} runs; with these it has more");
@@ -354,12 +358,9 @@ impl SuiteRun {
         Ok(runs)
     }
 
-    /// Key, kind and paths of the files of this entry.
-    fn files(&self) -> (&'static str, Kind, &[PathBuf]) {
-        match self.experiments.as_slice() {
-            [] => ("tasks", Kind::Task, &self.tasks),
-            experiments => (EXPERIMENTS, Kind::Experiment, experiments),
-        }
+    /// Key and paths of the files of this entry.
+    fn files(&self) -> (&'static str, &[PathBuf]) {
+        if self.experiments.is_empty() { ("tasks", &self.tasks) } else { (EXPERIMENTS, &self.experiments) }
     }
 
     /// Name of the settings in the table: of the variant or the run, and of the point of the grid.
@@ -371,17 +372,6 @@ impl SuiteRun {
 }
 
 impl SingleRun {
-    fn load(
-        &self,
-        extensions: &Extensions,
-        files: Files,
-        path: &Path,
-        robot: Option<&Path>,
-    ) -> Result<Scenario, FileError> {
-        let set: Vec<String> = self.settings.iter().map(|(set, _)| set.clone()).collect();
-        Scenario::load(extensions, files, path, robot, self.backend, self.options.clone(), &set)
-    }
-
     /// Places an error about a setting at its line in the suite file.
     fn placed(&self, error: FileError, suite: &Source) -> FileError {
         // A setting of a robot of several is read without the name of the robot.
