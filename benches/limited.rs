@@ -41,7 +41,7 @@ fn main() {
         let suite = Suite::load_with(&extensions, Files::Disk, &root.join(path)).expect("is a good suite");
         println!("{path}");
         let mut whole = Durations::default();
-        for experiment in suite.experiments.iter().take(if testing { 1 } else { usize::MAX }) {
+        for experiment in suite.of_robots().take(if testing { 1 } else { usize::MAX }) {
             let durations = Durations::of(experiment, if testing { 1 } else { REPETITIONS });
             let options = experiment.options();
             println!(

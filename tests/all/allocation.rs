@@ -12,8 +12,8 @@ use opspace_backend::{Backend, Capabilities, Command, CommandKind, DeviceFault, 
 use opspace_control::{CartesianTarget, Controller, Coordinate, CoordinateGains, CoordinateTask};
 use opspace_experiment::files::task::NamedRecording;
 use opspace_experiment::{
-    ControllerKind, CoupledExperiment, Experiment, Extensions, FileError, Files, Progress, RunOptions,
-    Source, Suite, TaskDefinition, TaskKind, TransformerEntry,
+    ControllerKind, Experiment, Extensions, FileError, Files, Progress, RunOptions, Scenario, Source, Suite,
+    TaskDefinition, TaskKind, TransformerEntry,
 };
 use opspace_loop::{Fault, Phase, Run, RunOutcome, TargetSender, drive, target_stream};
 use opspace_model::{Data, Model};
@@ -117,7 +117,7 @@ fn no_cycle_allocates_in(suite: &str) -> usize {
     let extensions = Extensions::default().with_comparisons();
     let suite = Suite::load_with(&extensions, Files::Disk, &path).unwrap_or_else(|e| panic!("{e}"));
     let mut seen = BTreeSet::new();
-    for experiment in &suite.experiments {
+    for experiment in suite.of_robots() {
         let options = RunOptions { seed: None, ..experiment.options().clone() };
         let name = format!("{} {options:?} {:?}", experiment.task().name(), experiment.settings());
         if !seen.insert(name.clone()) {
@@ -432,7 +432,7 @@ fn no_cycle_of_coupled_robots_allocates() {
             dropout("leader", 1.1),
         ];
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../experiments/teleop-wall.toml");
-        let experiment = CoupledExperiment::load(&Extensions::default(), Files::Disk, &path, &settings);
+        let experiment = Scenario::load_robots(&Extensions::default(), Files::Disk, &path, &settings, &[]);
         let experiment = experiment.unwrap_or_else(|e| panic!("{e}"));
         let counts = RefCell::new(Vec::with_capacity(1 << 16));
         let driven = experiment.drive(&Progress::default(), |robot, _, _| {

@@ -313,19 +313,16 @@ pub struct RunArgs {
 }
 
 impl RunArgs {
-    pub fn options(&self, default: CommandKind) -> RunOptions {
+    /// Options of the run except for the command interface.
+    pub fn options(&self) -> RunOptions {
         RunOptions {
-            backend: match self.backend {
-                Some(BackendChoice::Interface(kind)) => kind,
-                Some(BackendChoice::Replay) | None => default,
-            },
             controller: self.controller,
             transformer: self.transformer.clone(),
             profile: self.profile.clone(),
             seed: self.seed,
             duration_s: self.duration_s,
-            label: None,
             allow: self.allow.allow.clone(),
+            ..RunOptions::default()
         }
     }
 }

@@ -17,7 +17,6 @@ mod cli;
 mod command_table;
 mod commands;
 mod console;
-mod coupled_results;
 mod interrupt;
 mod key_page;
 mod output;

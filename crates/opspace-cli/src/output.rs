@@ -3,8 +3,8 @@
 use crate::cli::JsonArgs;
 use crate::console::{Exit, Failure, print, print_exactly};
 use opspace_experiment::Source;
-use opspace_experiment::run::coupled_logs::robot_logs;
 use opspace_experiment::run::result_files::{LOG, write_file};
+use opspace_experiment::run::robot_logs::robot_logs;
 use opspace_log::{LogError, LogFile, Recording};
 use serde::Serialize;
 use serde::de::IgnoredAny;

@@ -3,11 +3,9 @@
 use crate::cli::OutputArgs;
 use crate::console::{Console, Exit, Failure};
 use crate::outputs::check_outputs;
-use opspace_experiment::Summary;
-use opspace_experiment::evaluate::coupled_summary::CoupledSummary;
-use opspace_experiment::run::coupled_logs::robot_logs;
 use opspace_experiment::run::result_files::{LOG, REPORT, ResultFolder, SUMMARY};
-use opspace_experiment::suites::suite_rows::{RunSummary, SUITE_ROWS, SuiteRows};
+use opspace_experiment::run::robot_logs::robot_logs;
+use opspace_experiment::suites::suite_rows::{SUITE_ROWS, SuiteRows};
 use serde_json::Value;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -117,9 +115,8 @@ fn clear(folder: &Path) -> Result<(), Failure> {
     }
     let mut logs = logs_of_suite(&folder.join(ROWS));
     // A suite that was cut off has no other list of its logs.
-    logs.extend(logs_of_rows::<Summary>(folder));
-    let runs = logs_of_rows::<CoupledSummary>(folder);
-    for run in runs.iter().chain(&logs).map(|name| folder.join(name)).filter(|path| path.is_dir()) {
+    logs.extend(logs_of_rows(folder));
+    for run in logs.iter().map(|name| folder.join(name)).filter(|path| path.is_dir()) {
         clear_run_of_robots(&run)?;
     }
     logs.retain(|name| !folder.join(name).is_dir());
@@ -153,8 +150,8 @@ pub fn clear_run_of_robots(folder: &Path) -> Result<(), Failure> {
     Ok(())
 }
 
-fn logs_of_rows<S: RunSummary>(folder: &Path) -> Vec<String> {
-    let rows = SuiteRows::<S>::read(folder).into_iter().flat_map(|rows| rows.rows.into_values());
+fn logs_of_rows(folder: &Path) -> Vec<String> {
+    let rows = SuiteRows::read(folder).into_iter().flat_map(|rows| rows.rows.into_values());
     rows.filter_map(|row| row.log).collect()
 }
 

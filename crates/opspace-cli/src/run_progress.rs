@@ -2,14 +2,13 @@
 
 use crate::console::{Console, Exit};
 use indicatif::{ProgressBar, ProgressStyle};
-use opspace_experiment::evaluate::coupled_summary::CoupledSummary;
-use opspace_experiment::{Progress, Summary};
+use opspace_experiment::{Progress, RunSummary, Summary};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-/// Exit code of a run; 1 takes precedence over 130, and 130 over 3.
-pub fn exit_code(summary: &Summary) -> Exit {
+/// Exit code of a robot's run; 1 takes precedence over 130, and 130 over 3.
+pub fn exit_code_of_robot(summary: &Summary) -> Exit {
     if summary.faulted.is_some() || !summary.missed_expectations.is_empty() {
         Exit::Failed
     } else if summary.interrupted {
@@ -22,11 +21,11 @@ pub fn exit_code(summary: &Summary) -> Exit {
 }
 
 /// Exit code of a run: the worst of its robots, and 1 if an expectation was missed.
-pub fn coupled_exit_code(summary: &CoupledSummary) -> Exit {
+pub fn exit_code(summary: &RunSummary) -> Exit {
     if summary.has_failed() {
         return Exit::Failed;
     }
-    let of_robots = summary.robots.values().map(exit_code);
+    let of_robots = summary.robots.values().map(exit_code_of_robot);
     match of_robots.into_iter().find(|exit| *exit != Exit::Done) {
         None if !summary.not_saved.is_empty() => Exit::DataLost,
         exit => exit.unwrap_or(Exit::Done),

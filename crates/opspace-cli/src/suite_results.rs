@@ -1,18 +1,21 @@
 //! Results of a suite: table, page, JSON, CSV, and the comparison with a baseline.
 
 use crate::cli::SuiteOutputArgs;
-use crate::console::{Console, Exit, Failure, Outcome, print_exactly, render, report, results};
+use crate::console::{Console, Exit, Failure, Outcome, print_exactly, render, report, results, with_notes};
 use crate::output::{Format, pretty, write, write_named};
 use crate::result_folder::{LOGS, ROWS};
 use crate::run_progress::exit_code;
 use opspace_experiment::evaluate::baseline::{Baseline, BaselineComparison, TOLERANCE, Verdict};
 use opspace_experiment::evaluate::csv::csv;
+use opspace_experiment::evaluate::notes::{allowed_notes, assumed_notes};
 use opspace_experiment::evaluate::results::{group_rows, has_value};
 use opspace_experiment::metrics::metric::columns_named;
+use opspace_experiment::report::coupling_pages::coupling_suite_page;
+use opspace_experiment::report::coupling_table::{coupling_notes, coupling_table};
 use opspace_experiment::report::document::{RunSection, page};
-use opspace_experiment::run::result_files::REPORT;
+use opspace_experiment::run::result_files::{REPORT, ResultFolder};
 use opspace_experiment::suites::suite_rows::{SUITE_ROWS, SuiteRows};
-use opspace_experiment::{Experiment, Extensions, Metric, Source, Summary};
+use opspace_experiment::{Experiment, Extensions, Metric, RunSummary, Source, Summary};
 use opspace_log::LogFile;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
@@ -65,29 +68,29 @@ impl SuiteOutputArgs {
     }
 }
 
-pub fn is_stdout(path: &Path) -> bool {
+fn is_stdout(path: &Path) -> bool {
     path == Path::new("-")
 }
 
 /// The worst of the exit codes of runs.
-pub fn worst(codes: &[Exit]) -> Exit {
+fn worst(codes: &[Exit]) -> Exit {
     let worst = [Exit::Failed, Exit::Interrupted, Exit::DataLost].into_iter().find(|e| codes.contains(e));
     worst.unwrap_or(Exit::Done)
 }
 
 /// Results of a suite in a folder.
-pub struct SuiteResults<'a> {
-    /// Rows in the folder.
-    pub rows: &'a SuiteRows,
-    /// Summaries to be shown: those of the rows, and of runs that were interrupted.
-    pub summaries: &'a [Summary],
+pub struct SuiteResults {
+    /// Folder of the results.
+    pub folder: ResultFolder,
+    /// Rows of the complete runs.
+    pub rows: SuiteRows,
+    /// Summaries to be shown, in the order of the suite: those of the rows, and of runs that were interrupted.
+    pub summaries: Vec<RunSummary>,
     /// True if results without all runs are final; otherwise they leave no `bench.json`, and can be continued.
     pub partial: bool,
-    /// The folder.
-    pub folder: &'a Path,
 }
 
-impl SuiteResults<'_> {
+impl SuiteResults {
     /// Writes and prints the results, and returns the exit code that they give.
     pub fn write(
         &self,
@@ -96,58 +99,77 @@ impl SuiteResults<'_> {
         extensions: &Extensions,
         console: Console,
     ) -> Outcome {
-        let (header, summaries, folder) = (&self.rows.header, self.summaries, self.folder);
+        let (header, folder) = (&self.rows.header, self.folder.path());
+        let several = header.has_several_robots();
+        let summaries = RunSummary::of_single_robots(&self.summaries);
         let added = extensions.added::<Metric>();
         let names = header.columns.iter().map(String::as_str);
         let columns = columns_named(names, added).unwrap_or_default();
-        let comparison = baseline.map(|baseline| baseline.compare(summaries, added));
-        let (shown, logs) = self.sections(extensions);
-        let lead = format!("{} runs in simulation. {LEAD}", summaries.len());
-        write(&folder.join(REPORT), &page(&header.title, &lead, summaries, &columns, &shown))?;
-        let json = self.json(&logs, comparison.as_ref());
-        let is_final = self.partial || self.missing().is_empty();
+        let comparison = baseline.map(|baseline| baseline.compare(&summaries, added));
+        let (page, logs) =
+            if several { self.page_of_robots() } else { self.page(&summaries, &columns, extensions) };
+        write(&folder.join(REPORT), &page)?;
+        let json = self.json(&summaries, &logs, comparison.as_ref());
+        let is_final = self.partial || self.rows.missing().is_empty();
         if is_final {
             write(&folder.join(ROWS), &json)?;
         }
         if let Some(path) = args.csv.as_deref().filter(|path| !is_stdout(path)) {
-            write_named(path, &csv(summaries), Format::Csv)?;
+            write_named(path, &csv(&self.summaries), Format::Csv)?;
         }
         if args.csv.as_deref().is_some_and(is_stdout) {
             if let Some(path) = args.output.json.path() {
                 write_named(path, &json, Format::Json)?;
             }
-            print_exactly(&csv(summaries))?;
+            print_exactly(&csv(&self.summaries))?;
         } else {
             let text = || {
+                if several {
+                    return coupling_results(console, &self.summaries);
+                }
                 let compared = comparison.as_ref().map(|comparison| compared(comparison, console));
-                results(console, summaries, &columns) + &compared.unwrap_or_default()
+                results(console, &summaries, &columns) + &compared.unwrap_or_default()
             };
             args.output.json.print(|| json.clone(), text)?;
         }
         let rows = if is_final { format!("{ROWS}, {SUITE_ROWS}") } else { SUITE_ROWS.to_owned() };
-        console.note(&format!("wrote {}, {rows} and {} logs", folder.join(REPORT).display(), logs.len()));
-        let mut codes: Vec<Exit> = summaries.iter().map(exit_code).collect();
+        let kept = if several { "folders of runs" } else { "logs" };
+        console.note(&format!("wrote {}, {rows} and {} {kept}", folder.join(REPORT).display(), logs.len()));
+        let mut codes: Vec<Exit> = self.summaries.iter().map(exit_code).collect();
         if let Some(comparison) = &comparison {
             list_unmatched(comparison, console);
             codes.extend(comparison.is_worse().then_some(Exit::Failed));
         }
-        for column in self.empty_columns(&columns) {
+        for column in self.empty_columns(&summaries, &columns) {
             let text = format!("no run has a value for the column `{column}`, which the suite lists");
             codes.push(report(&Failure::Other(text, Exit::Failed)));
         }
         Ok(worst(&codes))
     }
 
-    /// Numbers of the runs without a row.
-    fn missing(&self) -> Vec<usize> {
-        self.rows.header.numbers().filter(|number| !self.rows.rows.contains_key(number)).collect()
+    /// Returns the exit code of a suite that may have been interrupted: `exit` is that of the results.
+    pub fn ended(&self, exit: Exit, console: Console) -> Exit {
+        let missing = self.rows.missing().len();
+        if missing == 0 {
+            return exit;
+        }
+        let runs = self.rows.header.numbers().count();
+        console
+            .note(&format!("interrupted: {missing} of {runs} runs are missing; the same command continues"));
+        if exit == Exit::Failed { exit } else { Exit::Interrupted }
     }
 
     /// Formats the results as JSON.
-    fn json(&self, logs: &[String], comparison: Option<&BaselineComparison>) -> String {
+    fn json(
+        &self,
+        summaries: &[Summary],
+        logs: &[String],
+        comparison: Option<&BaselineComparison>,
+    ) -> String {
         let header = &self.rows.header;
+        let several = header.has_several_robots();
         let mut json = json!({
-            "schema": "opspace.bench/1",
+            "schema": if several { "opspace.coupled-bench/1" } else { "opspace.bench/1" },
             "opspace_version": header.opspace_version,
             "suite_sha256": header.suite_sha256,
             "title": header.title,
@@ -156,12 +178,14 @@ impl SuiteResults<'_> {
         if let Some(shard) = header.shard {
             json["shard"] = shard.to_string().into();
         }
-        let missing = self.missing();
+        let missing = self.rows.missing();
         if !missing.is_empty() {
             json["missing"] = missing.into();
         }
         json["rows"] = json!(self.summaries);
-        json["groups"] = json!(group_rows(self.summaries));
+        if !several {
+            json["groups"] = json!(group_rows(summaries));
+        }
         json[LOGS] = json!(logs);
         if let Some(comparison) = comparison {
             json["comparison"] = comparison_json(comparison);
@@ -170,25 +194,59 @@ impl SuiteResults<'_> {
     }
 
     /// Columns that the suite lists and for which no run has a value, if all runs of the suite are there.
-    fn empty_columns(&self, columns: &[Metric]) -> Vec<&'static str> {
+    fn empty_columns(&self, summaries: &[Summary], columns: &[Metric]) -> Vec<&'static str> {
         let header = &self.rows.header;
-        if !header.columns_required || header.shard.is_some() || !self.missing().is_empty() {
+        if !header.columns_required || header.shard.is_some() || !self.rows.missing().is_empty() {
             return Vec::new();
         }
-        let empty = columns.iter().filter(|metric| !has_value(self.summaries, metric));
+        let empty = columns.iter().filter(|metric| !has_value(summaries, metric));
         empty.filter_map(|metric| Some(metric.column?.name)).collect()
     }
 
-    /// Sections of the runs whose logs are in the folder, and the names of these logs.
-    fn sections(&self, extensions: &Extensions) -> (Vec<RunSection>, Vec<String>) {
+    /// Page with sections of the runs whose logs are in the folder, and the names of these logs.
+    fn page(
+        &self,
+        summaries: &[Summary],
+        columns: &[Metric],
+        extensions: &Extensions,
+    ) -> (String, Vec<String>) {
         let kept = self.rows.rows.values().filter_map(|row| {
             let name = row.log.clone()?;
-            let log = LogFile::open(self.folder.join(&name)).ok()?;
+            let log = LogFile::open(self.folder.path().join(&name)).ok()?;
             let experiment = Experiment::of_log_with(extensions, log.recording()).ok()?;
-            Some((RunSection::of_file(&experiment, &log, row.row.clone()).ok()?, name))
+            let summary = row.row.single()?.clone();
+            Some((RunSection::of_file(&experiment, &log, summary).ok()?, name))
         });
-        kept.unzip()
+        let (shown, logs): (Vec<RunSection>, Vec<String>) = kept.unzip();
+        let header = &self.rows.header;
+        let lead = format!("{} runs in simulation. {LEAD}", summaries.len());
+        (page(&header.title, &lead, summaries, columns, &shown), logs)
     }
+
+    /// Page that refers to those of the runs whose logs are in folders, and the names of these folders.
+    fn page_of_robots(&self) -> (String, Vec<String>) {
+        let kept = self.rows.rows.values().filter_map(|row| {
+            let folder = row.log.clone()?;
+            Some(((row.row.title(), format!("{folder}/{REPORT}")), folder))
+        });
+        let (pages, folders): (Vec<(String, String)>, Vec<String>) = kept.unzip();
+        (coupling_suite_page(&self.rows.header.title, &self.summaries, &pages), folders)
+    }
+}
+
+/// Text of the results of runs of several robots: failures, table and notes.
+fn coupling_results(console: Console, summaries: &[RunSummary]) -> String {
+    let robots = summaries.iter().flat_map(|summary| summary.robots.values());
+    let mut text: String =
+        assumed_notes(robots.clone()).iter().map(|note| format!("ASSUMED {note}\n")).collect();
+    allowed_notes(robots).iter().for_each(|note| text += &format!("ALLOWED {note}\n"));
+    for summary in summaries {
+        for failure in summary.failures() {
+            text += &format!("FAILED {}: {failure}\n", summary.title());
+        }
+    }
+    text += &render(&coupling_table(summaries));
+    with_notes(console, text, &coupling_notes(summaries))
 }
 
 fn comparison_json(comparison: &BaselineComparison) -> Value {

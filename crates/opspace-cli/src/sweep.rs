@@ -1,175 +1,67 @@
 //! Execution of the runs of a suite, several at a time.
 
-use crate::console::{Console, Exit, Failure, Outcome};
+use crate::console::{Console, Failure};
 use crate::result_folder::clear_run_of_robots;
 use crate::run_progress::style;
 use indicatif::ProgressBar;
-use opspace_experiment::evaluate::coupled_summary::CoupledSummary;
 use opspace_experiment::run::physics::OWN_PLANT;
 use opspace_experiment::run::result_files::{ResultFolder, replace_file};
-use opspace_experiment::suites::suite_rows::{RunSummary, SUITE_ROWS, SuiteRow, SuiteRows, SuiteRowsFile};
-use opspace_experiment::{CoupledExperiment, Experiment, Progress, Summary};
+use opspace_experiment::suites::suite_rows::{SUITE_ROWS, SuiteRow, SuiteRows, SuiteRowsFile};
+use opspace_experiment::{Experiment, Progress, RunSummary, Scenario, Summary};
 use opspace_log::LogFile;
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::{self, BufWriter};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Instant;
 
-/// Run of a suite: a task, or an experiment with several robots.
-pub trait SuiteExperiment: Sync {
-    /// Summary of the run.
-    type Summary: RunSummary + Clone + Send;
-
-    /// Name for the user.
-    fn name(&self) -> String;
-    /// Path of its file.
-    fn file(&self) -> &str;
-    /// Plant of the simulation.
-    fn plant(&self) -> String;
-    /// Duration of control, s.
-    fn duration_s(&self) -> f64;
-    /// Files that are read.
-    fn input_paths(&self) -> Vec<PathBuf>;
-    /// Name of its log without the ending, and the ending: none for a folder with several logs.
-    fn log_name(&self) -> (String, &'static str);
-    /// Runs it without a log.
-    fn run_without_log(&self, watch: &Progress) -> Result<Self::Summary, Failure>;
-    /// Runs it with a log, which is kept if the run was not interrupted.
-    fn run_with_log(&self, path: &Path, watch: &Progress) -> Result<Self::Summary, Failure>;
-}
-
-impl SuiteExperiment for Experiment {
-    type Summary = Summary;
-
-    fn name(&self) -> String {
-        self.task().name()
-    }
-
-    fn file(&self) -> &str {
-        self.task().source.name()
-    }
-
-    fn plant(&self) -> String {
-        self.plant()
-    }
-
-    fn duration_s(&self) -> f64 {
-        self.duration_s()
-    }
-
-    fn input_paths(&self) -> Vec<PathBuf> {
-        self.input_paths()
-    }
-
-    fn log_name(&self) -> (String, &'static str) {
-        (format!("{}-{}", self.task().name(), self.options().backend.name()), ".mcap")
-    }
-
-    fn run_without_log(&self, watch: &Progress) -> Result<Summary, Failure> {
-        Ok(self.run_without_log(watch)?)
-    }
-
-    fn run_with_log(&self, path: &Path, watch: &Progress) -> Result<Summary, Failure> {
-        let mut result = None;
-        let written = replace_file(path, |file| {
-            let (writer, reader) = (file.try_clone()?, file.try_clone()?);
-            let summary = self.run(BufWriter::new(writer), watch).and_then(|finished| {
-                let log = LogFile::from_file(reader, path)?;
-                self.summary_of_file(&log, &finished.record, Some(finished.realtime_factor))
-            });
-            let is_kept = summary.as_ref().is_ok_and(|summary| !summary.interrupted);
-            result = Some(summary);
-            if is_kept { Ok(()) } else { Err(io::ErrorKind::Interrupted.into()) }
-        });
-        match (result, written) {
-            (Some(Err(error)), _) => Err(error.into()),
-            (Some(Ok(summary)), Ok(())) => Ok(summary),
-            (Some(Ok(summary)), Err(_)) if summary.interrupted => Ok(summary),
-            (_, Err(error)) => Err(Failure::io("cannot be written", path, &error)),
-            (None, Ok(())) => Err(Failure::io("cannot be written", path, &io::ErrorKind::Other.into())),
-        }
+/// Name of a run's log without the ending, and the ending: none for a folder with the logs of several robots.
+fn log_name(run: &Scenario) -> (String, &'static str) {
+    match run.single() {
+        Some(experiment) => (format!("{}-{}", run.name(), experiment.options().backend.name()), ".mcap"),
+        None => (run.name(), ""),
     }
 }
 
-impl SuiteExperiment for CoupledExperiment {
-    type Summary = CoupledSummary;
-
-    fn name(&self) -> String {
-        self.name()
+/// Executes a run with its log, or with a folder of logs, which is kept if the run was not interrupted.
+fn run_with_log(run: &Scenario, path: &Path, watch: &Progress) -> Result<RunSummary, Failure> {
+    if let Some(experiment) = run.single() {
+        return Ok(run_with_file(experiment, path, watch)?.into());
     }
-
-    fn file(&self) -> &str {
-        self.source.name()
-    }
-
-    fn plant(&self) -> String {
-        self.plant()
-    }
-
-    fn duration_s(&self) -> f64 {
-        self.duration_s()
-    }
-
-    fn input_paths(&self) -> Vec<PathBuf> {
-        self.input_paths()
-    }
-
-    fn log_name(&self) -> (String, &'static str) {
-        (self.name(), "")
-    }
-
-    fn run_without_log(&self, watch: &Progress) -> Result<CoupledSummary, Failure> {
-        Ok(self.run_without_logs(watch)?)
-    }
-
-    fn run_with_log(&self, path: &Path, watch: &Progress) -> Result<CoupledSummary, Failure> {
-        // The rest of a run that was cut off.
+    // The rest of a run that was cut off.
+    clear_run_of_robots(path)?;
+    let summary = run.run_in_folder(&ResultFolder::open(path)?, watch)?;
+    if summary.is_interrupted() {
         clear_run_of_robots(path)?;
-        let summary = self.run_in_folder(&ResultFolder::open(path)?, watch)?;
-        if summary.is_interrupted() {
-            clear_run_of_robots(path)?;
-        }
-        Ok(summary)
     }
+    Ok(summary)
 }
 
-/// Runs of a suite that are complete, or were interrupted.
-pub struct Executed<S> {
-    /// Folder of the results.
-    pub folder: ResultFolder,
-    /// Rows of the complete runs.
-    pub rows: SuiteRows<S>,
-    /// Summaries of all runs, in the order of the suite.
-    pub summaries: Vec<S>,
-}
-
-impl<S: RunSummary> Executed<S> {
-    /// Returns the exit code: `exit` is that of the results.
-    pub fn ended(&self, exit: Exit, console: Console) -> Outcome {
-        let header = &self.rows.header;
-        let missing = header.numbers().count() - self.rows.rows.len();
-        if missing > 0 {
-            console.note(&format!(
-                "interrupted: {missing} of {} runs are missing; the same command continues",
-                header.numbers().count()
-            ));
-            return Ok(if exit == Exit::Failed { exit } else { Exit::Interrupted });
-        }
-        Ok(exit)
+fn run_with_file(experiment: &Experiment, path: &Path, watch: &Progress) -> Result<Summary, Failure> {
+    let mut result = None;
+    let written = replace_file(path, |file| {
+        let (writer, reader) = (file.try_clone()?, file.try_clone()?);
+        let summary = experiment.run(BufWriter::new(writer), watch).and_then(|finished| {
+            let log = LogFile::from_file(reader, path)?;
+            experiment.summary_of_file(&log, &finished.record, Some(finished.realtime_factor))
+        });
+        let is_kept = summary.as_ref().is_ok_and(|summary| !summary.interrupted);
+        result = Some(summary);
+        if is_kept { Ok(()) } else { Err(io::ErrorKind::Interrupted.into()) }
+    });
+    match (result, written) {
+        (Some(Err(error)), _) => Err(error.into()),
+        (Some(Ok(summary)), Ok(())) => Ok(summary),
+        (Some(Ok(summary)), Err(_)) if summary.interrupted => Ok(summary),
+        (_, Err(error)) => Err(Failure::io("cannot be written", path, &error)),
+        (None, Ok(())) => Err(Failure::io("cannot be written", path, &io::ErrorKind::Other.into())),
     }
 }
 
 /// Prints the number of runs and their simulated time.
-pub fn print_start<E: SuiteExperiment>(
-    experiments: &[E],
-    rows: &SuiteRows<E::Summary>,
-    pending: &[usize],
-    jobs: usize,
-    console: Console,
-) {
-    let simulated_s: f64 = pending.iter().map(|number| experiments[number - 1].duration_s()).sum();
+pub fn print_start(runs: &[Scenario], rows: &SuiteRows, pending: &[usize], jobs: usize, console: Console) {
+    let simulated_s: f64 = pending.iter().map(|number| runs[number - 1].duration_s()).sum();
     let mut text = format!("{} runs, {} of simulated time", pending.len(), duration(simulated_s));
     if jobs.min(pending.len()) > 1 {
         text += &format!(", {} at a time", jobs.min(pending.len()));
@@ -194,9 +86,9 @@ fn duration(s: f64) -> String {
 }
 
 /// Runs of a suite, and what they share.
-pub struct Sweep<'a, E> {
-    /// Experiments of all runs.
-    pub experiments: &'a [E],
+pub struct Sweep<'a> {
+    /// All runs.
+    pub runs: &'a [Scenario],
     /// Names of the logs that are kept, by the number of the run.
     pub logs: &'a BTreeMap<usize, String>,
     /// Folder of the results.
@@ -207,14 +99,14 @@ pub struct Sweep<'a, E> {
     pub console: Console,
 }
 
-impl<E: SuiteExperiment> Sweep<'_, E> {
+impl Sweep<'_> {
     /// Executes runs in parallel, each on one thread, and appends each to the rows when it is complete.
     pub fn run(
         &self,
         pending: &[usize],
         jobs: usize,
         file: &SuiteRowsFile,
-    ) -> Result<Vec<SuiteRow<E::Summary>>, Failure> {
+    ) -> Result<Vec<SuiteRow>, Failure> {
         let bar = if self.console.shows_progress() {
             ProgressBar::new(pending.len() as u64)
         } else {
@@ -223,25 +115,25 @@ impl<E: SuiteExperiment> Sweep<'_, E> {
         bar.set_style(style("{pos:>4}/{len} {wide_bar} {elapsed} {msg}"));
         let jobs = jobs.min(pending.len());
         let next = AtomicUsize::new(0);
-        type Slot<S> = Mutex<Option<Result<SuiteRow<S>, Failure>>>;
-        let results: Vec<Slot<E::Summary>> = pending.iter().map(|_| Mutex::new(None)).collect();
-        let estimate = Mutex::new(Estimate::new(self.experiments, pending, jobs));
+        type Slot = Mutex<Option<Result<SuiteRow, Failure>>>;
+        let results: Vec<Slot> = pending.iter().map(|_| Mutex::new(None)).collect();
+        let estimate = Mutex::new(Estimate::new(self.runs, pending, jobs));
         std::thread::scope(|scope| {
             for _ in 0..jobs {
                 scope.spawn(|| {
                     while !self.watch.interrupt.load(Ordering::Relaxed) {
                         let index = next.fetch_add(1, Ordering::Relaxed);
                         let Some(&number) = pending.get(index) else { return };
-                        let experiment = &self.experiments[number - 1];
-                        let result = self.run_one(number, experiment, file);
+                        let run = &self.runs[number - 1];
+                        let result = self.run_one(number, run, file);
                         if let Ok(mut slot) = results[index].lock() {
                             *slot = Some(result);
                         }
                         bar.inc(1);
-                        let rest = estimate.lock().ok().and_then(|mut e| e.add(experiment.duration_s()));
+                        let rest = estimate.lock().ok().and_then(|mut e| e.add(run.duration_s()));
                         if let Some(rest) = rest {
                             let text = format!("about {} remaining", duration(rest.s));
-                            bar.set_message(format!("{}, {text}", experiment.name()));
+                            bar.set_message(format!("{}, {text}", run.name()));
                             if rest.is_first && bar.is_hidden() {
                                 self.console.note(&text);
                             }
@@ -256,16 +148,11 @@ impl<E: SuiteExperiment> Sweep<'_, E> {
         done.collect()
     }
 
-    fn run_one(
-        &self,
-        number: usize,
-        experiment: &E,
-        file: &SuiteRowsFile,
-    ) -> Result<SuiteRow<E::Summary>, Failure> {
+    fn run_one(&self, number: usize, run: &Scenario, file: &SuiteRowsFile) -> Result<SuiteRow, Failure> {
         let name = self.logs.get(&number);
         let summary = match name {
-            Some(name) => experiment.run_with_log(&self.folder.join(name), self.watch)?,
-            None => experiment.run_without_log(self.watch)?,
+            Some(name) => run_with_log(run, &self.folder.join(name), self.watch)?,
+            None => run.run_without_logs(self.watch)?,
         };
         let row = SuiteRow::new(number, name.cloned(), summary);
         if row.row.is_interrupted() {
@@ -296,8 +183,8 @@ struct Remaining {
 }
 
 impl Estimate {
-    fn new(experiments: &[impl SuiteExperiment], pending: &[usize], jobs: usize) -> Self {
-        let total_s = pending.iter().map(|number| experiments[number - 1].duration_s()).sum();
+    fn new(all: &[Scenario], pending: &[usize], jobs: usize) -> Self {
+        let total_s = pending.iter().map(|number| all[number - 1].duration_s()).sum();
         Self { began: Instant::now(), needed: jobs, done: 0, runs: pending.len(), done_s: 0.0, total_s }
     }
 
@@ -315,14 +202,14 @@ impl Estimate {
 
 /// Names of the logs that are kept, by the number of the run: the first run of each task or experiment on each plant, which
 /// is drawn too.
-pub fn log_names(experiments: &[impl SuiteExperiment]) -> BTreeMap<usize, String> {
+pub fn log_names(runs: &[Scenario]) -> BTreeMap<usize, String> {
     let (mut files, mut names, mut logs) = (BTreeSet::new(), BTreeSet::new(), BTreeMap::new());
-    for (number, experiment) in (1..).zip(experiments) {
-        let plant = experiment.plant();
-        if !files.insert((experiment.file().to_owned(), plant.clone())) {
+    for (number, run) in (1..).zip(runs) {
+        let plant = run.plant();
+        if !files.insert((run.source.name().to_owned(), plant.clone())) {
             continue;
         }
-        let (mut name, end) = experiment.log_name();
+        let (mut name, end) = log_name(run);
         if plant != OWN_PLANT {
             name += &format!("-{}", plant.replace(' ', "-"));
         }

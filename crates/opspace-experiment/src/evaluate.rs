@@ -1,7 +1,6 @@
 //! Metrics of runs, summaries, and tables of metrics.
 
 pub mod baseline;
-pub mod coupled_summary;
 pub(crate) mod coupling;
 pub mod csv;
 pub(crate) mod direction;
@@ -12,6 +11,7 @@ pub mod metrics;
 pub mod notes;
 pub mod posture;
 pub mod results;
+pub mod run_summary;
 pub(crate) mod spectrum;
 pub mod spread;
 pub mod summary;

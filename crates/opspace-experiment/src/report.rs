@@ -3,10 +3,9 @@
 mod collision_moments;
 mod collision_views;
 mod comparisons;
-pub(crate) mod coupled_page;
-pub mod coupled_suite_page;
-pub mod coupled_table;
 pub(crate) mod coupling_figures;
+pub mod coupling_pages;
+pub mod coupling_table;
 pub mod document;
 mod energy_figure;
 mod environment_shapes;

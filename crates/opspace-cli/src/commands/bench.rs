@@ -2,21 +2,20 @@
 
 use crate::cli::BenchArgs;
 use crate::console::{Console, Exit, Failure, Outcome};
-use crate::coupled_results::write_coupled;
 use crate::interrupt;
 use crate::outputs::check_outputs;
 use crate::plant::open_plants;
 use crate::result_folder::{ROWS, empty};
 use crate::shard::ShardChoice;
 use crate::suite_results::SuiteResults;
-use crate::sweep::{Executed, SuiteExperiment, Sweep, log_names, print_start};
+use crate::sweep::{Sweep, log_names, print_start};
 use opspace_experiment::Progress;
 use opspace_experiment::evaluate::baseline::RunKey;
 use opspace_experiment::files::origin::PAPER_SUITE;
 use opspace_experiment::run::result_files::{REPORT, ResultFolder};
 use opspace_experiment::suites::shard::Shard;
-use opspace_experiment::suites::suite_rows::{RunSummary, SUITE_ROWS, SuiteHeader, SuiteRows};
-use opspace_experiment::{Extensions, Files, RunError, Suite};
+use opspace_experiment::suites::suite_rows::{SUITE_ROWS, SuiteHeader, SuiteRows};
+use opspace_experiment::{Extensions, Files, RunError, RunSummary, Scenario, Suite};
 use std::collections::BTreeMap;
 use std::num::NonZero;
 use std::path::{Path, PathBuf};
@@ -34,26 +33,19 @@ pub fn bench(args: &BenchArgs, extensions: &Extensions, console: Console) -> Out
     let suite = suite.on_plants(&open_plants(&args.plants, extensions)?)?;
     let shard = args.shard.map(ShardChoice::resolve).transpose()?;
     let header = SuiteHeader::new(&suite, &name, shard);
-    if !suite.coupled.is_empty() {
+    if suite.has_several_robots() {
         refuse_options_of_tasks(args)?;
-        args.results.check()?;
-        let done = execute(&suite, &suite.coupled, header, args, console)?;
-        let exit = write_coupled(&done, &args.results, console)?;
-        args.open.show(&done.folder.path().join(REPORT), console);
-        return done.ended(exit, console);
     }
     let baseline = args.results.check()?;
-    let keys: Vec<RunKey> =
-        header.numbers().map(|number| RunKey::of_experiment(&suite.experiments[number - 1])).collect();
+    let single = header.numbers().filter_map(|number| suite.runs[number - 1].single());
+    let keys: Vec<RunKey> = single.map(RunKey::of_experiment).collect();
     if baseline.as_ref().is_some_and(|baseline| !keys.is_empty() && !baseline.has_any(&keys)) {
         return Err(args.results.refuse_foreign());
     }
-    let done = execute(&suite, &suite.experiments, header, args, console)?;
-    let (rows, summaries, folder) = (&done.rows, done.summaries.as_slice(), done.folder.path());
-    let results = SuiteResults { rows, summaries, partial: false, folder };
+    let results = execute(&suite, header, args, console)?;
     let exit = results.write(&args.results, baseline.as_ref(), extensions, console)?;
-    args.open.show(&folder.join(REPORT), console);
-    done.ended(exit, console)
+    args.open.show(&results.folder.path().join(REPORT), console);
+    Ok(results.ended(exit, console))
 }
 
 /// Refuses options that a suite of experiments with several robots does not have.
@@ -74,20 +66,19 @@ fn refuse_options_of_tasks(args: &BenchArgs) -> Result<(), Failure> {
 }
 
 /// Executes the runs of a suite, or those that an earlier process has not completed.
-fn execute<E: SuiteExperiment>(
+fn execute(
     suite: &Suite,
-    experiments: &[E],
     header: SuiteHeader,
     args: &BenchArgs,
     console: Console,
-) -> Result<Executed<E::Summary>, Failure> {
+) -> Result<SuiteResults, Failure> {
     let shard = header.shard;
-    let mut logs = log_names(experiments);
+    let mut logs = log_names(&suite.runs);
     logs.retain(|&number, _| shard.is_none_or(|shard| shard.contains(number)));
     let folder = folder_of(args.results.output.out.as_deref(), &header.name, shard);
     let files: Vec<String> =
         logs.values().cloned().chain([REPORT, ROWS, SUITE_ROWS].map(str::to_owned)).collect();
-    let mut inputs: Vec<PathBuf> = experiments.iter().flat_map(E::input_paths).collect();
+    let mut inputs: Vec<PathBuf> = suite.runs.iter().flat_map(Scenario::input_paths).collect();
     inputs.push(suite.source.name().into());
     let mut outputs: Vec<PathBuf> = files.iter().map(|name| folder.join(name)).collect();
     outputs.extend(args.results.outputs());
@@ -105,16 +96,15 @@ fn execute<E: SuiteExperiment>(
         }
     };
     let folder = locked.path();
-    let pending: Vec<usize> =
-        rows.header.numbers().filter(|number| !rows.rows.contains_key(number)).collect();
+    let pending = rows.missing();
     let mut interrupted = BTreeMap::new();
     let file = rows.append_to(folder).map_err(|e| Failure::io("cannot be written", folder, &e))?;
     if !pending.is_empty() {
         let jobs = args
             .jobs
             .map_or_else(|| std::thread::available_parallelism().map_or(1, NonZero::get), usize::from);
-        let sweep = Sweep { experiments, logs: &logs, folder, watch: &watch, console };
-        print_start(experiments, &rows, &pending, jobs, console);
+        let sweep = Sweep { runs: &suite.runs, logs: &logs, folder, watch: &watch, console };
+        print_start(&suite.runs, &rows, &pending, jobs, console);
         for row in sweep.run(&pending, jobs, &file)? {
             // A run that was interrupted is repeated when the suite is continued.
             if row.row.is_interrupted() {
@@ -132,10 +122,10 @@ fn execute<E: SuiteExperiment>(
     } else {
         console.note(&format!("{}: all {} runs are complete", folder.display(), rows.rows.len()));
     }
-    let mut all: BTreeMap<usize, E::Summary> =
+    let mut all: BTreeMap<usize, RunSummary> =
         rows.rows.iter().map(|(&number, row)| (number, row.row.clone())).collect();
     all.extend(interrupted);
-    Ok(Executed { folder: locked, rows, summaries: all.into_values().collect() })
+    Ok(SuiteResults { folder: locked, rows, summaries: all.into_values().collect(), partial: false })
 }
 
 /// Folder of the results: the one that the user named or that of the suite, and in it that of the shard.
@@ -177,12 +167,12 @@ fn lock(folder: &Path, wait: bool, watch: &Progress, console: Console) -> Result
 
 /// Rows of an earlier process that this one continues: of the same suite, part and version, and not yet complete. A part
 /// that is complete is continued too, without any run: batch systems start some parts twice.
-fn continued<S: RunSummary>(
+fn continued(
     folder: &ResultFolder,
     header: &SuiteHeader,
     logs: &BTreeMap<usize, String>,
     force: bool,
-) -> Option<SuiteRows<S>> {
+) -> Option<SuiteRows> {
     let path = folder.path();
     if force || (header.shard.is_none() && path.join(ROWS).exists()) {
         return None;

@@ -3,7 +3,6 @@
 
 use crate::cli::{CheckArgs, ControlArgs};
 use crate::commands::margins::Strength;
-use crate::commands::own_backend;
 use crate::console::{Console, Exit, Outcome, report};
 use crate::output::pretty;
 use crate::outputs::check_outputs;
@@ -21,8 +20,8 @@ use opspace_experiment::preflight::{
 use opspace_experiment::run::collision::KeptDistances;
 use opspace_experiment::transformers::check_robot;
 use opspace_experiment::{
-    Code, ControllerKind, CoupledExperiment, Experiment, Extensions, FileError, Files, Finding,
-    RobotDefinition, RunOptions, Source, Suite,
+    Code, ControllerKind, Experiment, Extensions, FileError, Files, Finding, RobotDefinition, RunOptions,
+    Scenario, Source, Suite,
 };
 use opspace_model::collision::DropReason;
 use opspace_model::{Model, UrdfOptions, UrdfWarning, model_warnings};
@@ -59,6 +58,7 @@ pub fn check(args: &CheckArgs, extensions: &Extensions, console: Console) -> Out
 }
 
 /// Valid file with the predicted problems of its task.
+#[derive(Default)]
 struct Checked {
     /// Kind of the file.
     what: String,
@@ -92,23 +92,42 @@ struct Checked {
 }
 
 impl Checked {
-    fn clean(what: String) -> Self {
+    /// Finds the problems of all robots of these scenarios and of their couplings.
+    fn of_scenarios(extensions: &Extensions, what: String, scenarios: &[Scenario]) -> Self {
+        let experiments = || scenarios.iter().flat_map(Scenario::experiments);
+        let mut found = find(experiments(), |experiment| diagnostics_with(extensions, experiment));
+        found.extend(find_in_couplings(scenarios));
+        let mut allowed: Vec<AllowedRefusal> = Vec::new();
+        for refusal in experiments().flat_map(Experiment::allowed) {
+            if !allowed.contains(refusal) {
+                allowed.push(refusal.clone());
+            }
+        }
+        let skipped = find(experiments(), not_checked);
+        Self { what, found, allowed, skipped, ..Self::default() }
+    }
+
+    /// Adds the margins, durations, distances and values of a single robot.
+    fn with_details(self, experiment: &Experiment) -> Self {
+        let margin = gain_margin(experiment);
+        let strength = Strength::of(experiment);
+        let small = margin.as_ref().and_then(|margin| margin.finding(experiment));
+        let of_transformer = strength.iter().flat_map(|strength| strength.diagnostics(experiment));
+        let more = small.into_iter().chain(of_transformer).map(|new| Found::new(new, experiment));
         Self {
-            what,
-            is_task: false,
-            values: String::new(),
-            margin: None,
-            gears: Vec::new(),
-            forces: Vec::new(),
-            thresholds: Vec::new(),
-            strength: None,
-            singular: Vec::new(),
-            paths: Vec::new(),
-            distances: None,
-            warnings: Vec::new(),
-            found: Vec::new(),
-            allowed: Vec::new(),
-            skipped: Vec::new(),
+            is_task: true,
+            values: values_text(experiment.robot()),
+            gears: gear_resonances(experiment),
+            forces: detectable_forces(experiment),
+            thresholds: collision_thresholds(experiment),
+            singular: singular_postures(experiment),
+            paths: path_durations(experiment),
+            distances: experiment.kept_distances().cloned(),
+            warnings: capsule_warnings_of(experiment.robot()).collect(),
+            found: self.found.into_iter().chain(more).collect(),
+            margin,
+            strength,
+            ..self
         }
     }
 
@@ -204,41 +223,30 @@ fn find<'a>(
         if !looked_at.insert((names, sources, profile, options)) {
             continue;
         }
-        for finding in diagnostics(experiment) {
-            let new = Found::new(finding, experiment);
-            let same = |old: &Found| old.finding == new.finding && old.place.path() == new.place.path();
-            if !found.iter().any(same) {
-                found.push(new);
-            }
-        }
+        let of_experiment = diagnostics(experiment).into_iter();
+        of_experiment.for_each(|finding| add(&mut found, Found::new(finding, experiment)));
     }
     found
 }
 
 /// Collects the diagnostics of couplings without duplicates.
-fn find_in_couplings<'a>(experiments: impl IntoIterator<Item = &'a CoupledExperiment>) -> Vec<Found> {
-    let mut found: Vec<Found> = Vec::new();
-    for experiment in experiments {
-        for finding in coupling_diagnostics(experiment) {
-            let place = finding.placed_in(&experiment.source);
-            let same = |old: &Found| old.finding == finding && old.place.path() == place.path();
-            if !found.iter().any(same) {
-                found.push(Found { finding, place });
-            }
+fn find_in_couplings(scenarios: &[Scenario]) -> Vec<Found> {
+    let mut found = Vec::new();
+    for scenario in scenarios {
+        for finding in coupling_diagnostics(scenario) {
+            let place = finding.placed_in(&scenario.source);
+            add(&mut found, Found { finding, place });
         }
     }
     found
 }
 
-/// Refusals of these experiments that the user has allowed, each once.
-fn allowed_in<'a>(experiments: impl Iterator<Item = &'a Experiment>) -> Vec<AllowedRefusal> {
-    let mut all: Vec<AllowedRefusal> = Vec::new();
-    for refusal in experiments.flat_map(Experiment::allowed) {
-        if !all.contains(refusal) {
-            all.push(refusal.clone());
-        }
+/// Adds a diagnostic that is not yet in the list.
+fn add(found: &mut Vec<Found>, new: Found) {
+    let same = |old: &Found| old.finding == new.finding && old.place.path() == new.place.path();
+    if !found.iter().any(same) {
+        found.push(new);
     }
-    all
 }
 
 /// Warnings about a URDF and about the model built from it.
@@ -274,7 +282,6 @@ fn check_one(
     console: Console,
 ) -> Result<Checked, FileError> {
     let (settings, allow) = (args.set.as_slice(), args.allow.allow.as_slice());
-    let diagnose = |experiment: &Experiment| diagnostics_with(extensions, experiment);
     let no_settings = || match settings {
         [] => refuse_options_of_tasks(path, args),
         _ => {
@@ -293,7 +300,7 @@ fn check_one(
         let loaded = load_urdf(&source, UrdfOptions::default())?;
         let warnings = model_warnings_of(source.name(), &loaded.warnings, &loaded.model);
         let what = format!("a URDF of {} moving joints", loaded.model.n());
-        return Ok(Checked { warnings, ..Checked::clean(what) });
+        return Ok(Checked { what, warnings, ..Checked::default() });
     }
     let file = Files::Disk.robot_file(path);
     let source = Source::read(&file)?;
@@ -305,69 +312,37 @@ fn check_one(
         warnings.extend(capsule_warnings_of(&robot));
         let values = values_text(&robot);
         robot.defaults().iter().for_each(|default| console.detail(&format!("  {default}")));
-        Ok(Checked { values, warnings, ..Checked::clean(format!("a robot of {} joints", robot.model.n())) })
+        let what = format!("a robot of {} joints", robot.model.n());
+        Ok(Checked { what, values, warnings, ..Checked::default() })
     };
     match Kind::of(source.text()) {
         Some(Kind::Suite) => {
             no_settings()?;
             let suite = Suite::load_allowing(extensions, Files::Disk, path, allow)?;
-            let what = format!("a suite of {} runs", suite.runs());
-            let (mut found, skipped) =
-                (find(suite.of_robots(), diagnose), find(suite.of_robots(), not_checked));
-            found.extend(find_in_couplings(&suite.coupled));
-            let allowed = allowed_in(suite.of_robots());
-            Ok(Checked { found, skipped, allowed, ..Checked::clean(what) })
+            let what = format!("a suite of {} runs", suite.runs.len());
+            Ok(Checked::of_scenarios(extensions, what, &suite.runs))
         }
-        Some(Kind::Experiment) => {
-            refuse_options_of_tasks(path, args)?;
-            let coupled = CoupledExperiment::load_allowing(extensions, Files::Disk, path, settings, allow)?;
-            let what = format!("an experiment with {} robots", coupled.members.len());
-            let members = || coupled.members.iter().map(|member| &member.experiment);
-            let (mut found, skipped) = (find(members(), diagnose), find(members(), not_checked));
-            found.extend(find_in_couplings([&coupled]));
-            let allowed = allowed_in(members());
-            Ok(Checked { found, skipped, allowed, ..Checked::clean(what) })
-        }
-        Some(Kind::Task) => {
+        Some(kind @ (Kind::Task | Kind::Experiment)) => {
+            if kind == Kind::Experiment {
+                refuse_options_of_tasks(path, args)?;
+            }
             let ControlArgs { backend, controller } = args.control;
+            let options = RunOptions {
+                controller,
+                transformer: args.transformer.clone(),
+                allow: allow.to_vec(),
+                ..RunOptions::default()
+            };
             let robot = args.robot.as_deref();
-            let backend = backend.unwrap_or_else(|| own_backend(path, robot, settings, extensions));
-            let (transformer, allow) = (args.transformer.clone(), allow.to_vec());
-            let options = RunOptions { backend, controller, transformer, allow, ..RunOptions::default() };
-            let experiment = Experiment::load_with(extensions, Files::Disk, path, robot, options, settings)?;
-            let what = format!("a task for the robot '{}'", experiment.robot().name());
+            let scenario = Scenario::load(extensions, Files::Disk, path, robot, backend, options, settings)?;
+            let Some(experiment) = scenario.single() else {
+                let what = format!("an experiment with {} robots", scenario.members.len());
+                return Ok(Checked::of_scenarios(extensions, what, std::slice::from_ref(&scenario)));
+            };
             console.detail(&format!("{}: {}", path.display(), experiment.start_text()?));
-            let margin = gain_margin(&experiment);
-            let mut found = find([&experiment], diagnose);
-            let skipped = find([&experiment], not_checked);
-            let small = margin.as_ref().and_then(|margin| margin.finding(&experiment));
-            let strength = Strength::of(&experiment);
-            let of_transformer = strength.iter().flat_map(|strength| strength.diagnostics(&experiment));
-            found.extend(small.into_iter().chain(of_transformer).map(|new| Found::new(new, &experiment)));
-            let singular = singular_postures(&experiment);
-            let paths = path_durations(&experiment);
-            let warnings = capsule_warnings_of(experiment.robot()).collect();
-            let distances = experiment.kept_distances().cloned();
-            let gears = gear_resonances(&experiment);
-            let forces = detectable_forces(&experiment);
-            let thresholds = collision_thresholds(&experiment);
-            Ok(Checked {
-                what,
-                is_task: true,
-                values: values_text(experiment.robot()),
-                margin,
-                gears,
-                forces,
-                thresholds,
-                strength,
-                singular,
-                paths,
-                distances,
-                warnings,
-                found,
-                allowed: experiment.allowed().to_vec(),
-                skipped,
-            })
+            let what = format!("a task for the robot '{}'", experiment.robot().name());
+            Ok(Checked::of_scenarios(extensions, what, std::slice::from_ref(&scenario))
+                .with_details(experiment))
         }
         Some(Kind::Robot) => robot(),
         // A folder denotes a robot.

@@ -8,7 +8,7 @@ use crate::suite_results::SuiteResults;
 use opspace_experiment::run::result_files::{REPORT, replace_file};
 use opspace_experiment::suites::shard::Shard;
 use opspace_experiment::suites::suite_rows::{SUITE_ROWS, SuiteHeader, SuiteRow, SuiteRows};
-use opspace_experiment::{Extensions, Summary};
+use opspace_experiment::{Extensions, RunSummary};
 use std::collections::BTreeMap;
 use std::fs;
 use std::io;
@@ -21,9 +21,9 @@ pub fn merge(args: &MergeArgs, extensions: &Extensions, console: Console) -> Out
     let baseline = args.results.check()?;
     let shards = read_shards(&args.shards)?;
     let (rows, logs) = join(&shards)?;
-    let summaries: Vec<Summary> = rows.rows.values().map(|row| row.row.clone()).collect();
+    let summaries: Vec<RunSummary> = rows.rows.values().map(|row| row.row.clone()).collect();
     if let Some(baseline) = &baseline
-        && baseline.compare(&summaries, extensions.added()).metrics.is_empty()
+        && baseline.compare(&RunSummary::of_single_robots(&summaries), extensions.added()).metrics.is_empty()
     {
         return Err(args.results.refuse_foreign());
     }
@@ -37,7 +37,7 @@ pub fn merge(args: &MergeArgs, extensions: &Extensions, console: Console) -> Out
     check_outputs(&inputs, &overwritten)?;
     check_outputs(args.results.baseline.as_slice(), &overwritten)?;
     let locked = prepare(&args.results.output, &PathBuf::from("runs").join(name), &files, &inputs, console)?;
-    let folder = locked.path();
+    let folder = locked.path().to_owned();
     let mut lost = Vec::new();
     for (name, path) in &logs {
         match fs::File::open(path) {
@@ -49,11 +49,11 @@ pub fn merge(args: &MergeArgs, extensions: &Extensions, console: Console) -> Out
             Err(error) => lost.push(format!("{}: cannot be read: {error}", path.display())),
         }
     }
-    rows.append_to(folder).map_err(|e| Failure::io("cannot be written", folder, &e))?;
-    let results = SuiteResults { rows: &rows, summaries: &summaries, partial: true, folder };
+    rows.append_to(&folder).map_err(|e| Failure::io("cannot be written", &folder, &e))?;
+    let results = SuiteResults { folder: locked, rows, summaries, partial: true };
     let exit = results.write(&args.results, baseline.as_ref(), extensions, console)?;
     lost.iter().for_each(|text| console.note(text));
-    let incomplete = list_missing(&rows, &shards, console) || !lost.is_empty();
+    let incomplete = list_missing(&results.rows, &shards, console) || !lost.is_empty();
     Ok(if incomplete && exit == Exit::Done { Exit::DataLost } else { exit })
 }
 
@@ -62,7 +62,9 @@ fn read_shards(paths: &[PathBuf]) -> Result<Vec<(PathBuf, SuiteRows)>, Failure> 
     let mut shards = Vec::new();
     for path in paths {
         for folder in folders(path)? {
-            let rows = SuiteRows::read(&folder).ok_or_else(|| {
+            // A suite of several robots has no shards.
+            let rows = SuiteRows::read(&folder).filter(|rows| !rows.header.has_several_robots());
+            let rows = rows.ok_or_else(|| {
                 let file = folder.join(SUITE_ROWS);
                 Failure::Other(
                     format!("{}: is not a file of rows of `opspace bench`", file.display()),
@@ -95,7 +97,7 @@ fn join(shards: &[(PathBuf, SuiteRows)]) -> Result<(SuiteRows, BTreeMap<String, 
                     "{}: run {number} ({}) differs from that of another shard; it is the same run of the same suite, so \
                      the programs or the machines differ",
                     folder.display(),
-                    row.row.task
+                    row.row.experiment
                 );
                 return Err(Failure::Other(text, Exit::Failed));
             }
@@ -153,8 +155,7 @@ fn is_same(a: &SuiteRow, b: &SuiteRow) -> bool {
 
 /// Lists the runs that no shard has, with their shards; true if there are any.
 fn list_missing(rows: &SuiteRows, shards: &[(PathBuf, SuiteRows)], console: Console) -> bool {
-    let missing: Vec<usize> =
-        rows.header.numbers().filter(|number| !rows.rows.contains_key(number)).collect();
+    let missing = rows.missing();
     if missing.is_empty() {
         return false;
     }

@@ -12,13 +12,10 @@ use opspace_experiment::run::replay::{ReplayReport, compare_run_on_log, replay a
 use opspace_experiment::{Experiment, Extensions, RunError, Summary};
 use opspace_log::Recording;
 use serde_json::{Map, Value, json};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 pub fn replay(args: &ReplayArgs, extensions: &Extensions, console: Console) -> Outcome {
     let robots = logs_of_experiment(&args.log);
-    if !robots.is_empty() {
-        return replay_robots(args, &robots, extensions, console);
-    }
     let changes = Changes {
         task: args.task.as_deref(),
         controller: args.controller,
@@ -26,26 +23,50 @@ pub fn replay(args: &ReplayArgs, extensions: &Extensions, console: Console) -> O
         set: &args.set,
         ..Changes::default()
     };
-    if !changes.are_none() {
+    if robots.is_empty() && !changes.are_none() {
         return what_if(args, &changes, extensions, console);
     }
-    check_outputs(&[log_path(&args.log)], &Vec::from_iter(args.output.json.path().map(Path::to_owned)))?;
-    if let Some(option) = option_of_a_run(args) {
+    let option = option_of_a_run(args);
+    if !robots.is_empty() && (!changes.are_none() || option.is_some()) {
+        let text = format!(
+            "{}: all options but --json are for the log of one robot: give the folder of a robot in it",
+            args.log.display()
+        );
+        return Err(Failure::Other(text, Exit::Bad));
+    }
+    let logs = if robots.is_empty() { vec![log_path(&args.log)] } else { robots.clone() };
+    check_outputs(&logs, &Vec::from_iter(args.output.json.path().map(Path::to_owned)))?;
+    if let Some(option) = option {
         let text = format!(
             "{option} is for a run on the log: add --task, --controller, --transformer or --set, or use `opspace report`"
         );
         return Err(Failure::Other(text, Exit::Bad));
     }
-    let (log, recording) = read_log(&args.log)?;
-    let bad = |error: RunError| Failure::Other(format!("{}: {error}", log.display()), Exit::Bad);
-    if let Some(damage) = &recording.damage {
-        console.note(&format!("{}: damaged: {damage}", log.display()));
+    let (mut text, mut replays, mut exit) = (String::new(), Map::new(), Exit::Done);
+    for log in &logs {
+        let (log, recording) = read_log(log)?;
+        let bad = |error: RunError| Failure::Other(format!("{}: {error}", log.display()), Exit::Bad);
+        if let Some(damage) = &recording.damage {
+            console.note(&format!("{}: damaged: {damage}", log.display()));
+        }
+        let experiment = Experiment::of_log_with(extensions, &recording).map_err(bad)?;
+        let replayed = recompute(&experiment, &recording).map_err(bad)?;
+        text += &verdict(&log, &replayed);
+        let robot = experiment.membership().map_or_else(String::new, |membership| membership.robot.clone());
+        replays.insert(robot, as_json(&log, &experiment, &recording, &replayed, false));
+        exit = match (exit, exit_code(&recording, &replayed)) {
+            (Exit::Failed, _) | (_, Exit::Failed) => Exit::Failed,
+            (Exit::Done, of_robot) => of_robot,
+            (before, _) => before,
+        };
     }
-    let experiment = Experiment::of_log_with(extensions, &recording).map_err(bad)?;
-    let replayed = recompute(&experiment, &recording).map_err(bad)?;
-    let json = || pretty(&as_json(&log, &experiment, &recording, &replayed, false));
-    args.output.json.print(json, || verdict(&log, &replayed))?;
-    Ok(exit_code(&recording, &replayed))
+    let json = if robots.is_empty() {
+        replays.into_iter().next().map_or(Value::Null, |(_, replay)| replay)
+    } else {
+        json!({ "schema": "opspace.replay-robots/1", "folder": args.log, "robots": replays })
+    };
+    args.output.json.print(|| pretty(&json), || text)?;
+    Ok(exit)
 }
 
 /// An option that was given although nothing is run.
@@ -81,41 +102,6 @@ fn what_if(args: &ReplayArgs, changes: &Changes<'_>, extensions: &Extensions, co
     args.output.json.print(json, || what_if_text(&experiment, &recording, &replayed, &summary))?;
     say_files(&summary, &folder, &args.open, console);
     Ok(lost(&recording))
-}
-
-/// Replays the log of each robot of an experiment alone.
-fn replay_robots(args: &ReplayArgs, logs: &[PathBuf], extensions: &Extensions, console: Console) -> Outcome {
-    let chosen = args.task.is_some() || args.controller.is_some() || args.transformer.is_some();
-    if chosen || !args.set.is_empty() || option_of_a_run(args).is_some() {
-        let text = format!(
-            "{}: all options but --json are for the log of one robot: give the folder of a robot in it",
-            args.log.display()
-        );
-        return Err(Failure::Other(text, Exit::Bad));
-    }
-    check_outputs(logs, &Vec::from_iter(args.output.json.path().map(Path::to_owned)))?;
-    let (mut text, mut robots, mut exit) = (String::new(), Map::new(), Exit::Done);
-    for log in logs {
-        let (log, recording) = read_log(log)?;
-        let bad = |error: RunError| Failure::Other(format!("{}: {error}", log.display()), Exit::Bad);
-        if let Some(damage) = &recording.damage {
-            console.note(&format!("{}: damaged: {damage}", log.display()));
-        }
-        let experiment = Experiment::of_log_with(extensions, &recording).map_err(bad)?;
-        let replayed = recompute(&experiment, &recording).map_err(bad)?;
-        text += &verdict(&log, &replayed);
-        let name = experiment.membership().map_or_else(String::new, |membership| membership.robot.clone());
-        robots.insert(name, as_json(&log, &experiment, &recording, &replayed, false));
-        exit = match (exit, exit_code(&recording, &replayed)) {
-            (Exit::Failed, _) | (_, Exit::Failed) => Exit::Failed,
-            (Exit::Done, of_robot) => of_robot,
-            (before, _) => before,
-        };
-    }
-    let json =
-        || pretty(&json!({ "schema": "opspace.replay-robots/1", "folder": args.log, "robots": robots }));
-    args.output.json.print(json, || text)?;
-    Ok(exit)
 }
 
 /// Exit code of a replay that must equal its log.

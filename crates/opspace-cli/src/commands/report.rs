@@ -1,56 +1,117 @@
-//! `opspace report`: creates one page about logs.
+//! `opspace report`: creates one page about logs: of single robots, or of the robots of an experiment.
 
 use crate::cli::ReportArgs;
-use crate::commands::report_coupled::report_coupled;
 use crate::console::{Console, Exit, Failure, Outcome};
 use crate::output::{Format, log_path, logs_of_experiment, open_log, pretty, write_named};
 use crate::outputs::check_outputs;
 use opspace_experiment::metrics::metric::default_columns;
 use opspace_experiment::report::document::{RunSection, page};
+use opspace_experiment::run::membership::Membership;
 use opspace_experiment::run::result_files::REPORT;
-use opspace_experiment::{Experiment, Extensions, RunError};
-use opspace_log::OutcomeRecord;
+use opspace_experiment::{Experiment, Extensions, RunError, Scenario, Summary};
+use opspace_log::{LogFile, OutcomeRecord, Recording};
 use std::path::{Path, PathBuf};
 
+/// Page, and the summaries in it as JSON.
+struct Report {
+    page: String,
+    json: String,
+}
+
 pub fn report(args: &ReportArgs, extensions: &Extensions, console: Console) -> Outcome {
-    if let Some(folder) = args.logs.iter().find(|path| !logs_of_experiment(path).is_empty()) {
-        return report_coupled(args, folder, extensions, console);
+    let folder = args.logs.iter().find(|path| !logs_of_experiment(path).is_empty());
+    if let Some(folder) = folder.filter(|_| args.logs.len() > 1) {
+        let text = format!(
+            "{}: the folder of an experiment with several robots makes a page alone; for one page with other runs, name the folders of its robots",
+            folder.display()
+        );
+        return Err(Failure::Other(text, Exit::Bad));
     }
-    let logs: Vec<PathBuf> = args.logs.iter().map(|path| log_path(path)).collect();
-    let beside = logs.first().map(|log| log.with_file_name(REPORT));
+    let paths = match folder {
+        Some(folder) => logs_of_experiment(folder),
+        None => args.logs.iter().map(|path| log_path(path)).collect(),
+    };
+    let beside = match folder {
+        Some(folder) => Some(folder.join(REPORT)),
+        None => paths.first().map(|log| log.with_file_name(REPORT)),
+    };
     let out = args.out.clone().or(beside).unwrap_or_else(|| REPORT.into());
     let outputs: Vec<PathBuf> =
         [Some(out.as_path()), args.json.path()].into_iter().flatten().map(Path::to_owned).collect();
-    check_outputs(&logs, &outputs)?;
-    let mut shown = Vec::new();
+    check_outputs(&paths, &outputs)?;
     let mut exit = Exit::Done;
-    for path in &args.logs {
+    let mut logs = Vec::new();
+    for path in &paths {
         let (path, log) = open_log(path)?;
-        let recording = log.recording();
-        let bad = |error: RunError| Failure::Other(format!("{}: {error}", path.display()), Exit::Bad);
-        if let Some(damage) = &recording.damage {
+        if let Some(damage) = &log.recording().damage {
             console.note(&format!("{}: damaged: {damage}", path.display()));
             exit = Exit::DataLost;
         }
-        let experiment = Experiment::of_log_with(extensions, recording).map_err(bad)?;
-        if recording.dropped() > 0 {
+        if log.recording().dropped() > 0 {
             exit = Exit::DataLost;
         }
-        let summary = experiment.summary_of_file(&log, &OutcomeRecord::of(recording), None).map_err(bad)?;
-        shown.push(RunSection::of_file(&experiment, &log, summary).map_err(bad)?);
+        logs.push((path, log));
     }
+    let Report { page, json } = match folder {
+        Some(folder) => of_experiment(folder, logs, extensions)?,
+        None => of_single_robots(&logs, extensions)?,
+    };
+    write_named(&out, &page, Format::Html)?;
+    args.json.print(|| json, || format!("{}\n", out.display()))?;
+    args.open.show(&out, console);
+    Ok(exit)
+}
+
+fn bad(path: &Path) -> impl Fn(RunError) -> Failure {
+    move |error| Failure::Other(format!("{}: {error}", path.display()), Exit::Bad)
+}
+
+fn summary(experiment: &Experiment, log: &LogFile) -> Result<Summary, RunError> {
+    experiment.summary_of_file(log, &OutcomeRecord::of(log.recording()), None)
+}
+
+/// Report about runs of one robot each.
+fn of_single_robots(logs: &[(PathBuf, LogFile)], extensions: &Extensions) -> Result<Report, Failure> {
+    let shown = logs.iter().map(|(path, log)| {
+        let section = || {
+            let experiment = Experiment::of_log_with(extensions, log.recording())?;
+            RunSection::of_file(&experiment, log, summary(&experiment, log)?)
+        };
+        section().map_err(bad(path))
+    });
+    let shown = shown.collect::<Result<Vec<_>, _>>()?;
     let summaries: Vec<_> = shown.iter().map(|s| s.summary.clone()).collect();
     let title = match shown.as_slice() {
         [one] => one.title.clone(),
         many => format!("{} runs", many.len()),
     };
     let lead = "Desired and actual behaviour of the robot, from its log.";
-    write_named(
-        &out,
-        &page(&title, lead, &summaries, &default_columns(extensions.added()), &shown),
-        Format::Html,
-    )?;
-    args.json.print(|| pretty(&summaries), || format!("{}\n", out.display()))?;
-    args.open.show(&out, console);
-    Ok(exit)
+    Ok(Report {
+        page: page(&title, lead, &summaries, &default_columns(extensions.added()), &shown),
+        json: pretty(&summaries),
+    })
+}
+
+/// Report about the run of several robots whose logs are in `folder`.
+fn of_experiment(
+    folder: &Path,
+    logs: Vec<(PathBuf, LogFile)>,
+    extensions: &Extensions,
+) -> Result<Report, Failure> {
+    let mut named = Vec::new();
+    for (_, log) in logs {
+        let membership = Membership::of_log(log.recording()).map_err(bad(folder))?;
+        named.push((membership.map_or_else(String::new, |membership| membership.robot), log));
+    }
+    // In the order of the robots' names, as the members.
+    named.sort_by(|(a, _), (b, _)| a.cmp(b));
+    let logs: Vec<LogFile> = named.into_iter().map(|(_, log)| log).collect();
+    let recordings: Vec<&Recording> = logs.iter().map(LogFile::recording).collect();
+    let report = || {
+        let scenario = Scenario::of_logs(extensions, &recordings)?;
+        let summaries = scenario.experiments().zip(&logs).map(|(experiment, log)| summary(experiment, log));
+        let (summary, page) = scenario.summary_and_page(&logs, summaries.collect::<Result<_, _>>()?)?;
+        Ok(Report { page, json: pretty(&summary) })
+    };
+    report().map_err(bad(folder))
 }

@@ -1,99 +1,179 @@
-//! `opspace run`: executes one task on one robot.
+//! `opspace run`: executes a task on one robot, or an experiment with several.
 
 use crate::cli::{BackendChoice, RunArgs};
-use crate::commands::own_backend;
-use crate::commands::run_coupled::run_coupled;
-use crate::commands::run_on_log::run_on_log;
-use crate::console::{Console, Exit, Failure, Outcome, results as table};
+use crate::commands::run_on_log::{run_on_log, say_fault, say_written};
+use crate::console::{Console, Exit, Failure, Outcome, render, results as table};
 use crate::interrupt;
 use crate::output::pretty;
+use crate::plant::PlantChoice;
 use crate::result_folder::{MOVE_TO_START, prepare};
-use crate::run_progress::{exit_code, with_bar};
+use crate::run_progress::{exit_code, exit_code_of_robot, with_bar};
 use opspace_experiment::files::origin::Kind;
 use opspace_experiment::metrics::metric::default_columns;
-use opspace_experiment::preflight::{checked_for_real_robot, start_diagnostics};
+use opspace_experiment::preflight::start_diagnostics;
+use opspace_experiment::report::coupling_table::coupling_table;
 use opspace_experiment::run::result_files::{LOG, REPORT, SUMMARY};
-use opspace_experiment::{Experiment, Extensions, Files, Summary};
-use std::path::PathBuf;
+use opspace_experiment::{
+    ControllerKind, Experiment, Extensions, FileError, Files, Progress, RunSummary, Scenario, Summary,
+};
+use std::path::{Path, PathBuf};
 
 pub fn run(args: &RunArgs, extensions: &Extensions, console: Console) -> Outcome {
     if Files::Disk.kind(&args.task) == Some(Kind::Experiment) {
-        return run_coupled(args, extensions, console);
+        refuse_options_of_one_robot(args)?;
     }
-    if args.backend == Some(BackendChoice::Replay) {
-        return run_on_log(args, extensions, console);
-    }
+    let backend = match args.backend {
+        Some(BackendChoice::Replay) => return run_on_log(args, extensions, console),
+        Some(BackendChoice::Interface(kind)) => Some(kind),
+        None => None,
+    };
     if args.log.is_some() {
         let text = "--log is for --backend replay".to_owned();
         return Err(Failure::Other(text, Exit::Bad));
     }
-    let robot = args.robot.as_deref();
-    let options = args.options(own_backend(&args.task, robot, &args.set, extensions));
-    let experiment = Experiment::load_with(extensions, Files::Disk, &args.task, robot, options, &args.set)?;
-    let on_driver = experiment.has_driver() && !args.simulate;
-    let experiment = match args.plant.open(extensions)? {
-        None => experiment,
-        Some(_) if on_driver => {
-            let text =
-                "this robot is real, as its [driver] says: add --simulate to choose a plant".to_owned();
-            return Err(Failure::Other(text, Exit::Bad));
-        }
-        Some(engine) => experiment.on_engine(engine)?,
+    let (robot, options) = (args.robot.as_deref(), args.options());
+    let scenario = Scenario::load(extensions, Files::Disk, &args.task, robot, backend, options, &args.set)?;
+    let real = scenario.real_robots().first().map(|name| (*name).to_owned()).filter(|_| !args.simulate);
+    if let (Some(name), true) = (&real, !args.plant.is_own()) {
+        let robot = scenario.single().map_or_else(|| format!("robot '{name}'"), |_| "this robot".to_owned());
+        let text = format!("{robot} is real, as its [driver] says: add --simulate to choose a plant");
+        return Err(Failure::Other(text, Exit::Bad));
+    }
+    let scenario = match args.plant.open(extensions)? {
+        None => scenario,
+        Some(engine) => scenario.on_engine(&engine)?,
     };
+    scenario.single().into_iter().for_each(|experiment| say_details(experiment, console));
+    let scenario = if real.is_some() { scenario.checked_for_real_robots()? } else { scenario };
+    scenario.allowed().iter().for_each(|refusal| console.note(&format!("warning: {refusal}")));
+    scenario.single().into_iter().for_each(|experiment| note_problems(experiment, extensions, console));
+    let default = default_folder(&scenario, &args.plant);
+    let results = prepare(&args.output, &default, &file_names(&scenario), &scenario.input_paths(), console)?;
+    let folder = results.path();
+    let progress = interrupt::watch();
+    console.note(&start_text(&scenario)?);
+    if let Some(experiment) = scenario.single().filter(|_| args.move_to_start)
+        && let Some(exit) = move_to_start(experiment, args, extensions, (folder, &progress), console)?
+    {
+        return Ok(exit);
+    }
+    let summary = with_bar((&scenario.name(), scenario.ticks()), &progress, console, || {
+        if real.is_some() {
+            scenario.run_on_drivers(extensions, &results, &progress)
+        } else {
+            scenario.run_in_folder(&results, &progress)
+        }
+    })?;
+    args.output.json.print(|| pretty(&summary), || text(&summary, extensions, console))?;
+    match summary.single() {
+        Some(robot) => {
+            say_end(robot, console);
+            let expected = scenario.single().map_or(0, |experiment| experiment.task().file.expect.len());
+            say_expectations(robot, expected, console);
+            say_written(robot, folder, console);
+        }
+        None => say_end_of_robots(&summary, folder, console),
+    }
+    args.open.show(&folder.join(REPORT), console);
+    Ok(exit_code(&summary))
+}
+
+/// Refuses options that choose something for one robot: the file states it for each.
+fn refuse_options_of_one_robot(args: &RunArgs) -> Result<(), Failure> {
+    let given = [
+        ("--robot", args.robot.is_some(), "robot"),
+        ("--backend", args.backend.is_some(), "backend"),
+        ("--controller", args.controller != ControllerKind::Osc, "controller"),
+        ("--transformer", args.transformer.is_some(), "transformer"),
+        ("--profile", args.profile.is_some(), "profile"),
+    ];
+    if args.move_to_start {
+        let text =
+            "--move-to-start is for a task of one robot: move each robot by its own task first".to_owned();
+        return Err(Failure::Other(text, Exit::Bad));
+    }
+    match given.into_iter().find(|(_, is_given, _)| *is_given) {
+        None => Ok(()),
+        Some((option, _, key)) => Err(Failure::Other(
+            format!(
+                "{option} is for a task of one robot; this file states it for each: --set robots.NAME.{key}=..."
+            ),
+            Exit::Bad,
+        )),
+    }
+}
+
+/// Prints warnings about the URDF and the choice of the transformer, if verbose.
+fn say_details(experiment: &Experiment, console: Console) {
     for warning in &experiment.robot().warnings {
         let code = warning.kind().code();
         console.detail(&format!("{}: {warning} [{code}]", experiment.robot().urdf.name()));
     }
-    let (task, robot) = (experiment.task().name(), experiment.robot().name());
-    let plant = args.plant.suffix();
-    let default =
-        PathBuf::from(format!("runs/{task}-{robot}-{}{plant}", experiment.options().backend.name()));
     if let (Some(name), Some(reason)) = (experiment.transformer_name(), experiment.transformer_reason()) {
         console.detail(&format!("transformer '{name}': {reason}"));
     }
-    let experiment = if on_driver { checked_for_real_robot(experiment)? } else { experiment };
-    experiment.allowed().iter().for_each(|refusal| console.note(&format!("warning: {refusal}")));
-    note_problems(&experiment, extensions, console);
-    let files = [LOG, REPORT, SUMMARY].map(str::to_owned);
-    let results = prepare(&args.output, &default, &files, &experiment.input_paths(), console)?;
-    let folder = results.path();
-    let progress = interrupt::watch();
-    console.note(&format!("{task} {}", experiment.start_text()?));
-    if args.move_to_start {
-        let moved = experiment.move_to_start(extensions, &folder.join(MOVE_TO_START), &progress)?;
-        if let Some(moved) = moved.filter(|moved| exit_code(moved) != Exit::Done) {
-            args.output.json.print(
-                || pretty(&moved),
-                || table(console, std::slice::from_ref(&moved), &default_columns(extensions.added())),
-            )?;
-            say_end(&moved, console);
-            console.note(&format!(
-                "not run: the robot did not reach the start of the task; see {}",
-                folder.join(MOVE_TO_START).display()
-            ));
-            return Ok(exit_code(&moved));
-        }
+}
+
+/// Folder of the results, unless another one is chosen.
+fn default_folder(scenario: &Scenario, plant: &PlantChoice) -> PathBuf {
+    let of_robot = scenario.single().map_or_else(String::new, |experiment| {
+        format!("-{}-{}", experiment.robot().name(), experiment.options().backend.name())
+    });
+    let plant = plant.suffix();
+    PathBuf::from(format!("runs/{}{of_robot}{plant}", scenario.name()))
+}
+
+/// Names of the files that a run writes to its folder.
+fn file_names(scenario: &Scenario) -> Vec<String> {
+    if scenario.single().is_some() {
+        return [LOG, REPORT, SUMMARY].map(str::to_owned).into();
     }
-    let summary = with_bar((&experiment.task().name(), experiment.ticks()), &progress, console, || {
-        experiment.in_locked_folder(&results, |log| {
-            if on_driver {
-                experiment.run_on_driver(extensions, log, &progress)
-            } else {
-                experiment.run(log, &progress)
-            }
-        })
-    })?;
+    let of_robots = scenario
+        .members
+        .iter()
+        .flat_map(|member| [LOG, REPORT, SUMMARY].map(|file| format!("{}/{file}", member.name)));
+    [REPORT, SUMMARY].map(str::to_owned).into_iter().chain(of_robots).collect()
+}
+
+/// Describes the start of one robot, or names several.
+fn start_text(scenario: &Scenario) -> Result<String, FileError> {
+    let name = scenario.name();
+    if let Some(experiment) = scenario.single() {
+        return Ok(format!("{name} {}", experiment.start_text()?));
+    }
+    let robots = scenario.members.iter();
+    let robots = robots
+        .map(|member| format!("{} ({} robot)", member.name, member.experiment.options().backend.name()));
+    Ok(format!("{name}: {}", robots.collect::<Vec<_>>().join(", ")))
+}
+
+/// Moves the robot to the start of the task; returns the exit code if it does not arrive there.
+fn move_to_start(
+    experiment: &Experiment,
+    args: &RunArgs,
+    extensions: &Extensions,
+    (folder, progress): (&Path, &Progress),
+    console: Console,
+) -> Result<Option<Exit>, Failure> {
+    let folder = folder.join(MOVE_TO_START);
+    let moved = experiment.move_to_start(extensions, &folder, progress)?;
+    let Some(moved) = moved.filter(|moved| exit_code_of_robot(moved) != Exit::Done) else { return Ok(None) };
     args.output.json.print(
-        || pretty(&summary),
-        || table(console, std::slice::from_ref(&summary), &default_columns(extensions.added())),
+        || pretty(&moved),
+        || table(console, std::slice::from_ref(&moved), &default_columns(extensions.added())),
     )?;
-    say_end(&summary, console);
-    say_expectations(&summary, experiment.task().file.expect.len(), console);
-    if summary.not_saved.is_empty() {
-        console.note(&format!("wrote {}, {REPORT} and {SUMMARY}", folder.join(LOG).display()));
+    say_end(&moved, console);
+    console
+        .note(&format!("not run: the robot did not reach the start of the task; see {}", folder.display()));
+    Ok(Some(exit_code_of_robot(&moved)))
+}
+
+/// Text of the results: of one robot, or of the couplings of several.
+fn text(summary: &RunSummary, extensions: &Extensions, console: Console) -> String {
+    match summary.single() {
+        Some(robot) => table(console, std::slice::from_ref(robot), &default_columns(extensions.added())),
+        None => render(&coupling_table(std::slice::from_ref(summary))),
     }
-    args.open.show(&folder.join(REPORT), console);
-    Ok(exit_code(&summary))
 }
 
 /// Prints the codes of the problems at the start, unless quiet. Problems of the references would take longer to find.
@@ -128,16 +208,23 @@ fn say_expectations(summary: &Summary, number: usize, console: Console) {
     }
 }
 
+/// Prints why robots were held, what failed, and where the results are.
+fn say_end_of_robots(summary: &RunSummary, folder: &Path, console: Console) {
+    for hold in &summary.holds {
+        console.note(&format!("{} was held from {:.3} s: {}", hold.robot, hold.from_s, hold.reason));
+    }
+    for failure in summary.failures() {
+        console.note(&failure);
+    }
+    if summary.not_saved.is_empty() {
+        console.note(&format!("wrote {}, and a folder for each robot", folder.join(REPORT).display()));
+    }
+}
+
 /// Prints the reason why a run ended early.
 fn say_end(summary: &Summary, console: Console) {
     if let Some(time_s) = summary.interrupted_time_s {
         console.note(&format!("interrupted at {time_s:.3} s; the log is closed"));
     }
-    if let Some(fault) = &summary.faulted {
-        let time = summary.fault_time_s.unwrap_or(f64::NAN);
-        console.note(&format!("stopped at {time:.3} s: {fault}"));
-    }
-    for file in &summary.not_saved {
-        console.note(&format!("not saved completely: {file}"));
-    }
+    say_fault(summary, console);
 }

@@ -6,7 +6,7 @@ use crate::console::{Console, Exit, Failure, Outcome, results as table};
 use crate::interrupt;
 use crate::output::{pretty, read_log};
 use crate::result_folder::prepare;
-use crate::run_progress::{exit_code, with_bar};
+use crate::run_progress::{exit_code_of_robot, with_bar};
 use opspace_experiment::files::overrides::split;
 use opspace_experiment::metrics::metric::default_columns;
 use opspace_experiment::run::result_files::{LOG, REPORT, SUMMARY};
@@ -67,7 +67,7 @@ pub fn run_on_log(args: &RunArgs, extensions: &Extensions, console: Console) -> 
         || table(console, std::slice::from_ref(&summary), &default_columns(extensions.added())),
     )?;
     say_files(&summary, &folder, &args.open, console);
-    Ok(exit_code(&summary))
+    Ok(exit_code_of_robot(&summary))
 }
 
 /// Experiment of a log with changes, on the log in place of a robot.
@@ -140,8 +140,15 @@ pub fn record_on_log(
     Ok((summary, results.path().to_owned()))
 }
 
-/// Says which files were written, and opens the page if that is wanted.
+/// Says why the run was stopped and which files were written, and opens the page if that is wanted.
 pub fn say_files(summary: &Summary, folder: &Path, open: &OpenArgs, console: Console) {
+    say_fault(summary, console);
+    say_written(summary, folder, console);
+    open.show(&folder.join(REPORT), console);
+}
+
+/// Says which fault stopped a run, and which files are not complete.
+pub fn say_fault(summary: &Summary, console: Console) {
     if let Some(fault) = &summary.faulted {
         let time = summary.fault_time_s.unwrap_or(f64::NAN);
         console.note(&format!("stopped at {time:.3} s: {fault}"));
@@ -149,8 +156,11 @@ pub fn say_files(summary: &Summary, folder: &Path, open: &OpenArgs, console: Con
     for file in &summary.not_saved {
         console.note(&format!("not saved completely: {file}"));
     }
+}
+
+/// Says which files were written, if all are complete.
+pub fn say_written(summary: &Summary, folder: &Path, console: Console) {
     if summary.not_saved.is_empty() {
         console.note(&format!("wrote {}, {REPORT} and {SUMMARY}", folder.join(LOG).display()));
     }
-    open.show(&folder.join(REPORT), console);
 }

@@ -3,8 +3,9 @@
 use crate::evaluate::harmonics::{Harmonics, fit};
 use crate::evaluate::metrics::run_log::{Control, RmsMax, Run};
 use crate::metrics::coupling_metrics::{CouplingMetrics, FeltLine};
-use crate::run::coupled_experiment::{CoupledExperiment, Coupling};
+use crate::run::couplings::Coupling;
 use crate::run::experiment::Experiment;
+use crate::run::scenario::Scenario;
 use nalgebra::{Matrix3, Vector3};
 use opspace_backend::signal_names::{
     self, DISPLACEMENT, FORCE, PACKETS_LOST, PASSIVITY_TIME, PORT_CLOSED, PORT_ENERGY_IN, PORT_ENERGY_OUT,
@@ -216,11 +217,11 @@ impl<'a> Track<'a> {
 }
 
 impl<'a> CouplingEvaluator<'a> {
-    pub(crate) fn new(experiment: &'a CoupledExperiment, coupling: &'a Coupling) -> Self {
+    pub(crate) fn new(scenario: &'a Scenario, coupling: &'a Coupling) -> Self {
         let track = |end: &'a (usize, String)| {
-            let member = &experiment.members[end.0];
+            let member = &scenario.members[end.0];
             let holds = |object: &HeldObjectParameters| object.grip.iter().any(|g| g.robot == member.name);
-            let object = experiment.file.objects.iter().find(|(_, object)| holds(object));
+            let object = scenario.objects.iter().find(|(_, object)| holds(object));
             let object = object.filter(|_| coupling.file.carry.is_some()).map(|(name, _)| name.clone());
             Track::new(&member.experiment, &end.1, object)
         };
@@ -228,7 +229,7 @@ impl<'a> CouplingEvaluator<'a> {
             coupling,
             members: [coupling.leader.0, coupling.follower.0],
             tracks: [track(&coupling.leader), track(&coupling.follower)],
-            settle_s: experiment.file.settle_s.get(),
+            settle_s: scenario.settle_s,
         }
     }
 

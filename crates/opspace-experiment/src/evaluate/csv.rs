@@ -1,16 +1,14 @@
 //! Table of runs as CSV, for notebooks and spreadsheets.
 
-use crate::evaluate::coupled_summary::CoupledSummary;
-use crate::evaluate::summary::Summary;
-use serde::Serialize;
+use crate::evaluate::run_summary::RunSummary;
 use serde_json::{Map, Value};
 use std::collections::HashMap;
 
-/// First columns, which every table of tasks has.
+/// First columns, which every table of single robots has.
 const FIRST: [&str; 5] = ["task", "robot", "backend", "controller", "transformer"];
 
-/// First columns, which every table of experiments with several robots has.
-const FIRST_OF_COUPLED: [&str; 3] = ["experiment", "label", "seed"];
+/// First columns, which every table of several robots has.
+const FIRST_OF_SEVERAL: [&str; 3] = ["experiment", "label", "seed"];
 
 /// Formats runs as CSV (RFC 4180, with LF): one row per run, one column per key and metric.
 ///
@@ -18,19 +16,19 @@ const FIRST_OF_COUPLED: [&str; 3] = ["experiment", "label", "seed"];
 /// (`robot.profile.a-med.servo_ticks_per_cycle`), its metrics and timing, then the metrics of each task
 /// (`task.hand.position_rms_m`) and each joint (`joint.elbow.torque_error_rms_nm`). A cell is empty where a run has no
 /// value; texts of a list are separated by `; `.
+///
+/// Runs of several robots have the keys of the run, its settings, then the metrics of each coupling (`coupling.hands.drift_m`),
+/// and profile, kind and fault of each robot (`robot.leader.profile`).
 #[must_use]
-pub fn csv(summaries: &[Summary]) -> String {
-    table(summaries, &FIRST, &[keys, settings, metrics, tasks, joints])
+pub fn csv(summaries: &[RunSummary]) -> String {
+    if summaries.iter().all(|summary| summary.single().is_some()) {
+        table(summaries, &FIRST, &[keys, settings, metrics, tasks, joints])
+    } else {
+        table(summaries, &FIRST_OF_SEVERAL, &[keys_of_several, settings, couplings, robots])
+    }
 }
 
-/// Formats runs of experiments with several robots as CSV, like [`csv()`]: the keys of the run, its settings, then the metrics
-/// of each coupling (`coupling.hands.drift_m`), and profile, kind and fault of each robot (`robot.leader.profile`).
-#[must_use]
-pub fn coupled_csv(summaries: &[CoupledSummary]) -> String {
-    table(summaries, &FIRST_OF_COUPLED, &[coupled_keys, settings, couplings, robots])
-}
-
-fn table(summaries: &[impl Serialize], first: &[&str], parts: &[fn(&Value, Add<'_>)]) -> String {
+fn table(summaries: &[RunSummary], first: &[&str], parts: &[fn(&Value, Add<'_>)]) -> String {
     let mut columns: Vec<String> = first.iter().map(|name| (*name).to_owned()).collect();
     let mut places: HashMap<String, usize> = columns.iter().cloned().zip(0..).collect();
     // Columns of one part stand together, whichever run has them first.
@@ -73,7 +71,7 @@ fn keys(row: &Value, add: Add<'_>) {
 }
 
 /// Values of a run of several robots itself: names and lists of texts.
-fn coupled_keys(row: &Value, add: Add<'_>) {
+fn keys_of_several(row: &Value, add: Add<'_>) {
     keys(row, &mut |name, cell| {
         // A hold is an object, which has no text.
         if name != "holds" {

@@ -8,7 +8,6 @@ use crate::files::controller_kind::ControllerKind;
 use crate::finding::{Finding, Place};
 use crate::run::compliance::compliance;
 use crate::run::error::RunError;
-use crate::run::execute::Progress;
 use crate::run::expectations;
 use crate::run::experiment::Experiment;
 use crate::run::log_header::is_real;
@@ -153,17 +152,6 @@ impl Experiment {
         let mut evaluator = Evaluator::new(self);
         log.for_each_segment(&mut |segment, is_last| evaluator.add(segment, is_last))?;
         Ok(self.summary_of(log.recording(), evaluator.finish(), outcome, realtime_factor))
-    }
-
-    /// Runs the experiment in simulation without a log, and returns its summary.
-    ///
-    /// # Errors
-    /// A robot that cannot be simulated.
-    pub fn run_without_log(&self, progress: &Progress) -> Result<Summary, RunError> {
-        let mut evaluator = Evaluator::new(self);
-        let (record, realtime_factor) =
-            self.run_in_segments(progress, |segment, is_last| evaluator.add(segment, is_last))?;
-        Ok(self.summary_of(&Recording::default(), evaluator.finish(), &record, Some(realtime_factor)))
     }
 
     /// Describes the tasks of the run whose compliance the controller ignores.

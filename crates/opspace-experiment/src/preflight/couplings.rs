@@ -1,20 +1,21 @@
-//! Diagnostics of the couplings of an experiment with several robots.
+//! Diagnostics of the couplings between robots.
 
 use crate::codes::Code;
 use crate::finding::Finding;
-use crate::run::coupled_experiment::{CoupledExperiment, Coupling};
+use crate::run::couplings::Coupling;
+use crate::run::scenario::Scenario;
 use opspace_control::{Passivity, Reflected};
 
 /// Predicts problems of the couplings. Those of the robots are [`crate::diagnostics`] of each of them.
 #[must_use]
-pub fn coupling_diagnostics(experiment: &CoupledExperiment) -> Vec<Finding> {
+pub fn coupling_diagnostics(scenario: &Scenario) -> Vec<Finding> {
     // Wave variables are passive by themselves.
     let is_off = |coupling: &&Coupling| {
         coupling.teleoperation().is_some_and(|law| {
             law.passivity == Passivity::Off && !matches!(law.reflect, Reflected::Waves { .. })
         })
     };
-    let without_limit = experiment.couplings.iter().filter(is_off).map(|coupling| {
+    let without_limit = scenario.couplings.iter().filter(is_off).map(|coupling| {
         Finding::new(
             Code::NoPassivityControl,
             &["couplings", &coupling.name, "teleoperation", "passivity"],

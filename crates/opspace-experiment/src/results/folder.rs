@@ -8,6 +8,7 @@ use crate::run::execute::RunResult;
 use crate::run::experiment::Experiment;
 use crate::run::result_files::{LOG, REPORT, ResultFolder, SUMMARY, write_file};
 use opspace_log::{LogError, LogFile};
+use serde::Serialize;
 use std::fs::File;
 use std::io::BufWriter;
 use std::path::{Path, PathBuf};
@@ -31,9 +32,10 @@ impl NewLog {
         Ok((Self { path, file }, writer))
     }
 
-    /// Removes a log to which nothing was written.
-    pub(crate) fn discard(self) {
-        if self.file.metadata().is_ok_and(|metadata| metadata.len() == 0) {
+    /// Removes the log of a run that did not begin.
+    pub(crate) fn discard(&self) {
+        let log = self.file.try_clone().map(|file| LogFile::from_file(file, &self.path));
+        if matches!(log, Ok(Err(LogError::NotMcap | LogError::NoChannel { .. }))) {
             let _ = std::fs::remove_file(&self.path);
         }
     }
@@ -87,7 +89,6 @@ impl Experiment {
         log: NewLog,
         written: Result<RunResult<BufWriter<File>>, RunError>,
     ) -> Result<Summary, RunError> {
-        let NewLog { path, file } = log;
         let mut not_saved = Vec::new();
         let (record, realtime_factor, cut_after) = match written {
             Ok(result) => (result.record, Some(result.realtime_factor), None),
@@ -96,17 +97,11 @@ impl Experiment {
                 (*record, None, Some(rows))
             }
             Err(error) => {
-                // A run that did not begin leaves no log.
-                if matches!(
-                    LogFile::from_file(file, &path),
-                    Err(LogError::NotMcap | LogError::NoChannel { .. })
-                ) {
-                    let _ = std::fs::remove_file(&path);
-                }
+                log.discard();
                 return Err(error);
             }
         };
-        let recorded = LogFile::from_file(file, &path)?;
+        let recorded = LogFile::from_file(log.file, &log.path)?;
         let mut summary = self.summary_of_file(&recorded, &record, realtime_factor)?;
         if let Some(rows) = cut_after {
             summary.rows_lost = rows.saturating_sub(recorded.row_count());
@@ -127,16 +122,20 @@ impl Experiment {
         let lead = "Desired and actual behaviour of the robot in one run.";
         let columns = default_columns(self.task().tables.added());
         let html = page(&shown.title.clone(), lead, std::slice::from_ref(&summary), &columns, &[shown]);
-        let save = |name: &str, text: &str, summary: &mut Summary| {
-            if let Err(error) = write_file(&folder.path().join(name), text) {
-                summary.not_saved.push(format!("{name}: {error}"));
-            }
-        };
-        save(REPORT, &html, &mut summary);
-        let path = folder.path().join(SUMMARY);
-        let json = serde_json::to_string_pretty(&summary)
-            .map_err(|error| RunError::Write { path, source: error.into() })?;
-        save(SUMMARY, &(json + "\n"), &mut summary);
+        summary.not_saved.extend(save(folder.path(), REPORT, &html));
+        summary.not_saved.extend(save_summary(folder.path(), &summary)?);
         Ok(summary)
     }
+}
+
+/// Writes a file of results; returns its name with the cause if it cannot be written.
+pub(crate) fn save(folder: &Path, name: &str, text: &str) -> Option<String> {
+    write_file(&folder.join(name), text).err().map(|error| format!("{name}: {error}"))
+}
+
+/// Writes a summary as [`save`] does.
+pub(crate) fn save_summary(folder: &Path, summary: &impl Serialize) -> Result<Option<String>, RunError> {
+    let json = serde_json::to_string_pretty(summary)
+        .map_err(|error| RunError::Write { path: folder.join(SUMMARY), source: error.into() })?;
+    Ok(save(folder, SUMMARY, &(json + "\n")))
 }

@@ -5,7 +5,7 @@ use crate::run::experiment::Experiment;
 use opspace_backend::{Backend, Capabilities, GroundTruth, Layout, SERVO, Sink, TruthLayouts, World};
 use opspace_log::{
     Channel, LoggedTargets, OutcomeRecord, Pace, Recorder, Recording, ReplayBackend, ReplayedCommands,
-    SegmentRecorder, WriteStats, Writer, record,
+    WriteStats, Writer, record,
 };
 use opspace_loop::{ControlLoop, Fault, Run, RunOutcome, drive, drive_with};
 use std::io::Write;
@@ -57,22 +57,6 @@ impl<W> Sink for OpenLog<'_, W> {
         self.ticks += 1;
         self.progress.fetch_add(1, Ordering::Relaxed);
         self.recorder.wait_for_space();
-    }
-}
-
-/// Sink that counts the cycles.
-struct Counted<'a, S> {
-    log: &'a mut S,
-    ticks: u64,
-}
-
-impl<S: Sink> Sink for Counted<'_, S> {
-    fn row(&mut self, channel: usize, time_s: f64, row: &[f64]) {
-        self.log.row(channel, time_s, row);
-    }
-
-    fn between_ticks(&mut self) {
-        self.ticks += 1;
     }
 }
 
@@ -128,13 +112,19 @@ impl Experiment {
         sink: W,
         progress: &Progress,
     ) -> Result<RunResult<W>, RunError> {
+        self.check_robot(backend)?;
         let capabilities = backend.capabilities().clone();
-        if capabilities.world == World::Real {
-            self.compare_capabilities(&capabilities)?;
-            self.check_start(backend)?;
-        }
         let truth = backend.ground_truth().map(GroundTruth::layouts);
         self.run_with(&capabilities, truth, sink, progress, |run| drive(backend, run))
+    }
+
+    /// Checks that a real robot is the one of robot.toml, and at the start position of the task.
+    pub(crate) fn check_robot(&self, backend: &mut dyn Backend) -> Result<(), RunError> {
+        if backend.capabilities().world == World::Real {
+            self.compare_capabilities(backend.capabilities())?;
+            self.check_start(backend)?;
+        }
+        Ok(())
     }
 
     /// Runs the experiment on a log in place of a robot: the control loop gets its samples, targets and stop requests.
@@ -209,32 +199,6 @@ impl Experiment {
         let log =
             OpenLog { recorder, writer, progress: &progress.ticks, ticks: 0, rows: 0, began: Instant::now() };
         Ok((control, log))
-    }
-
-    /// Runs the experiment in simulation and passes its rows to `receive` in segments, in order, with true for the last
-    /// one. They are those that [`run`](Self::run) writes to its log, bit for bit, except for computing times. Returns
-    /// the outcome of the run, and the ratio of robot time to wall-clock time.
-    ///
-    /// # Errors
-    /// A robot that cannot be simulated.
-    pub fn run_in_segments(
-        &self,
-        progress: &Progress,
-        receive: impl FnMut(&Recording, bool),
-    ) -> Result<(OutcomeRecord, f64), RunError> {
-        let mut arm = self.simulated_arm()?;
-        let truth = arm.ground_truth().map(GroundTruth::layouts);
-        let (control, layouts) = self.loop_and_layouts(arm.capabilities(), truth)?;
-        let mut log = SegmentRecorder::new(layouts, receive);
-        let mut counted = Counted { log: &mut log, ticks: 0 };
-        let began = Instant::now();
-        let mut run =
-            Run::new(control, self.duration_s(), &mut counted).with_stop_request(&progress.interrupt);
-        drive(&mut arm, &mut run);
-        let record = self.outcome_record(&run.finish());
-        let robot_s = counted.ticks as f64 * self.profile().1.period_s();
-        log.finish();
-        Ok((record, robot_s / began.elapsed().as_secs_f64()))
     }
 
     /// Returns the control loop of the experiment and the layouts of its rows.

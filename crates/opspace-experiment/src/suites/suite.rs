@@ -6,11 +6,10 @@ use crate::extensions::Extensions;
 use crate::files::controller_kind::ControllerKind;
 use crate::files::origin::{Files, Kind, beside};
 use crate::files::source::{FileError, Source, parse};
-use crate::files::toml_path::dotted;
 use crate::metrics::metric::{ColumnName, Metric, columns_named, default_columns};
-use crate::run::coupled_experiment::CoupledExperiment;
 use crate::run::experiment::{Experiment, RunOptions};
 use crate::run::physics::OWN_PLANT;
+use crate::run::scenario::Scenario;
 use crate::suites::grid::{Grid, GridMode, GridPoint};
 use crate::suites::seeds;
 use crate::transformers::check_name;
@@ -127,11 +126,9 @@ pub struct Suite {
     pub columns: Vec<Metric>,
     /// True if the file lists the columns; false for the default ones.
     pub columns_required: bool,
-    /// Experiments, in the order of the file: tasks, then variants, points of the grid, profiles, seeds. Empty if the suite
-    /// has experiments with several robots.
-    pub experiments: Vec<Experiment>,
-    /// Experiments with several robots, in the same order. Empty if the suite has tasks.
-    pub coupled: Vec<CoupledExperiment>,
+    /// Runs, in the order of the file: tasks or experiments, then variants, points of the grid, profiles, seeds. All have one
+    /// robot, or all have several.
+    pub runs: Vec<Scenario>,
 }
 
 impl Suite {
@@ -183,56 +180,52 @@ impl Suite {
             let help = Some("add a [[run]] with tasks or experiments".to_owned());
             return Err(FileError::of_file(source.name(), "this suite has no runs", help));
         }
-        let (mut experiments, mut coupled) = (Vec::new(), Vec::new());
+        let mut scenarios = Vec::new();
         let mut read = HashSet::new();
         for mut run in runs {
             run.options.allow = allow.to_vec();
             let entry = &file.run[run.number];
-            let (kind, files_of_run) = entry.files();
+            let (key, files_of_run) = entry.files();
             let named = beside(path, &files_of_run[run.file]);
             if read.insert((run.number, run.file)) {
-                let key = ["run", &run.number.to_string(), kind, &run.file.to_string()];
+                let key = ["run", &run.number.to_string(), key, &run.file.to_string()];
                 files.read_named(&named, &source, key)?;
             }
             let robot = entry.robot.as_ref().map(|robot| beside(path, robot));
-            let placed = |error| run.placed(error, &source);
-            if kind == EXPERIMENTS {
-                coupled.push(run.load_coupled(extensions, files, &named).map_err(placed)?);
-            } else {
-                experiments.push(run.load(extensions, files, &named, robot.as_deref()).map_err(placed)?);
-            }
+            let set: Vec<String> = run.settings.iter().map(|(set, _)| set.clone()).collect();
+            let has_several = !entry.experiments.is_empty();
+            let (paths, options) = ((&*named, robot.as_deref()), run.options.clone());
+            let scenario =
+                Scenario::load_as(has_several, (extensions, files), paths, run.backend, options, &set);
+            scenarios.push(scenario.map_err(|error| run.placed(error, &source))?);
         }
-        let suite = Self { source, title: file.title, columns, columns_required, experiments, coupled };
+        let suite = Self { source, title: file.title, columns, columns_required, runs: scenarios };
         suite.check_columns()?;
         Ok(suite)
     }
 
-    /// Returns the suite with each experiment on each of the plants, one after the other; `None` is the library's own
-    /// plant.
+    /// Returns the suite with each run on each of the plants, one after the other; `None` is the library's own plant.
     ///
     /// # Errors
     /// A robot or a scene that an engine cannot simulate.
     pub fn on_plants(self, plants: &[Option<Arc<dyn PhysicsEngine>>]) -> Result<Self, FileError> {
-        let each = |experiment: Experiment, engine: &Arc<dyn PhysicsEngine>| {
-            experiment.on_engine(Arc::clone(engine))
-        };
-        Ok(Self {
-            experiments: on_each(&self.experiments, plants, each)?,
-            coupled: on_each(&self.coupled, plants, CoupledExperiment::on_engine)?,
-            ..self
-        })
+        let pairs = self.runs.iter().flat_map(|run| plants.iter().map(move |plant| (run.clone(), plant)));
+        let runs = pairs.map(|(run, plant)| match plant {
+            None => Ok(run),
+            Some(engine) => run.on_engine(engine),
+        });
+        Ok(Self { runs: runs.collect::<Result<_, _>>()?, ..self })
     }
 
-    /// Number of runs.
+    /// True if the runs have several robots.
     #[must_use]
-    pub fn runs(&self) -> usize {
-        self.experiments.len() + self.coupled.len()
+    pub fn has_several_robots(&self) -> bool {
+        self.runs.iter().any(|run| run.single().is_none())
     }
 
     /// Experiments of all robots of all runs, in the order of the file.
     pub fn of_robots(&self) -> impl Iterator<Item = &Experiment> {
-        let members = self.coupled.iter().flat_map(|coupled| &coupled.members);
-        self.experiments.iter().chain(members.map(|member| &member.experiment))
+        self.runs.iter().flat_map(Scenario::experiments)
     }
 
     /// SHA-256 of the texts of the suite and of all files that it names, as hexadecimal digits: two suites with equal
@@ -248,7 +241,8 @@ impl Suite {
             }
         };
         add(self.source.text());
-        self.coupled.iter().for_each(|coupled| add(coupled.source.text()));
+        let several = self.runs.iter().filter(|run| run.single().is_none());
+        several.for_each(|run| add(run.source.text()));
         for experiment in self.of_robots() {
             let (robot, task) = (experiment.robot(), experiment.task());
             for source in
@@ -275,7 +269,7 @@ impl Suite {
         let listed = self.columns.iter().filter(|_| self.columns_required).enumerate();
         for (place, column) in listed.filter_map(|(place, metric)| Some((place, metric.column?))) {
             if let Some(needed) = column.needs.text()
-                && !self.experiments.iter().any(|experiment| is_possible(column.needs, experiment))
+                && !self.of_robots().any(|experiment| is_possible(column.needs, experiment))
             {
                 let message = format!("no run of this suite has a value for `{}`", column.name);
                 let help = Some(format!("this column needs {needed}"));
@@ -392,44 +386,6 @@ impl SuiteRun {
 }
 
 impl SingleRun {
-    fn load(
-        &self,
-        extensions: &Extensions,
-        files: Files,
-        task: &Path,
-        robot: Option<&Path>,
-    ) -> Result<Experiment, FileError> {
-        let set: Vec<String> = self.settings.iter().map(|(set, _)| set.clone()).collect();
-        let backend = match self.backend {
-            Some(backend) => backend,
-            None => Experiment::declared_command(extensions, files, task, robot, &set)?,
-        };
-        let options = RunOptions { backend, ..self.options.clone() };
-        Experiment::load_with(extensions, files, task, robot, options, &set)
-    }
-
-    /// Loads an experiment with several robots: the profile is that of all robots, unless a setting states another one.
-    fn load_coupled(
-        &self,
-        extensions: &Extensions,
-        files: Files,
-        path: &Path,
-    ) -> Result<CoupledExperiment, FileError> {
-        let RunOptions { profile, seed, label, .. } = &self.options;
-        let mut set = Vec::new();
-        if let Some(profile) = profile {
-            let robots = CoupledExperiment::robot_names(files, path)?;
-            set.extend(robots.into_iter().map(|robot| {
-                format!("{}=\"{profile}\"", dotted(&["robots".to_owned(), robot, "profile".to_owned()]))
-            }));
-        }
-        set.extend(self.settings.iter().map(|(set, _)| set.clone()));
-        set.extend(seed.map(|seed| format!("seed={seed}")));
-        let experiment =
-            CoupledExperiment::load_allowing(extensions, files, path, &set, &self.options.allow)?;
-        Ok(CoupledExperiment { label: label.clone(), ..experiment })
-    }
-
     /// Places an error about a setting at its line in the suite file.
     fn placed(&self, error: FileError, suite: &Source) -> FileError {
         // A setting of a robot of several is read without the name of the robot.
@@ -454,8 +410,8 @@ const EXPERIMENTS: &str = "experiments";
 
 /// Checks that all runs have tasks or all have experiments with several robots, and that the latter have no keys of the former.
 fn check_kinds(file: &SuiteFile, source: &Source) -> Result<(), FileError> {
-    let is_coupled = file.run.first().is_some_and(|run| !run.experiments.is_empty());
-    if is_coupled && file.columns.is_some() {
+    let has_several = file.run.first().is_some_and(|run| !run.experiments.is_empty());
+    if has_several && file.columns.is_some() {
         let help = Some("remove it: the table of experiments has columns of its own".to_owned());
         let message = "these columns are for suites of tasks, but this one has experiments";
         return Err(FileError::at_key(source, "columns", message, help));
@@ -470,7 +426,7 @@ fn check_kinds(file: &SuiteFile, source: &Source) -> Result<(), FileError> {
             let help = "add `tasks = [\"TASK.toml\"]` or `experiments = [\"EXPERIMENT.toml\"]`";
             return refuse(None, "this run has neither tasks nor experiments", help.to_owned());
         }
-        if tasks && experiments || experiments != is_coupled {
+        if tasks && experiments || experiments != has_several {
             let help = "write two suite files, one with `tasks` and one with `experiments`";
             let key = if experiments { EXPERIMENTS } else { "tasks" };
             return refuse(Some(key), "a suite has either tasks or experiments, not both", help.to_owned());
@@ -488,21 +444,6 @@ fn check_kinds(file: &SuiteFile, source: &Source) -> Result<(), FileError> {
         }
     }
     Ok(())
-}
-
-/// Returns each experiment on each of the plants.
-fn on_each<T: Clone>(
-    experiments: &[T],
-    plants: &[Option<Arc<dyn PhysicsEngine>>],
-    on: impl Fn(T, &Arc<dyn PhysicsEngine>) -> Result<T, FileError>,
-) -> Result<Vec<T>, FileError> {
-    let pairs = experiments.iter().flat_map(|experiment| plants.iter().map(move |plant| (experiment, plant)));
-    pairs
-        .map(|(experiment, plant)| match plant {
-            None => Ok(experiment.clone()),
-            Some(engine) => on(experiment.clone(), engine),
-        })
-        .collect()
 }
 
 /// Returns the items of the list, or a single `None` if it is empty.

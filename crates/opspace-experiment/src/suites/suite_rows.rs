@@ -3,12 +3,10 @@
 //! The first line identifies the suite, and each other line is a [`SuiteRow`]. A line that was cut off, by the end of the
 //! process in the middle of it for example, is ignored when the file is read.
 
-use crate::evaluate::coupled_summary::CoupledSummary;
-use crate::evaluate::summary::Summary;
+use crate::evaluate::run_summary::RunSummary;
 use crate::run::result_files::write_file;
 use crate::suites::shard::Shard;
 use crate::suites::suite::{MAX_RUNS, Suite};
-use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::fs::{self, File};
@@ -19,30 +17,9 @@ use std::sync::Mutex;
 /// File name of the rows in a folder of results.
 pub const SUITE_ROWS: &str = "rows.jsonl";
 
-/// Summary of a run of a suite.
-pub trait RunSummary: Serialize + DeserializeOwned {
-    /// Format of a file of rows with such summaries.
-    const SCHEMA: &str;
-
-    /// True if a requested stop ended the run.
-    fn is_interrupted(&self) -> bool;
-}
-
-impl RunSummary for Summary {
-    const SCHEMA: &str = "opspace.rows/1";
-
-    fn is_interrupted(&self) -> bool {
-        self.interrupted
-    }
-}
-
-impl RunSummary for CoupledSummary {
-    const SCHEMA: &str = "opspace.coupled-rows/1";
-
-    fn is_interrupted(&self) -> bool {
-        self.is_interrupted()
-    }
-}
+/// Formats of a file of rows: of runs with one robot each, and with several.
+const OF_ONE_ROBOT: &str = "opspace.rows/1";
+const OF_SEVERAL_ROBOTS: &str = "opspace.coupled-rows/1";
 
 /// First line of the file: what has been run, and with what.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -72,7 +49,7 @@ impl SuiteHeader {
     /// Describes the results of a suite, or of a part of it, by this version of opspace.
     #[must_use]
     pub fn new(suite: &Suite, name: &str, shard: Option<Shard>) -> Self {
-        let schema = if suite.coupled.is_empty() { Summary::SCHEMA } else { CoupledSummary::SCHEMA };
+        let schema = if suite.has_several_robots() { OF_SEVERAL_ROBOTS } else { OF_ONE_ROBOT };
         Self {
             schema: schema.to_owned(),
             opspace_version: env!("CARGO_PKG_VERSION").to_owned(),
@@ -81,7 +58,7 @@ impl SuiteHeader {
             title: suite.title.clone(),
             columns: suite.columns.iter().filter_map(|metric| Some(metric.column?.name.to_owned())).collect(),
             columns_required: suite.columns_required,
-            runs: suite.runs(),
+            runs: suite.runs.len(),
             shard,
         }
     }
@@ -98,6 +75,12 @@ impl SuiteHeader {
         self.opspace_version == other.opspace_version && self.suite_sha256 == other.suite_sha256
     }
 
+    /// True if the runs have several robots.
+    #[must_use]
+    pub fn has_several_robots(&self) -> bool {
+        self.schema == OF_SEVERAL_ROBOTS
+    }
+
     /// Numbers of the runs, from 1, to which the rows are limited.
     pub fn numbers(&self) -> impl Iterator<Item = usize> + use<> {
         let shard = self.shard;
@@ -105,22 +88,22 @@ impl SuiteHeader {
     }
 }
 
-/// Results of one run of a suite: of a task, or of an experiment with several robots.
+/// Results of one run of a suite.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
-pub struct SuiteRow<S = Summary> {
+pub struct SuiteRow {
     /// Number of the run in the suite, from 1.
     pub run: usize,
     /// File name of its log, or name of the folder with those of several robots; `None` if they are not kept.
     pub log: Option<String>,
     /// Summary of the run.
-    pub row: S,
+    pub row: RunSummary,
 }
 
-impl<S> SuiteRow<S> {
+impl SuiteRow {
     /// Creates the row of a run.
     #[must_use]
-    pub fn new(run: usize, log: Option<String>, row: S) -> Self {
+    pub fn new(run: usize, log: Option<String>, row: RunSummary) -> Self {
         Self { run, log, row }
     }
 }
@@ -128,14 +111,14 @@ impl<S> SuiteRow<S> {
 /// Rows of a suite's runs, with their header.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
-pub struct SuiteRows<S = Summary> {
+pub struct SuiteRows {
     /// Description of the suite and its part.
     pub header: SuiteHeader,
     /// Rows by the number of their run.
-    pub rows: BTreeMap<usize, SuiteRow<S>>,
+    pub rows: BTreeMap<usize, SuiteRow>,
 }
 
-impl<S: RunSummary> SuiteRows<S> {
+impl SuiteRows {
     /// Creates rows without any run.
     #[must_use]
     pub fn new(header: SuiteHeader) -> Self {
@@ -155,21 +138,28 @@ impl<S: RunSummary> SuiteRows<S> {
         let mut lines = bytes.split(|&byte| byte == b'\n');
         let header: SuiteHeader = serde_json::from_slice(lines.next()?).ok()?;
         // The numbers of all runs of a suite are listed when some are missing.
-        if header.schema != S::SCHEMA || header.runs > MAX_RUNS {
+        if ![OF_ONE_ROBOT, OF_SEVERAL_ROBOTS].contains(&header.schema.as_str()) || header.runs > MAX_RUNS {
             return None;
         }
         let mut rows = BTreeMap::new();
         let included = |run: usize| {
             (1..=header.runs).contains(&run) && header.shard.is_none_or(|shard| shard.contains(run))
         };
-        for row in lines.filter_map(|line| serde_json::from_slice::<SuiteRow<S>>(line).ok()) {
+        for row in lines.filter_map(|line| serde_json::from_slice::<SuiteRow>(line).ok()) {
             // A log is a file beside the rows: a path to elsewhere is not one that a suite wrote.
             let beside = row.log.as_ref().is_none_or(|log| Path::new(log).file_name() == Some(log.as_ref()));
-            if included(row.run) && beside {
+            let is_of_kind = row.row.single().is_none() == header.has_several_robots();
+            if included(row.run) && beside && is_of_kind {
                 rows.entry(row.run).or_insert(row);
             }
         }
         Some(Self { header, rows })
+    }
+
+    /// Numbers of the runs, from 1, without a row.
+    #[must_use]
+    pub fn missing(&self) -> Vec<usize> {
+        self.header.numbers().filter(|number| !self.rows.contains_key(number)).collect()
     }
 
     /// Text of the file, with the rows in the order of the suite.
@@ -199,7 +189,7 @@ impl SuiteRowsFile {
     ///
     /// # Errors
     /// A file that can't be written.
-    pub fn push(&self, row: &SuiteRow<impl RunSummary>) -> io::Result<()> {
+    pub fn push(&self, row: &SuiteRow) -> io::Result<()> {
         let mut file = self.0.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
         file.write_all(line(row).as_bytes())?;
         // Not every file can be synchronised, and the row is written in any case.
@@ -214,14 +204,13 @@ fn line(value: &impl Serialize) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::{RunSummary, SuiteHeader, SuiteRow, SuiteRows};
-    use crate::evaluate::coupled_summary::CoupledSummary;
+    use super::{OF_ONE_ROBOT, OF_SEVERAL_ROBOTS, SuiteHeader, SuiteRow, SuiteRows};
     use crate::evaluate::summary::Summary;
     use serde_json::{Value, json};
 
     fn header() -> SuiteHeader {
         SuiteHeader {
-            schema: Summary::SCHEMA.to_owned(),
+            schema: OF_ONE_ROBOT.to_owned(),
             opspace_version: "1".to_owned(),
             suite_sha256: "ab".to_owned(),
             name: "bench-a".to_owned(),
@@ -249,22 +238,22 @@ mod tests {
     #[test]
     fn rows_are_read_as_they_were_written() {
         let mut rows = SuiteRows::new(header());
-        rows.rows.insert(3, SuiteRow::new(3, Some("a.mcap".to_owned()), summary()));
+        rows.rows.insert(3, SuiteRow::new(3, Some("a.mcap".to_owned()), summary().into()));
         let text = rows.text();
-        let read = SuiteRows::<Summary>::parse(text.as_bytes()).expect("rows");
+        let read = SuiteRows::parse(text.as_bytes()).expect("rows");
         assert_eq!(read.text(), text);
-        assert!(read.rows[&3].row.timing.tick_ns_median.is_nan());
-        assert_eq!(read.rows[&3].row.metrics, summary().metrics);
+        let row = read.rows[&3].row.single().expect("one robot");
+        assert!(row.timing.tick_ns_median.is_nan());
+        assert_eq!(row.metrics, summary().metrics);
     }
 
     /// Checks a header of more runs than a suite may have, whose numbers fill the memory.
     #[test]
     fn header_of_too_many_runs_is_refused() {
-        let rows = |runs: usize| SuiteRows::<Summary>::new(SuiteHeader { runs, ..header() }).text();
-        assert!(SuiteRows::<Summary>::parse(rows(100_000).as_bytes()).is_some());
-        assert_eq!(SuiteRows::<CoupledSummary>::parse(rows(4).as_bytes()), None, "rows of another kind");
+        let rows = |runs: usize| SuiteRows::new(SuiteHeader { runs, ..header() }).text();
+        assert!(SuiteRows::parse(rows(100_000).as_bytes()).is_some());
         for runs in [100_001, usize::MAX] {
-            assert_eq!(SuiteRows::<Summary>::parse(rows(runs).as_bytes()), None);
+            assert_eq!(SuiteRows::parse(rows(runs).as_bytes()), None);
         }
     }
 
@@ -273,7 +262,7 @@ mod tests {
     fn lines_that_are_no_rows_are_ignored() {
         let line = |run: usize, log: Option<&str>, task: &str| {
             let summary = Summary { task: task.to_owned(), ..summary() };
-            super::line(&SuiteRow::new(run, log.map(str::to_owned), summary))
+            super::line(&SuiteRow::new(run, log.map(str::to_owned), summary.into()))
         };
         let first = line(1, None, "a");
         let mut text = super::line(&header()).into_bytes();
@@ -284,11 +273,15 @@ mod tests {
         }
         text.extend(line(3, Some("../a.mcap"), "e").as_bytes());
         text.extend(&first.as_bytes()[..first.len() / 2]);
-        let rows = SuiteRows::<Summary>::parse(&text).expect("rows").rows;
+        let rows = SuiteRows::parse(&text).expect("rows").rows;
         assert_eq!(rows.keys().copied().collect::<Vec<_>>(), [1]);
-        assert_eq!(rows[&1].row.task, "a");
+        assert_eq!(rows[&1].row.experiment, "a");
+        let several = SuiteHeader { schema: OF_SEVERAL_ROBOTS.to_owned(), ..header() };
+        let text = super::line(&several) + &first;
+        let rows = SuiteRows::parse(text.as_bytes()).expect("rows").rows;
+        assert!(rows.is_empty(), "a row of one robot, among those of several");
         for wrong in ["", "{}", "x", &first] {
-            assert_eq!(SuiteRows::<Summary>::parse(wrong.as_bytes()), None, "{wrong}");
+            assert_eq!(SuiteRows::parse(wrong.as_bytes()), None, "{wrong}");
         }
     }
 }

@@ -1,9 +1,9 @@
 //! Runs of experiments with several robots, with their logs in memory.
 
 use opspace_backend::signal_names;
-use opspace_experiment::evaluate::coupled_summary::CoupledSummary;
+use opspace_experiment::RunSummary;
 use opspace_experiment::run::result_files::ResultFolder;
-use opspace_experiment::{CoupledExperiment, Extensions, Files, Progress};
+use opspace_experiment::{Extensions, Files, Progress, Scenario};
 use opspace_log::Recording;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -31,7 +31,7 @@ pub const PERIOD_S: f64 = 1e-3;
 
 /// Run of an experiment, with the logs of its robots by name.
 pub struct CoupledRun {
-    pub summary: CoupledSummary,
+    pub summary: RunSummary,
     pub logs: BTreeMap<String, Recording>,
 }
 
@@ -76,25 +76,25 @@ pub fn project(path: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../..").join(path)
 }
 
-pub fn load(path: &Path, settings: &[&str]) -> CoupledExperiment {
+pub fn load(path: &Path, settings: &[&str]) -> Scenario {
     let settings: Vec<String> = settings.iter().map(|setting| (*setting).to_owned()).collect();
-    CoupledExperiment::load(&Extensions::default(), Files::Disk, path, &settings)
+    Scenario::load_robots(&Extensions::default(), Files::Disk, path, &settings, &[])
         .unwrap_or_else(|error| panic!("{error}"))
 }
 
 /// Teleoperation of two arms: the operator lowers the hand to a table or not, within two seconds.
-pub fn teleoperation(settings: &[&str]) -> CoupledExperiment {
+pub fn teleoperation(settings: &[&str]) -> Scenario {
     let own = ["expect={}", "settle_s=0.1", "duration_s=2.0", LOWERED];
     load(&project("experiments/teleop-wall.toml"), &[&own[..], settings].concat())
 }
 
 /// Runs an experiment in a folder, which is removed afterwards.
-pub fn run(experiment: &CoupledExperiment) -> CoupledRun {
+pub fn run(experiment: &Scenario) -> CoupledRun {
     let folder = tempfile::tempdir().unwrap_or_else(|error| panic!("{error}"));
     run_in(experiment, folder.path())
 }
 
-pub fn run_in(experiment: &CoupledExperiment, folder: &Path) -> CoupledRun {
+pub fn run_in(experiment: &Scenario, folder: &Path) -> CoupledRun {
     let results = ResultFolder::open(folder).unwrap_or_else(|error| panic!("{error}"));
     let summary =
         experiment.run_in_folder(&results, &Progress::default()).unwrap_or_else(|error| panic!("{error}"));

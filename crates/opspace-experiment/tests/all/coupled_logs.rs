@@ -5,7 +5,7 @@
 use crate::coupled_common::{CoupledRun, NEAR_TABLE, run, run_in, teleoperation};
 use opspace_experiment::run::membership::Membership;
 use opspace_experiment::run::replay::replay;
-use opspace_experiment::{CoupledExperiment, Experiment, Extensions};
+use opspace_experiment::{Experiment, Extensions, Scenario};
 use opspace_log::{LogFile, OutcomeRecord, Recording};
 use std::fs;
 
@@ -72,7 +72,7 @@ fn experiment_is_rebuilt_from_its_logs() {
     let experiment = teleoperation(&HARSH);
     let before = run_in(&experiment, folder.path());
     let logs = ["leader", "follower"].map(|name| &before.logs[name]);
-    let rebuilt = CoupledExperiment::of_logs(&Extensions::default(), &logs).unwrap();
+    let rebuilt = Scenario::of_logs(&Extensions::default(), &logs).unwrap();
     assert_eq!(rebuilt.source.text(), experiment.source.text());
     assert_eq!(rebuilt.name(), "teleop-wall");
     let files = rebuilt
@@ -99,7 +99,7 @@ fn logs_that_do_not_belong_together_are_refused() {
     let short = |seed: &str| run(&teleoperation(&["duration_s=0.2", seed]));
     let (one, other) = (short("seed=1"), short("seed=2"));
     let refused = |logs: &[&Recording]| {
-        CoupledExperiment::of_logs(&Extensions::default(), logs).expect_err("refused").to_string()
+        Scenario::of_logs(&Extensions::default(), logs).expect_err("refused").to_string()
     };
     let (leader, follower) = (&one.logs["leader"], &one.logs["follower"]);
     assert!(refused(&[leader]).contains("0 logs of robot 'follower'"));

@@ -9,7 +9,7 @@ use opspace_backend::signal_names::{
 };
 use opspace_backend::{Backend, GroundTruth, Layout, Sample, TICK, TruthRow};
 use opspace_control::{CouplingKind, HoldCause};
-use opspace_experiment::{CoupledExperiment, Experiment};
+use opspace_experiment::{Experiment, Scenario};
 use opspace_loop::{ChannelParameters, Link, Run, Timeline};
 use opspace_sim::SimulatedArm;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -169,7 +169,7 @@ fn distance(a: &[f64], b: &[f64]) -> f64 {
 /// Runs the experiment. At `at_s` the program of the robot `restarted` ends, and a new one begins `down_s` later, or the
 /// robot is held for this time.
 fn run(
-    experiment: &CoupledExperiment,
+    experiment: &Scenario,
     (interruption, restarted): (Interruption, &str),
     [at_s, down_s]: [f64; 2],
     channel: ChannelParameters,
@@ -358,7 +358,7 @@ const OF_THREE_STARTS_J: f64 = 1.5 * STORE_J;
 const FREE_N: f64 = 1.0;
 
 /// Setting that states the bias of a robot's force sensor: its mean reading at rest, when nothing touches.
-fn stated_bias(experiment: &CoupledExperiment, name: &str) -> String {
+fn stated_bias(experiment: &Scenario, name: &str) -> String {
     const READINGS: u32 = 150;
     let member = experiment.members.iter().find(|member| member.name == name);
     let mut robot = Robot::new(&member.unwrap_or_else(|| panic!("no {name}")).experiment);

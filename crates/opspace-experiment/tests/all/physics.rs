@@ -98,10 +98,11 @@ fn suite_has_each_run_on_each_plant() {
     let one = suite().on_plants(&[None]).expect("plants");
     assert_eq!(one.fingerprint(), suite().fingerprint());
     let two = suite().on_plants(&[None, Some(OtherEngine::shared())]).expect("plants");
-    assert_eq!(two.experiments.len(), 2 * one.experiments.len());
-    for (pair, own) in two.experiments.chunks(2).zip(&one.experiments) {
+    assert_eq!(two.runs.len(), 2 * one.runs.len());
+    for (pair, own) in two.runs.chunks(2).zip(one.of_robots()) {
         assert_eq!([pair[0].plant().as_str(), pair[1].plant().as_str()], ["own", "other 1.2 with table.xml"]);
-        assert_eq!((pair[0].seed(), pair[1].seed()), (own.seed(), own.seed()));
+        let seeds = [&pair[0], &pair[1]].map(|run| run.single().map(Experiment::seed));
+        assert_eq!(seeds, [Some(own.seed()), Some(own.seed())]);
     }
     let other = suite().on_plants(&[Some(OtherEngine::shared())]).expect("plants");
     let prints = [one.fingerprint(), two.fingerprint(), other.fingerprint()];

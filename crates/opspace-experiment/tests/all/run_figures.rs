@@ -5,7 +5,7 @@ use opspace_backend::CommandKind;
 use opspace_experiment::metrics::metric::default_columns;
 use opspace_experiment::report::document::{RunSection, page};
 use opspace_experiment::report::figure::{Figure, Panel, Style};
-use opspace_experiment::{Experiment, Files, Progress, RunOptions, Summary};
+use opspace_experiment::{Experiment, Files, Progress, RunOptions, Scenario, Summary};
 use opspace_log::{OutcomeRecord, Recording};
 use opspace_loop::Phase;
 use opspace_model::{Data, frame_placement, kinematics};
@@ -24,11 +24,12 @@ pub fn load(task: &str, backend: CommandKind, duration_s: f64) -> Experiment {
 /// Runs an experiment without a log, and returns its rows, its outcome and its figures.
 pub fn shown(experiment: &Experiment) -> ((Recording, OutcomeRecord), RunSection) {
     let mut rows = Recording::default();
-    let receive = |segment: &Recording, is_last: bool| {
+    let receive = |_: usize, segment: &Recording, is_last: bool| {
         assert!(is_last);
         rows = segment.clone();
     };
-    let (record, _) = experiment.run_in_segments(&Progress::default(), receive).unwrap();
+    let scenario = Scenario::from(experiment.clone());
+    let (record, _) = scenario.run_in_segments(&Progress::default(), receive).unwrap().remove(0);
     let summary = experiment.summary(&rows, &record, None);
     let section = RunSection::new(experiment, &rows, summary);
     ((rows, record), section)

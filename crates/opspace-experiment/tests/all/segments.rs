@@ -4,7 +4,7 @@
 use opspace_backend::CommandKind;
 use opspace_experiment::report::document::RunSection;
 use opspace_experiment::report::figure::Series;
-use opspace_experiment::{Experiment, Files, Progress, RunOptions, Summary};
+use opspace_experiment::{Experiment, Files, Progress, RunOptions, Scenario, Summary};
 use opspace_log::{LogFile, Recording};
 use serde_json::Value;
 use std::io::Cursor;
@@ -96,5 +96,35 @@ fn segments_have_the_summary_and_the_figures_of_the_whole() {
                 }
             }
         }
+    }
+}
+
+/// Compared, bit by bit: the rows in the log of a robot that is driven alone, and those of a scenario of one robot on a clock;
+/// with lost cycles, a stop in the middle, and a rate that is no whole number of hertz.
+#[test]
+fn scenario_of_one_robot_has_the_rows_of_its_experiment() {
+    let settings = [
+        "settle_s=0.2",
+        "robot.profile.a-med.servo_ticks_per_cycle=7",
+        "robot.simulated.bus.lost_cycles_share=0.02",
+        "robot.simulated.bus.dropouts=[{ at_s = 0.8, duration_s = 5.0 }]",
+    ];
+    let experiment = load("cartesian-tracking", CommandKind::Position, &settings);
+    let finished = experiment.run(Cursor::new(Vec::new()), &Progress::default()).unwrap();
+    let log = Recording::from_bytes(finished.sink.get_ref()).unwrap();
+    let mut segments: Vec<Recording> = Vec::new();
+    let scenario = Scenario::from(experiment);
+    let results =
+        scenario.run_in_segments(&Progress::default(), |_, segment, _| segments.push(segment.clone()));
+    assert_eq!(results.unwrap()[0].0, finished.record);
+    for name in ["tick", "servo", "truth"] {
+        let bits = |recording: &Recording| {
+            let channel = recording.channel(name).unwrap();
+            let numbers = channel.time_s.iter().chain(&channel.rows);
+            numbers.map(|number| number.to_bits()).collect::<Vec<_>>()
+        };
+        assert!(log.channel(name).unwrap().len() > 100, "{name}");
+        assert_eq!(segments.len(), 1, "a run of one segment");
+        assert!(bits(&log) == bits(&segments[0]), "{name}");
     }
 }

@@ -14,7 +14,7 @@ use nalgebra::{DVector, Matrix3, Vector3};
 use opspace_control::{
     CartesianReference, PathBounds, Target, TaskParameters, Trajectory, ViableSpeeds, orientation,
 };
-use opspace_experiment::{Code, Experiment, Progress, diagnostics};
+use opspace_experiment::{Code, Experiment, Progress, Scenario, diagnostics};
 use opspace_model::{Data, Model, frame_placement, gravity, kinematics, rnea};
 use opspace_transformer::FrictionParameters;
 use std::fs;
@@ -373,7 +373,8 @@ fn hand_stays_on_its_path() {
             record(&arm, timing, &arm.task.with_file_name(file), 1.0);
             let recorded = format!("task.tip.cartesian.reference={{ recorded = {{ file = \"{file}\" }} }}");
             let experiment = arm.experiment(&path, &["limits.torque_fraction=0.4".to_owned(), recorded]);
-            let summary = experiment.run_without_log(&Progress::default()).unwrap();
+            let run = Scenario::from(experiment).run_without_logs(&Progress::default()).unwrap();
+            let summary = run.single().unwrap();
             assert_eq!(summary.faulted, None);
             1e3 * summary.tasks["tip"].pose.position_max_m.unwrap()
         });

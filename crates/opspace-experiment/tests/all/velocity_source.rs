@@ -2,7 +2,7 @@
 #![expect(clippy::unwrap_used, reason = "a test that can't go on has failed")]
 
 use opspace_backend::CommandKind;
-use opspace_experiment::{Experiment, FileError, Files, Progress, RunOptions};
+use opspace_experiment::{Experiment, FileError, Files, Progress, RunOptions, Scenario};
 use opspace_transformer::{TransformerName, VelocitySource};
 use std::path::Path;
 
@@ -62,7 +62,8 @@ fn torque_robot_on_elastic_gears_uses_the_filter() {
         let settings =
             ["settle_s=1.0".to_owned(), gears.clone(), format!("robot.interface.gears={declared}")];
         let experiment = Experiment::load(Files::Disk, &path, None, options, &settings).unwrap();
-        experiment.run_without_log(&Progress::default()).unwrap()
+        let run = Scenario::from(experiment).run_without_logs(&Progress::default()).unwrap();
+        run.single().unwrap().clone()
     };
     let (elastic, rigid) = (runs("elastic"), runs("rigid"));
     assert!(elastic.faulted.is_none(), "{:?}", elastic.faulted);
@@ -75,7 +76,8 @@ fn observer_tracks_better_than_the_filter() {
     for (backend, transformer) in [(CommandKind::Torque, None), (CommandKind::Velocity, Some("paper"))] {
         let [observer, filter] = ["observer", "filter"].map(|name| {
             let experiment = load(backend, transformer, &[format!("{SOURCE}={name}")]).unwrap();
-            experiment.run_without_log(&Progress::default()).unwrap().metrics.pose.position_rms_m.unwrap()
+            let run = Scenario::from(experiment).run_without_logs(&Progress::default()).unwrap();
+            run.single().unwrap().metrics.pose.position_rms_m.unwrap()
         });
         assert!(observer < 0.8 * filter, "{backend:?}: {observer} m, filter {filter} m");
     }

@@ -302,23 +302,20 @@ mod tests {
     /// Settings of the runs of a suite, in order; and whether each run has a file of its own.
     fn settings(path: &Path) -> (Vec<String>, bool) {
         let suite = opspace_experiment::Suite::load(Files::Disk, path).unwrap();
-        let of_tasks = suite.experiments.iter().map(|run| {
-            let text = format!(
-                "{:?} {:?} {} {}",
-                run.options(),
-                run.settings(),
-                run.task().source.text(),
-                run.robot().source.text()
-            );
-            (text, run.task().source.name().to_owned())
+        let runs = suite.runs.iter().map(|run| {
+            let text = match run.single() {
+                Some(experiment) => format!(
+                    "{:?} {:?} {} {}",
+                    experiment.options(),
+                    experiment.settings(),
+                    experiment.task().source.text(),
+                    experiment.robot().source.text()
+                ),
+                None => format!("{:?} {:?} {}", run.label, run.settings, run.source.text()),
+            };
+            (text, run.source.name().to_owned())
         });
-        let of_robots = suite.coupled.iter().map(|run| {
-            (
-                format!("{:?} {:?} {}", run.label, run.settings, run.source.text()),
-                run.source.name().to_owned(),
-            )
-        });
-        let (settings, mut files): (Vec<_>, Vec<_>) = of_tasks.chain(of_robots).unzip();
+        let (settings, mut files): (Vec<_>, Vec<_>) = runs.unzip();
         files.sort();
         (settings, files.windows(2).all(|pair| pair[0] != pair[1]))
     }

@@ -12,8 +12,8 @@ use opspace_experiment::files::task::TaskFile;
 use opspace_experiment::suites::suite::SuiteFile;
 use opspace_experiment::transformers::check_robot;
 use opspace_experiment::{
-    ControllerKind, CoupledExperiment, Experiment, Extensions, FileError, Files, RobotDefinition, RunOptions,
-    Source, Suite, TaskDefinition,
+    ControllerKind, Experiment, Extensions, FileError, Files, RobotDefinition, RunOptions, Scenario, Source,
+    Suite, TaskDefinition,
 };
 use reader_only::READER_ONLY;
 use schema_file::{SchemaFile, is_nullable};
@@ -172,7 +172,7 @@ fn suites() -> Comparison {
 fn experiments() -> Comparison {
     compare_with_copies(EXPERIMENTS, |source, _, copy| {
         let file = parse::<ExperimentFile>(source)?;
-        CoupledExperiment::load(&Extensions::default(), Files::Disk, copy, &[]).map(|_| contents(&file))
+        Scenario::load_robots(&Extensions::default(), Files::Disk, copy, &[], &[]).map(|_| contents(&file))
     })
 }
 

@@ -11,7 +11,7 @@ use opspace_experiment::evaluate::results::{failures, group_rows, table};
 use opspace_experiment::metrics::metric::columns_named;
 use opspace_experiment::report::document::page;
 use opspace_experiment::suites::suite_rows::{SuiteHeader, SuiteRow, SuiteRows};
-use opspace_experiment::{Files, Progress, Suite, Summary};
+use opspace_experiment::{Files, Progress, RunSummary, Suite};
 use serde_json::{Value, json};
 
 /// Most memory for one file, bytes.
@@ -36,19 +36,23 @@ fn rows() {
     for_each_input(edited(seeds.len()), 400, |(seed, edits)| {
         let bytes = apply(&seeds, *seed, edits);
         target.check(&bytes, edits.is_empty(), || {
-            let Some(rows) = SuiteRows::<Summary>::parse(&bytes) else { return false };
+            let Some(rows) = SuiteRows::parse(&bytes) else { return false };
             assert!(rows.header.runs <= MAX_RUNS, "{} runs", rows.header.runs);
             assert!(rows.rows.keys().all(|run| rows.header.numbers().any(|number| number == *run)));
-            let again = SuiteRows::<Summary>::parse(rows.text().as_bytes()).expect("the same rows");
+            let again = SuiteRows::parse(rows.text().as_bytes()).expect("the same rows");
             assert_eq!(again.text(), rows.text());
-            let summaries: Vec<Summary> = rows.rows.values().map(|row| row.row.clone()).collect();
+            let summaries: Vec<RunSummary> = rows.rows.values().map(|row| row.row.clone()).collect();
             check_summaries(&summaries, &rows.header);
             true
         });
     });
 }
 
-fn check_summaries(summaries: &[Summary], header: &SuiteHeader) {
+fn check_summaries(runs: &[RunSummary], header: &SuiteHeader) {
+    if header.has_several_robots() {
+        return;
+    }
+    let summaries = &RunSummary::of_single_robots(runs)[..];
     let columns = columns_named(header.columns.iter().map(String::as_str), &[]).unwrap_or_default();
     let shown = table(summaries, &columns);
     assert!(summaries.is_empty() || !shown.rows.is_empty());
@@ -58,7 +62,7 @@ fn check_summaries(summaries: &[Summary], header: &SuiteHeader) {
     assert_eq!(counted, summaries.len(), "a run is in no group, or in two");
     let html = page(&header.title, "Results.", summaries, &columns, &[]);
     assert!(!html.contains("<fuzz>"), "text of the rows is in the page without escapes");
-    let text = csv(summaries);
+    let text = csv(runs);
     let mut reader = csv::ReaderBuilder::new().has_headers(false).from_reader(text.as_bytes());
     let lines: Vec<csv::StringRecord> =
         reader.records().map(|line| line.expect("as many cells in each line")).collect();
@@ -71,7 +75,8 @@ fn check_summaries(summaries: &[Summary], header: &SuiteHeader) {
 #[ignore = "a fuzz target, which runs for a minute or longer: .ci/run fuzz"]
 fn baseline() {
     let rows = suite_rows();
-    let summaries: Vec<Summary> = rows.rows.values().map(|row| row.row.clone()).collect();
+    let runs: Vec<RunSummary> = rows.rows.values().map(|row| row.row.clone()).collect();
+    let summaries = RunSummary::of_single_robots(&runs);
     let file = json!({
         "schema": "opspace.bench/1",
         "title": rows.header.title,
@@ -112,9 +117,9 @@ fn baseline() {
 fn suite_rows() -> SuiteRows {
     let suite = Suite::load(Files::Disk, &root(&format!("{CORPUS}/results.toml"))).expect("a suite");
     let mut rows = SuiteRows::new(SuiteHeader::new(&suite, "results", None));
-    for (place, experiment) in suite.experiments.iter().enumerate() {
-        let mut summary = experiment.run_without_log(&Progress::default()).expect("a run");
-        summary.timing.realtime_factor = Some(10.0);
+    for (place, run) in suite.runs.iter().enumerate() {
+        let mut summary = run.run_without_logs(&Progress::default()).expect("a run");
+        summary.robots.values_mut().for_each(|robot| robot.timing.realtime_factor = Some(10.0));
         rows.rows.insert(place + 1, SuiteRow::new(place + 1, Some(format!("{place}.mcap")), summary));
     }
     assert!(rows.rows.len() > 2);

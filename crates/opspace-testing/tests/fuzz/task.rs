@@ -11,8 +11,8 @@ use opspace_experiment::files::overrides;
 use opspace_experiment::files::source::FileError;
 use opspace_experiment::run::replay::replay;
 use opspace_experiment::{
-    ControllerKind, Experiment, Files, Progress, RobotDefinition, RunOptions, Source, TaskDefinition,
-    diagnostics,
+    ControllerKind, Experiment, Files, Progress, RobotDefinition, RunOptions, Scenario, Source,
+    TaskDefinition, diagnostics,
 };
 use opspace_log::Recording;
 use std::collections::BTreeMap;
@@ -110,9 +110,10 @@ fn check_run(experiment: &Experiment) {
     let (robot, options) = (experiment.robot().clone(), experiment.options().clone());
     let Ok(experiment) = Experiment::new(robot, task, options, Vec::new()) else { return };
     let mut recording = Recording::default();
-    let (record, _) = experiment
-        .run_in_segments(&Progress::default(), |segment, _| recording = segment.clone())
+    let results = Scenario::from(experiment.clone())
+        .run_in_segments(&Progress::default(), |_, segment, _| recording = segment.clone())
         .unwrap_or_else(|error| panic!("{error}"));
+    let (record, _) = &results[0];
     let tick = recording.tick().expect("a run");
     let command = tick.signal("command").expect("a command");
     // A row without a command has no number at all.

@@ -1,6 +1,6 @@
 //! Table of couplings.
 
-use crate::evaluate::coupled_summary::CoupledSummary;
+use crate::evaluate::run_summary::RunSummary;
 use crate::evaluate::table::{Cell, Table};
 use crate::metrics::coupling_metrics::CouplingMetrics;
 use crate::run::physics::OWN_PLANT;
@@ -55,11 +55,11 @@ const COLUMNS: [CouplingColumn; 16] = [
 ];
 
 /// Runs of an experiment that differ only in the seed.
-type Seeds<'a> = Vec<&'a CoupledSummary>;
+type Seeds<'a> = Vec<&'a RunSummary>;
 
 /// Groups runs that differ only in the seed, in the order of the first of each.
 #[must_use]
-pub fn group_over_seeds(summaries: &[CoupledSummary]) -> Vec<Vec<&CoupledSummary>> {
+pub fn group_over_seeds(summaries: &[RunSummary]) -> Vec<Vec<&RunSummary>> {
     let mut groups: Vec<Seeds<'_>> = Vec::new();
     for summary in summaries {
         match groups.iter_mut().find(|group| group[0].is_of_same_settings(summary)) {
@@ -72,7 +72,7 @@ pub fn group_over_seeds(summaries: &[CoupledSummary]) -> Vec<Vec<&CoupledSummary
 
 /// Table of the couplings of several runs: a row for the runs that differ only in the seed, with the worst value over them.
 #[must_use]
-pub fn coupling_table(summaries: &[CoupledSummary]) -> Table {
+pub fn coupling_table(summaries: &[RunSummary]) -> Table {
     let is_shown = |column: &&CouplingColumn| column.worst(all_metrics(summaries)).is_some();
     let shown: Vec<&CouplingColumn> = COLUMNS.iter().filter(is_shown).collect();
     let is_many = summaries.len() > 1;
@@ -111,19 +111,19 @@ pub fn coupling_table(summaries: &[CoupledSummary]) -> Table {
     table
 }
 
-fn all_metrics(summaries: &[CoupledSummary]) -> impl Iterator<Item = &CouplingMetrics> {
+fn all_metrics(summaries: &[RunSummary]) -> impl Iterator<Item = &CouplingMetrics> {
     summaries.iter().flat_map(|summary| summary.couplings.values())
 }
 
 /// Name of the settings, and of the plant if it is not the library's own.
-fn settings(summary: &CoupledSummary) -> String {
+fn settings(summary: &RunSummary) -> String {
     let plant = Some(summary.plant()).filter(|plant| !plant.is_empty() && *plant != OWN_PLANT);
     let parts: Vec<&str> = summary.label.as_deref().into_iter().chain(plant).collect();
     if parts.is_empty() { "as in the file".to_owned() } else { parts.join(", ") }
 }
 
 /// Profile of the robots, once if all have the same one.
-fn profiles(summary: &CoupledSummary) -> String {
+fn profiles(summary: &RunSummary) -> String {
     let mut profiles: Vec<&str> = summary.robots.values().map(|robot| robot.profile.as_str()).collect();
     profiles.dedup();
     profiles.join(", ")
@@ -141,7 +141,7 @@ fn result(runs: &Seeds<'_>) -> Cell {
 
 /// Notes about the table of couplings.
 #[must_use]
-pub fn coupling_notes(summaries: &[CoupledSummary]) -> Vec<String> {
+pub fn coupling_notes(summaries: &[RunSummary]) -> Vec<String> {
     let mut notes: Vec<String> = [
         "Tracking and drift: distance of the robots in the leader's coordinates, also with a delay.",
         "Energy extracted: most that the pair has given to operator and environment beyond what it had received.",

@@ -1,31 +1,27 @@
-//! Page about an experiment with several robots.
+//! Pages about runs of several robots, and about suites of them.
 
-use crate::evaluate::coupled_summary::CoupledSummary;
 use crate::evaluate::coupling::FELT_HZ;
+use crate::evaluate::run_summary::RunSummary;
 use crate::metrics::coupling_metrics::{CouplingMetrics, FeltLine};
-use crate::report::coupled_table::{coupling_notes, coupling_table};
+use crate::report::coupling_table::{coupling_notes, coupling_table};
 use crate::report::document::{run_blocks, with_assumed};
 use crate::report::figure::{Figure, Panel, Series, Style};
 use crate::report::html::Page;
 use crate::report::run_section::RunSection;
-use crate::run::coupled_experiment::CoupledExperiment;
+use crate::run::scenario::Scenario;
 
 /// Builds the page about a run: the couplings, then each robot.
-pub(crate) fn coupled_page(
-    experiment: &CoupledExperiment,
-    summary: &CoupledSummary,
+pub(crate) fn coupling_page(
+    scenario: &Scenario,
+    summary: &RunSummary,
     figures: &[Figure],
     robots: &[(String, RunSection)],
 ) -> String {
-    let notes = coupling_notes(std::slice::from_ref(summary));
-    let notes: Vec<&str> = notes.iter().map(String::as_str).collect();
-    let settle_s = experiment.file.settle_s.get();
-    let head = Page::new(format!("{}, seed {}", summary.experiment, summary.seed))
-        .lead("Several robots, coupled through channels, in one run.");
-    let mut page = with_assumed(head, summary.robots.values()).section("Couplings").table(
-        &format!("Couplings, after the first {settle_s} s (settle_s)"),
-        &coupling_table(std::slice::from_ref(summary)),
-        &notes,
+    let mut page = head(
+        &format!("{}, seed {}", summary.experiment, summary.seed),
+        "Several robots, coupled through channels, in one run.",
+        &format!("Couplings, after the first {} s (settle_s)", scenario.settle_s),
+        std::slice::from_ref(summary),
     );
     for failure in summary.failures() {
         page = page.warning(&format!("{failure}."));
@@ -46,11 +42,37 @@ pub(crate) fn coupled_page(
     for (name, section) in robots {
         page = run_blocks(page, &format!("{name}: {}", section.title), section);
     }
-    page.facts([("experiment", experiment.source.name())]).render()
+    page.facts([("experiment", scenario.source.name())]).render()
+}
+
+/// Builds the page about a suite. `pages` are names of runs, and the pages about them, as paths beside this page.
+#[must_use]
+pub fn coupling_suite_page(title: &str, summaries: &[RunSummary], pages: &[(String, String)]) -> String {
+    let lead =
+        format!("{} runs of several robots, coupled through channels, in simulation.", summaries.len());
+    let mut page = head(title, &lead, "Couplings, after settle_s", summaries);
+    for summary in summaries {
+        for failure in summary.failures() {
+            page = page.warning(&format!("{}: {failure}.", summary.title()));
+        }
+    }
+    if !pages.is_empty() {
+        page = page.section("Pages about single runs").facts(pages.iter().map(|(run, page)| (run, page)));
+    }
+    page.render()
+}
+
+/// Page with the table of the couplings of runs.
+fn head(title: &str, lead: &str, caption: &str, summaries: &[RunSummary]) -> Page {
+    let notes = coupling_notes(summaries);
+    let notes: Vec<&str> = notes.iter().map(String::as_str).collect();
+    let robots = summaries.iter().flat_map(|summary| summary.robots.values());
+    let page = with_assumed(Page::new(title).lead(lead), robots);
+    page.section("Couplings").table(caption, &coupling_table(summaries), &notes)
 }
 
 /// Figure of the felt stiffness over the frequency; `None` without a probe.
-fn felt_figure(summary: &CoupledSummary) -> Option<Figure> {
+fn felt_figure(summary: &RunSummary) -> Option<Figure> {
     let panels: Vec<Panel> = summary
         .couplings
         .iter()

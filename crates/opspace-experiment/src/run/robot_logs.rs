@@ -1,13 +1,15 @@
-//! Logs of the robots of an experiment, from which it can be rebuilt.
+//! Logs of several robots, from which their scenario can be rebuilt.
 
 use crate::extensions::Extensions;
 use crate::files::experiment_file::ExperimentFile;
 use crate::files::source::{FileError, parse};
-use crate::run::coupled_experiment::{CoupledExperiment, Member, couplings};
+use crate::run::couplings::couplings;
 use crate::run::error::RunError;
 use crate::run::experiment::Experiment;
+use crate::run::member::Member;
 use crate::run::membership::Membership;
 use crate::run::result_files::LOG;
+use crate::run::scenario::{Scenario, placement};
 use opspace_log::{LogFile, Recording};
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -28,7 +30,7 @@ fn is_of_experiment(log: &Path) -> bool {
     log.is_ok_and(|log| !matches!(Membership::of_log(log.recording()), Ok(None)))
 }
 
-impl CoupledExperiment {
+impl Scenario {
     /// Rebuilds an experiment from the logs of its robots, in any order; the recordings need no rows.
     ///
     /// # Errors
@@ -51,15 +53,16 @@ impl CoupledExperiment {
         }
         let file: ExperimentFile = parse(&source)?;
         let mut members = Vec::new();
-        for name in file.robots.keys() {
+        for (name, robot) in &file.robots {
             let of_robot: Vec<_> = found.iter().filter(|(membership, _)| membership.robot == *name).collect();
             let [(_, log)] = of_robot.as_slice() else {
                 let message = format!("{} logs of robot '{name}' are given, instead of one", of_robot.len());
                 return Err(FileError::of_file(source.name(), message, None).into());
             };
-            members.push(Member::new(name, Experiment::of_log_with(extensions, log)?, &source)?);
+            let experiment = Experiment::of_log_with(extensions, log)?;
+            members.push(Member::new(name, experiment, placement(robot), &source)?);
         }
         let couplings = couplings(&file, &source)?;
-        Ok(Self { source, file, members, couplings, settings, label: None })
+        Ok(Self::of_robots(source, file, members, couplings, settings))
     }
 }

@@ -1,39 +1,77 @@
-//! Summary of an experiment with several robots.
+//! Summary of a run: of one robot, or of several with their couplings.
 
 use crate::evaluate::coupling::CouplingEvaluator;
 use crate::evaluate::summary::Summary;
 use crate::metrics::coupling_metrics::CouplingMetrics;
-use crate::run::coupled_experiment::CoupledExperiment;
 use crate::run::coupling_expectations::missed;
+use crate::run::scenario::Scenario;
 use opspace_backend::signal_names::{TARGET_HOLD, TICK_CHANNEL};
 use opspace_control::HoldCause;
 use opspace_log::Recording;
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize, Serializer, de::Error};
+use serde_json::Value;
 use std::collections::BTreeMap;
 
-/// Summary of an experiment with several robots.
+/// Summary of a run of one robot or several. In JSON, that of one robot is the [`Summary`] of the robot.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(remote = "Self")]
 #[non_exhaustive]
-pub struct CoupledSummary {
-    /// Name of the experiment.
+pub struct RunSummary {
+    /// Name of the scenario: of one robot, that of its task.
     pub experiment: String,
     /// Name of its settings in the table of a suite.
     pub label: Option<String>,
-    /// Settings that were applied to the files, without that of the seed.
+    /// Settings that were applied to the files; with several robots, without that of the seed.
     #[serde(default)]
     pub overrides: Vec<String>,
-    /// Seed of the experiment.
+    /// Seed of the scenario.
     pub seed: u64,
     /// Metrics of the couplings, by name.
     pub couplings: BTreeMap<String, CouplingMetrics>,
     /// Holds of robots because of others, in order of time.
     pub holds: Vec<RobotHold>,
-    /// Expectations of the experiment that the run missed.
+    /// Expectations of the couplings that the run missed.
     pub missed_expectations: Vec<String>,
     /// Summaries of the robots, by name.
     pub robots: BTreeMap<String, Summary>,
-    /// Files that could not be written completely, each with the cause.
+    /// Files about several robots that could not be written completely, each with the cause.
     pub not_saved: Vec<String>,
+}
+
+impl From<Summary> for RunSummary {
+    fn from(summary: Summary) -> Self {
+        Self {
+            experiment: summary.task.clone(),
+            label: summary.label.clone(),
+            overrides: summary.overrides.clone(),
+            seed: summary.seed,
+            couplings: BTreeMap::new(),
+            holds: Vec::new(),
+            missed_expectations: Vec::new(),
+            robots: BTreeMap::from([(summary.robot.clone(), summary)]),
+            not_saved: Vec::new(),
+        }
+    }
+}
+
+impl Serialize for RunSummary {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        match self.single() {
+            Some(summary) => summary.serialize(serializer),
+            None => Self::serialize(self, serializer),
+        }
+    }
+}
+
+impl<'de> Deserialize<'de> for RunSummary {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let value = Value::deserialize(deserializer)?;
+        let summary = match value.get("robots") {
+            Some(_) => Self::deserialize(value),
+            None => Summary::deserialize(value).map(Self::from),
+        };
+        summary.map_err(D::Error::custom)
+    }
 }
 
 /// Hold of a robot because of another one.
@@ -50,7 +88,19 @@ pub struct RobotHold {
     pub reason: String,
 }
 
-impl CoupledSummary {
+impl RunSummary {
+    /// Summary of the robot, if there is only one.
+    #[must_use]
+    pub fn single(&self) -> Option<&Summary> {
+        self.robots.values().next().filter(|_| self.robots.len() == 1)
+    }
+
+    /// Summaries of the robots of those runs that have only one.
+    #[must_use]
+    pub fn of_single_robots(runs: &[Self]) -> Vec<Summary> {
+        runs.iter().filter_map(Self::single).cloned().collect()
+    }
+
     /// Name of the run in a list: experiment, settings, profiles and seed.
     #[must_use]
     pub fn title(&self) -> String {
@@ -116,22 +166,22 @@ impl CoupledSummary {
     }
 }
 
-/// Evaluates an experiment while segments of its robots' logs arrive.
-pub(crate) struct CoupledEvaluator<'a> {
-    experiment: &'a CoupledExperiment,
+/// Evaluates a scenario while segments of its robots' logs arrive.
+pub(crate) struct CouplingsEvaluator<'a> {
+    scenario: &'a Scenario,
     pub(crate) couplings: Vec<CouplingEvaluator<'a>>,
     holds: Vec<RobotHold>,
     /// Cause of the present hold of each robot.
     held: Vec<Option<HoldCause>>,
 }
 
-impl<'a> CoupledEvaluator<'a> {
-    pub(crate) fn new(experiment: &'a CoupledExperiment) -> Self {
+impl<'a> CouplingsEvaluator<'a> {
+    pub(crate) fn new(scenario: &'a Scenario) -> Self {
         Self {
-            experiment,
-            couplings: experiment.couplings.iter().map(|c| CouplingEvaluator::new(experiment, c)).collect(),
+            scenario,
+            couplings: scenario.couplings.iter().map(|c| CouplingEvaluator::new(scenario, c)).collect(),
             holds: Vec::new(),
-            held: vec![None; experiment.members.len()],
+            held: vec![None; scenario.members.len()],
         }
     }
 
@@ -145,7 +195,7 @@ impl<'a> CoupledEvaluator<'a> {
         let Some(tick) = recording.channel(TICK_CHANNEL) else { return };
         let Some(hold) = tick.signal(TARGET_HOLD) else { return };
         let name =
-            |robot: usize| self.experiment.members.get(robot).map_or("another robot", |m| m.name.as_str());
+            |robot: usize| self.scenario.members.get(robot).map_or("another robot", |m| m.name.as_str());
         for k in 0..tick.len() {
             let cause = HoldCause::from_code(hold.row(k)[0]);
             if cause == self.held[member] {
@@ -174,21 +224,21 @@ impl<'a> CoupledEvaluator<'a> {
     }
 
     /// Returns the summary; `robots` are those of the robots, in their order.
-    pub(crate) fn finish(mut self, robots: Vec<Summary>) -> CoupledSummary {
+    pub(crate) fn finish(mut self, robots: Vec<Summary>) -> RunSummary {
         self.holds.sort_by(|a, b| a.from_s.total_cmp(&b.from_s));
-        let experiment = self.experiment;
-        let names = experiment.couplings.iter().map(|coupling| coupling.name.clone());
+        let scenario = self.scenario;
+        let names = scenario.couplings.iter().map(|coupling| coupling.name.clone());
         let couplings: BTreeMap<_, _> =
             names.zip(self.couplings.iter().map(CouplingEvaluator::finish)).collect();
-        CoupledSummary {
-            experiment: experiment.name(),
-            label: experiment.label.clone(),
-            overrides: experiment.settings.clone(),
-            seed: experiment.file.seed,
-            missed_expectations: missed(&experiment.file.expect, &couplings),
+        RunSummary {
+            experiment: scenario.name(),
+            label: scenario.label.clone(),
+            overrides: scenario.settings.clone(),
+            seed: scenario.seed,
+            missed_expectations: missed(&scenario.expect, &couplings),
             couplings,
             holds: self.holds,
-            robots: experiment.members.iter().map(|member| member.name.clone()).zip(robots).collect(),
+            robots: scenario.members.iter().map(|member| member.name.clone()).zip(robots).collect(),
             not_saved: Vec::new(),
         }
     }

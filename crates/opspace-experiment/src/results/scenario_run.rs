@@ -1,0 +1,193 @@
+//! Execution of a scenario: a log, a summary and a page for each robot, and with several robots for all.
+
+use crate::evaluate::metrics::Evaluator;
+use crate::evaluate::run_summary::{CouplingsEvaluator, RunSummary};
+use crate::evaluate::summary::Summary;
+use crate::extensions::Extensions;
+use crate::files::source::FileError;
+use crate::preflight::checked_for_real_robot;
+use crate::report::coupling_figures::coupling_figures;
+use crate::report::coupling_pages::coupling_page;
+use crate::report::document::RunSection;
+use crate::report::figure::Figure;
+use crate::results::folder::{NewLog, save, save_summary};
+use crate::run::error::RunError;
+use crate::run::execute::Progress;
+use crate::run::result_files::{LOG, REPORT, ResultFolder};
+use crate::run::scenario::Scenario;
+use opspace_backend::Backend;
+use opspace_log::{LogFile, Recording};
+use std::path::Path;
+
+/// Function of all robots, in the order of the scenario, while they are open.
+type Body<'a, T> = dyn FnMut(&mut [&mut dyn Backend]) -> Result<T, RunError> + 'a;
+
+impl Scenario {
+    /// Names of the robots that are real, because their robot.toml selects a driver.
+    #[must_use]
+    pub fn real_robots(&self) -> Vec<&str> {
+        let real = self.members.iter().filter(|member| member.experiment.has_driver());
+        real.map(|member| member.name.as_str()).collect()
+    }
+
+    /// Refuses real robots whose margins are too small, unless that is allowed.
+    ///
+    /// # Errors
+    /// The refusals of [`checked_for_real_robot`].
+    pub fn checked_for_real_robots(mut self) -> Result<Self, FileError> {
+        for member in self.members.iter_mut().filter(|member| member.experiment.has_driver()) {
+            member.experiment = checked_for_real_robot(member.experiment.clone())?;
+        }
+        Ok(self)
+    }
+
+    /// Runs the scenario in simulation in a folder that the caller has locked, with log, summary and page of the robot. Several
+    /// robots have these files in a folder of the name of each, and a summary and a page of all. Existing logs are never
+    /// overwritten.
+    ///
+    /// # Errors
+    /// A robot that cannot be simulated; a folder that already holds a log; files that cannot be written.
+    pub fn run_in_folder(&self, folder: &ResultFolder, progress: &Progress) -> Result<RunSummary, RunError> {
+        let mut arms = self.simulated_arms()?;
+        let mut robots: Vec<&mut dyn Backend> = arms.iter_mut().map(|arm| arm as &mut dyn Backend).collect();
+        self.run_robots(&mut robots, folder, progress)
+    }
+
+    /// Runs the scenario in a folder as [`run_in_folder`](Self::run_in_folder) does, with the real robots opened by drivers in
+    /// `extensions`, and the others simulated. All robots are read in one thread, each when its next cycle begins: a robot whose
+    /// clock differs from those of the others misses a cycle now and then. A simulated robot waits for the real ones.
+    ///
+    /// # Errors
+    /// As [`run_in_folder`](Self::run_in_folder); a driver that is unknown or cannot open its robot, a real robot that is not at
+    /// its start position, or objects, which only a simulation has.
+    pub fn run_on_drivers(
+        &self,
+        extensions: &Extensions,
+        folder: &ResultFolder,
+        progress: &Progress,
+    ) -> Result<RunSummary, RunError> {
+        if let (Some(robot), Some(object)) = (self.real_robots().first(), self.objects.keys().next()) {
+            let message =
+                format!("objects are simulated, but robot '{robot}' is real: its robot.toml has a [driver]");
+            let help = Some("remove the object, or add --simulate".to_owned());
+            return Err(FileError::at_key(&self.source, ["objects", object], message, help).into());
+        }
+        self.with_robots(extensions, Vec::new(), &mut |robots| self.run_robots(robots, folder, progress))
+    }
+
+    /// Opens the robots that follow those that are `open`, and calls `body` with all.
+    fn with_robots<T>(
+        &self,
+        extensions: &Extensions,
+        open: Vec<&mut dyn Backend>,
+        body: &mut Body<'_, T>,
+    ) -> Result<T, RunError> {
+        let mut open = open;
+        let Some(member) = self.members.get(open.len()) else { return body(&mut open) };
+        if !member.experiment.has_driver() {
+            let mut arm = member.experiment.simulated_arm()?;
+            return self.with_robots(extensions, with(open, &mut arm), body);
+        }
+        member.experiment.with_driver(extensions, |robot| {
+            member.experiment.check_robot(robot)?;
+            self.with_robots(extensions, with(open, robot), body)
+        })
+    }
+
+    /// Runs the scenario on these robots, in their order, as [`run_in_folder`](Self::run_in_folder) does.
+    fn run_robots(
+        &self,
+        robots: &mut [&mut dyn Backend],
+        folder: &ResultFolder,
+        progress: &Progress,
+    ) -> Result<RunSummary, RunError> {
+        // A single robot has no folder of its own.
+        let members = self.members.iter().filter(|_| self.single().is_none());
+        let inner = members.map(|member| ResultFolder::open(&folder.path().join(&member.name)));
+        let inner = inner.collect::<Result<Vec<_>, _>>()?;
+        let folders: Vec<&ResultFolder> =
+            if inner.is_empty() { vec![folder] } else { inner.iter().collect() };
+        let (mut logs, mut files) = (Vec::new(), Vec::new());
+        let created = folders.iter().try_for_each(|folder| {
+            let (log, file) = NewLog::create(folder)?;
+            logs.push(log);
+            files.push(file);
+            Ok(())
+        });
+        // The robots are opened in their order.
+        let mut files = files.into_iter();
+        let driven = created.and_then(|()| {
+            self.drive_robots(robots, progress, |number, capabilities, truth| {
+                let file = files.next().ok_or_else(|| RunError::Incomplete { what: "a log".to_owned() })?;
+                self.members[number].experiment.open(capabilities, truth, file, progress)
+            })
+        });
+        let driven = driven.inspect_err(|_| logs.iter().for_each(NewLog::discard))?;
+        let mut summaries = Vec::new();
+        for (((experiment, own), log), (sink, outcome)) in
+            self.experiments().zip(&folders).zip(logs).zip(driven)
+        {
+            summaries.push(experiment.finish_folder(own, log, sink.close(experiment, outcome))?);
+        }
+        match self.single() {
+            Some(_) => Ok(CouplingsEvaluator::new(self).finish(summaries)),
+            None => self.write_pages(folder.path(), summaries),
+        }
+    }
+
+    /// Runs the scenario in simulation without logs.
+    ///
+    /// # Errors
+    /// A robot that cannot be simulated.
+    pub fn run_without_logs(&self, progress: &Progress) -> Result<RunSummary, RunError> {
+        let mut evaluators: Vec<Evaluator<'_>> = self.experiments().map(Evaluator::new).collect();
+        let mut couplings = CouplingsEvaluator::new(self);
+        let outcomes = self.run_in_segments(progress, |number, segment, is_last| {
+            evaluators[number].add(segment, is_last);
+            couplings.add(number, segment, is_last);
+        })?;
+        let each = self.experiments().zip(evaluators).zip(outcomes);
+        let summaries = each.map(|((experiment, evaluator), (record, realtime_factor))| {
+            let recording = Recording::default();
+            experiment.summary_of(&recording, evaluator.finish(), &record, Some(realtime_factor))
+        });
+        Ok(couplings.finish(summaries.collect()))
+    }
+
+    /// Computes the summary of a run of several robots and the page about it from the logs and the summaries of the robots, in
+    /// the order of `members`.
+    ///
+    /// # Errors
+    /// A log that cannot be read.
+    pub fn summary_and_page(
+        &self,
+        logs: &[LogFile],
+        robots: Vec<Summary>,
+    ) -> Result<(RunSummary, String), RunError> {
+        let mut evaluator = CouplingsEvaluator::new(self);
+        let mut sections = Vec::new();
+        for (number, ((member, log), robot)) in self.members.iter().zip(logs).zip(&robots).enumerate() {
+            log.for_each_segment(&mut |segment, is_last| evaluator.add(number, segment, is_last))?;
+            sections
+                .push((member.name.clone(), RunSection::of_file(&member.experiment, log, robot.clone())?));
+        }
+        let figures: Vec<Figure> = evaluator.couplings.iter().flat_map(coupling_figures).collect();
+        let summary = evaluator.finish(robots);
+        let page = coupling_page(self, &summary, &figures, &sections);
+        Ok((summary, page))
+    }
+
+    /// Writes summary and page of all robots.
+    fn write_pages(&self, folder: &Path, robots: Vec<Summary>) -> Result<RunSummary, RunError> {
+        let logs = self.members.iter().map(|member| LogFile::open(folder.join(&member.name).join(LOG)));
+        let (mut summary, html) = self.summary_and_page(&logs.collect::<Result<Vec<_>, _>>()?, robots)?;
+        summary.not_saved.extend(save(folder, REPORT, &html));
+        summary.not_saved.extend(save_summary(folder, &summary)?);
+        Ok(summary)
+    }
+}
+
+/// Returns the robots with one more, which may be borrowed for a shorter time.
+fn with<'a, 'b: 'a>(robots: Vec<&'b mut dyn Backend>, one: &'a mut dyn Backend) -> Vec<&'a mut dyn Backend> {
+    robots.into_iter().map(|robot| robot as &mut dyn Backend).chain([one]).collect()
+}
