@@ -1,4 +1,4 @@
-//! What a structure of servos has to state: its law, its gains, and what they mean.
+//! Trait of a structure of servos: its law, its gains, and their meaning.
 //!
 //! Each structure is one implementation, in a file of its own: [`cascaded_servo`](crate::cascaded_servo),
 //! [`pid_servo`](crate::pid_servo), [`transfer_function_servo`](crate::transfer_function_servo) and
@@ -75,7 +75,7 @@ pub(crate) fn times(value: Positive, scale: f64) -> Positive {
     Positive::try_from(value.get() * scale).unwrap_or(value)
 }
 
-/// The same for a value that may be zero.
+/// Returns the value, which may be zero, multiplied by `scale`; the value itself if the product is out of range.
 pub(crate) fn times_or_zero(value: NonNegative, scale: f64) -> NonNegative {
     NonNegative::try_from(value.get() * scale).unwrap_or(value)
 }
