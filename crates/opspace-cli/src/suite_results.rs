@@ -9,7 +9,7 @@ use opspace_experiment::evaluate::baseline::{Baseline, BaselineComparison, TOLER
 use opspace_experiment::evaluate::csv::csv;
 use opspace_experiment::evaluate::notes::{allowed_notes, assumed_notes};
 use opspace_experiment::evaluate::results::{group_rows, has_value};
-use opspace_experiment::metrics::metric::columns_named;
+use opspace_experiment::metrics::columns::columns_named;
 use opspace_experiment::report::coupling_pages::coupling_suite_page;
 use opspace_experiment::report::coupling_table::{coupling_notes, coupling_table};
 use opspace_experiment::report::document::{RunSection, page};

@@ -1,5 +1,6 @@
 //! Tables of metrics.
 
+pub mod columns;
 pub mod coupling_metrics;
 pub mod metric;
 pub(crate) mod metric_tables;

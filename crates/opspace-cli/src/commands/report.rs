@@ -4,7 +4,7 @@ use crate::cli::ReportArgs;
 use crate::console::{Console, Exit, Failure, Outcome};
 use crate::output::{Format, log_path, logs_of_experiment, open_log, pretty, write_named};
 use crate::outputs::check_outputs;
-use opspace_experiment::metrics::metric::default_columns;
+use opspace_experiment::metrics::columns::default_columns;
 use opspace_experiment::report::document::{RunSection, page};
 use opspace_experiment::run::membership::Membership;
 use opspace_experiment::run::result_files::REPORT;

@@ -9,7 +9,7 @@ use crate::plant::PlantChoice;
 use crate::result_folder::{MOVE_TO_START, prepare};
 use crate::run_progress::{exit_code, exit_code_of_robot, with_bar};
 use opspace_experiment::files::origin::Kind;
-use opspace_experiment::metrics::metric::default_columns;
+use opspace_experiment::metrics::columns::default_columns;
 use opspace_experiment::preflight::start_diagnostics;
 use opspace_experiment::report::coupling_table::coupling_table;
 use opspace_experiment::run::result_files::{LOG, REPORT, SUMMARY};

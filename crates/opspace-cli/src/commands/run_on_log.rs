@@ -8,7 +8,7 @@ use crate::output::{pretty, read_log};
 use crate::result_folder::prepare;
 use crate::run_progress::{exit_code_of_robot, with_bar};
 use opspace_experiment::files::overrides::split;
-use opspace_experiment::metrics::metric::default_columns;
+use opspace_experiment::metrics::columns::default_columns;
 use opspace_experiment::run::result_files::{LOG, REPORT, SUMMARY};
 use opspace_experiment::{
     ControllerKind, Experiment, Extensions, Files, RobotDefinition, RunError, RunOptions, Summary,

@@ -8,7 +8,7 @@ use crate::schema_defaults::add_empty_defaults;
 use opspace_experiment::files::experiment_file::ExperimentFile;
 use opspace_experiment::files::robot::RobotFile;
 use opspace_experiment::files::task::TaskFile;
-use opspace_experiment::metrics::metric::column_schema;
+use opspace_experiment::metrics::columns::column_schema;
 use opspace_experiment::suites::suite::SuiteFile;
 use opspace_experiment::{Entry, Extensions, TaskKind, TransformerEntry};
 use schemars::schema_for;

@@ -344,7 +344,7 @@ fn drop_empty_columns(table: &mut Table) {
 pub(crate) mod tests {
     use super::{group, group_rows, table};
     use crate::evaluate::summary::Summary;
-    use crate::metrics::metric::default_columns;
+    use crate::metrics::columns::default_columns;
     use crate::run::physics::OWN_PLANT;
     use serde_json::json;
 

@@ -1,7 +1,7 @@
 //! Folder of a run: log, summary and report.
 
 use crate::evaluate::summary::Summary;
-use crate::metrics::metric::default_columns;
+use crate::metrics::columns::default_columns;
 use crate::report::document::{RunSection, page};
 use crate::run::error::RunError;
 use crate::run::execute::RunResult;

@@ -6,7 +6,7 @@ use crate::run_figures::{load, shown};
 use nalgebra::Vector3;
 use opspace_backend::CommandKind;
 use opspace_backend::signal_names::{LEAST_DISTANCE, PHASE, Q, TICK_CHANNEL};
-use opspace_experiment::metrics::metric::default_columns;
+use opspace_experiment::metrics::columns::default_columns;
 use opspace_experiment::report::document::{
     ClosestPair, CollisionMoment, EnvironmentShape, PlacedObject, PlacedShape, page,
 };

@@ -4,7 +4,8 @@
 use crate::task_metrics::experiment;
 use opspace_experiment::evaluate::metrics::JointMetrics;
 use opspace_experiment::evaluate::results::table;
-use opspace_experiment::metrics::metric::{Column, columns_named, default_columns};
+use opspace_experiment::metrics::columns::{columns_named, default_columns};
+use opspace_experiment::metrics::metric::Column;
 use opspace_experiment::{
     Better, Experiment, Extensions, Files, LogMetric, Metric, Metrics, Progress, RunOptions, Suite, Summary,
 };

@@ -2,7 +2,7 @@
 #![expect(clippy::unwrap_used, reason = "a test that can't go on has failed")]
 
 use opspace_backend::CommandKind;
-use opspace_experiment::metrics::metric::default_columns;
+use opspace_experiment::metrics::columns::default_columns;
 use opspace_experiment::report::document::{RunSection, page};
 use opspace_experiment::report::figure::{Figure, Panel, Style};
 use opspace_experiment::{Experiment, Files, Progress, RunOptions, Scenario, Summary};

@@ -6,7 +6,7 @@ use crate::limits::Target;
 use crate::mcap_file::{RecordEdit, Records};
 use crate::root;
 use bolero::{ValueGenerator, produce};
-use opspace_experiment::metrics::metric::default_columns;
+use opspace_experiment::metrics::columns::default_columns;
 use opspace_experiment::report::document::{RunSection, page};
 use opspace_experiment::run::replay::replay;
 use opspace_experiment::{Experiment, Files, Progress, RunOptions};
