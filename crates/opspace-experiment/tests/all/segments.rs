@@ -100,31 +100,35 @@ fn segments_have_the_summary_and_the_figures_of_the_whole() {
 }
 
 /// Compared, bit by bit: the rows in the log of a robot that is driven alone, and those of a scenario of one robot on a clock;
-/// with lost cycles, a stop in the middle, and a rate that is no whole number of hertz.
+/// with lost cycles, at a rate that is no whole number of hertz, to the end or to a stop in the middle.
 #[test]
 fn scenario_of_one_robot_has_the_rows_of_its_experiment() {
-    let settings = [
-        "settle_s=0.2",
-        "robot.profile.a-med.servo_ticks_per_cycle=7",
-        "robot.simulated.bus.lost_cycles_share=0.02",
-        "robot.simulated.bus.dropouts=[{ at_s = 0.8, duration_s = 5.0 }]",
-    ];
-    let experiment = load("cartesian-tracking", CommandKind::Position, &settings);
-    let finished = experiment.run(Cursor::new(Vec::new()), &Progress::default()).unwrap();
-    let log = Recording::from_bytes(finished.sink.get_ref()).unwrap();
-    let mut segments: Vec<Recording> = Vec::new();
-    let scenario = Scenario::from(experiment);
-    let results =
-        scenario.run_in_segments(&Progress::default(), |_, segment, _| segments.push(segment.clone()));
-    assert_eq!(results.unwrap()[0].0, finished.record);
-    for name in ["tick", "servo", "truth"] {
-        let bits = |recording: &Recording| {
-            let channel = recording.channel(name).unwrap();
-            let numbers = channel.time_s.iter().chain(&channel.rows);
-            numbers.map(|number| number.to_bits()).collect::<Vec<_>>()
-        };
-        assert!(log.channel(name).unwrap().len() > 100, "{name}");
+    for dropout_s in [0.02, 5.0] {
+        let dropout = format!("robot.simulated.bus.dropouts=[{{ at_s = 0.8, duration_s = {dropout_s:?} }}]");
+        let settings = [
+            "settle_s=0.2",
+            "robot.profile.a-med.servo_ticks_per_cycle=7",
+            "robot.simulated.bus.lost_cycles_share=0.02",
+            &dropout,
+        ];
+        let experiment = load("cartesian-tracking", CommandKind::Position, &settings);
+        let finished = experiment.run(Cursor::new(Vec::new()), &Progress::default()).unwrap();
+        assert_eq!(finished.record.fault.is_some(), dropout_s > 1.0);
+        let log = Recording::from_bytes(finished.sink.get_ref()).unwrap();
+        let mut segments: Vec<Recording> = Vec::new();
+        let scenario = Scenario::from(experiment);
+        let results =
+            scenario.run_in_segments(&Progress::default(), |_, segment, _| segments.push(segment.clone()));
+        assert_eq!(results.unwrap()[0].0, finished.record);
         assert_eq!(segments.len(), 1, "a run of one segment");
-        assert!(bits(&log) == bits(&segments[0]), "{name}");
+        for name in ["tick", "servo", "truth"] {
+            let bits = |recording: &Recording| {
+                let channel = recording.channel(name).unwrap();
+                let numbers = channel.time_s.iter().chain(&channel.rows);
+                numbers.map(|number| number.to_bits()).collect::<Vec<_>>()
+            };
+            assert!(log.channel(name).unwrap().len() > 100, "{name}");
+            assert!(bits(&log) == bits(&segments[0]), "{name}");
+        }
     }
 }
