@@ -394,3 +394,19 @@ fn identified_arm_without_friction_runs() {
     let error_m = summary["metrics"]["position_rms_m"].as_f64().unwrap();
     assert!(error_m < FOLLOWED_M, "{error_m} m");
 }
+
+/// Compared: the lines of a new robot.toml that are to be filled in, and the values that `opspace check` calls missing.
+#[test]
+fn lines_to_fill_in_are_the_missing_values() {
+    let folder = scratch();
+    fs::write(folder.path().join("robot.urdf"), random_urdf(&mut Random(3), 2)).unwrap();
+    opspace(folder.path(), &["new", "mine", "--urdf", "robot.urdf"]).exits(0);
+    let text = read(folder.path().join("mine/robot.toml"));
+    let meanings: Vec<&str> = text
+        .lines()
+        .filter(|line| line.starts_with("# ") && line.contains(" =  "))
+        .filter_map(|line| Some(line[2..].split_once('#')?.1.trim()))
+        .collect();
+    assert!(meanings.len() >= 10, "{meanings:?}");
+    opspace(folder.path(), &["check", "mine"]).exits(2).says(&meanings);
+}

@@ -12,6 +12,7 @@ pub(crate) mod missing;
 pub mod origin;
 pub mod overrides;
 pub(crate) mod renamed;
+pub(crate) mod required_keys;
 pub mod robot;
 pub mod robot_part;
 pub mod source;

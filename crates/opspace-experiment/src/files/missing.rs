@@ -3,128 +3,15 @@
 use crate::codes::Code;
 use crate::files::explain::list;
 use crate::files::layered_path::inner;
+use crate::files::required_keys::{
+    OF_FILE, OF_JOINT, OF_PROFILE, OF_SERVO, OF_VELOCITY_SERVO, Required, SETPOINTS, VELOCITY_LIMIT,
+};
 use crate::files::source::{FileError, Source};
 use crate::files::toml_path::dotted;
 use opspace_model::{JointKind, Model};
 use std::fmt::Write as _;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
-
-/// Kind of value without a default.
-struct Required {
-    /// Path below the file, the joint, the profile or the servo.
-    path: &'static [&'static str],
-    /// Description, with unit and typical range.
-    about: &'static str,
-    /// Place where one finds it.
-    found: &'static str,
-}
-
-const fn required(path: &'static [&'static str], about: &'static str, found: &'static str) -> Required {
-    Required { path, about, found }
-}
-
-const OF_FILE: [Required; 3] = [
-    required(
-        &["interface", "command"],
-        "accepted command: \"position\", \"velocity\" or \"torque\"",
-        "manual of the robot's interface",
-    ),
-    required(
-        &["interface", "gravity_compensated_by"],
-        "\"controller\", or \"robot\" if the robot adds the torques that bear its weight",
-        "manual of the robot's interface; position robots: \"controller\"",
-    ),
-    required(
-        &["interface", "measured"],
-        "[\"position\"], or [\"position\", \"motor-current\"]",
-        "manual of the robot's interface",
-    ),
-];
-
-const SETPOINTS: Required = required(
-    &["interface", "setpoints"],
-    "\"held\" until the next setpoint, or \"interpolated\" by the drives",
-    "manual of the robot's interface",
-);
-
-const OF_JOINT: [Required; 5] = [
-    required(
-        &["torque_limit_nm"],
-        "torque limit of the drive at the joint, Nm (N); typically 5 to 500 Nm",
-        "data sheet of the arm; peak torque of the motor times gear ratio; effort in the URDF",
-    ),
-    required(
-        &["rotor", "inertia_kg_m2"],
-        "inertia of all parts that turn at motor speed, kg m²; typically 1e-7 to 1e-3",
-        "data sheet of the motor",
-    ),
-    required(
-        &["rotor", "gear_ratio"],
-        "motor turns per joint turn (prismatic: motor radians per metre); typically 1 to 200",
-        "data sheet of the gear",
-    ),
-    required(
-        &["friction", "coulomb_nm"],
-        "Coulomb friction, Nm (N); typically 1 to 8 % of the torque limit; 0 for none",
-        "`opspace identify`; <dynamics friction> in the URDF",
-    ),
-    required(
-        &["friction", "viscous_nms_per_rad"],
-        "viscous friction, Nms/rad (Ns/m); typically 0 to 5 % of the torque limit per rad/s",
-        "`opspace identify`; <dynamics damping> in the URDF",
-    ),
-];
-
-const VELOCITY_LIMIT: Required = required(
-    &["velocity_limit_rad_per_s"],
-    "largest speed, rad/s (m/s); typically 1 to 6 rad/s; the URDF has none",
-    "data sheet of the arm; velocity in the joint's <limit> in the URDF",
-);
-
-const OF_PROFILE: [Required; 2] = [
-    required(
-        &["servo_hz"],
-        "rate of the servo loops, Hz; typically 500 to 20000",
-        "data sheet of the drives; the rate of the interface if unknown",
-    ),
-    required(
-        &["servo_ticks_per_cycle"],
-        "servo ticks per command, a whole number; typically 1 to 10",
-        "servo_hz over the rate of the interface",
-    ),
-];
-
-const OF_SERVO: [Required; 3] = [
-    required(
-        &["cascaded", "kp_per_s"],
-        "gain of the position loop, 1/s; typically 10 to 100",
-        "`opspace identify`; settings of the drives",
-    ),
-    required(
-        &["cascaded", "kv_nms_per_rad"],
-        "gain of the velocity loop, Nms/rad (Ns/m); typically 60 to 300 times the inertia at the joint",
-        "`opspace identify`; settings of the drives",
-    ),
-    required(
-        &["cascaded", "velocity_filter_hz"],
-        "low-pass filter of the servo's velocity, Hz; typically 100 to 1000",
-        "`opspace identify`; settings of the drives",
-    ),
-];
-
-const OF_VELOCITY_SERVO: [Required; 2] = [
-    required(
-        &["kv_nms_per_rad"],
-        "gain of the velocity loop, Nms/rad (Ns/m); typically 60 to 300 times the inertia at the joint",
-        "`opspace identify`; settings of the drives",
-    ),
-    required(
-        &["velocity_filter_hz"],
-        "low-pass filter of the servo's velocity, Hz; typically 100 to 1000",
-        "`opspace identify`; settings of the drives",
-    ),
-];
 
 /// Values of one kind that are missing.
 struct Missing {
@@ -279,7 +166,7 @@ fn lacks(document: &DeTable<'_>, table: &[&str], path: &[&str]) -> bool {
 /// Describes the values of one kind that are missing.
 fn text_of(missing: &Missing, model: &Model) -> String {
     let Missing { of, tables, defaults } = missing;
-    let mut text = format!("- {}\n  source: {}\n", of.about, of.found);
+    let mut text = format!("- {}\n  source: {}\n", of.about(), of.found);
     // Table and line: keys of inner tables are dotted.
     let place = |table: &[String]| match table {
         [] => format!("[{}]", of.path[0]),

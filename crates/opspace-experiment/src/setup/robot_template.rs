@@ -1,6 +1,7 @@
 //! robot.toml of a new robot: one that lists all required values and guesses none, and one with assumed values.
 
 use crate::files::joint_layers::UrdfValue;
+use crate::files::required_keys::{self, Required};
 use crate::files::robot_part::UsedPart;
 use crate::setup::assumed_drives::{
     ACCELERATION, AssumedDrive, COULOMB_SHARE, GEAR_RAD_PER_M, KP_PER_S, LIMIT_OVER_NEED, ROTOR_KG_M2_PER_NM,
@@ -74,7 +75,7 @@ impl NewRobot<'_> {
 pub fn robot_toml(robot: &NewRobot<'_>) -> String {
     let joints = robot.model.joints();
     let needs = |key: &str| joints.iter().any(|joint| !robot.states(joint, key));
-    let line = |key: &str, text: &str| if needs(key) { text.to_owned() } else { format!("#{text}") };
+    let line = |key: &str| if needs(key) { required_line(key) } else { format!("#{}", required_line(key)) };
     let prismatic: Vec<String> = joints
         .iter()
         .filter(|joint| joint.kind == JointKind::Prismatic)
@@ -88,13 +89,10 @@ pub fn robot_toml(robot: &NewRobot<'_>) -> String {
 {head}
 # Interface of the robot.
 [interface]
-# command =                   # accepted command: "position", "velocity" or "torque"
-setpoints = "held"            # commands of position or velocity servos: "held" until the next one, or "interpolated"
+{command}setpoints = "held"            # commands of position or velocity servos: "held" until the next one, or "interpolated"
 gears = "elastic"             # between motors and links: "rigid" only if known to be, "elastic" also if unknown
-# gravity_compensated_by =    # "controller", or "robot" if the robot compensates gravity itself
-## brakes = true              # if brakes hold a velocity robot without a controller
-# measured =                  # ["position"], or ["position", "motor-current"]
-
+{gravity}## brakes = true              # if brakes hold a velocity robot without a controller
+{measured}
 ## Optional force sensor: `frame` is the URDF link at whose origin and in whose axes it measures.
 ## [force_sensor.wrist]
 ## frame = "..."
@@ -110,9 +108,7 @@ gears = "elastic"             # between motors and links: "rigid" only if known 
 # [group.NAME] with `joints = ["...", "..."]` those of several.
 {notes}[joint_defaults]
 {limit}{speed}[joint_defaults.rotor]
-# inertia_kg_m2 =             # inertia of all parts rotating at motor speed, kg m²
-# gear_ratio =                # motor turns per joint turn
-## encoder_counts_per_turn =  # encoder counts per motor turn; 16384 if absent
+{inertia}{ratio}## encoder_counts_per_turn =  # encoder counts per motor turn; 16384 if absent
 [joint_defaults.friction]
 {coulomb}{viscous}## static_nm =                # static (breakaway) friction, Nm; coulomb_nm if absent
 ## stribeck_rad_per_s =       # velocity of the transition from static to Coulomb friction, rad/s; 0.06 if absent
@@ -121,21 +117,19 @@ gears = "elastic"             # between motors and links: "rigid" only if known 
         name = one_line(robot.model.name()),
         head = robot.head(),
         notes = robot.notes(),
-        limit = line(
-            "torque_limit_nm",
-            "# torque_limit_nm =           # torque limit of the drive, at the joint, Nm\n"
-        ),
+        command = required_line("interface.command"),
+        gravity = required_line("interface.gravity_compensated_by"),
+        measured = required_line("interface.measured"),
+        limit = line("torque_limit_nm"),
         speed = if joints.iter().all(has_speed) {
-            ""
+            String::new()
         } else {
-            "# velocity_limit_rad_per_s =  # largest speed, rad/s; joints that have a velocity in the URDF need none\n"
+            required_line("velocity_limit_rad_per_s")
         },
-        coulomb =
-            line("friction.coulomb_nm", "# coulomb_nm =                # Coulomb friction, Nm; 0 for none\n"),
-        viscous = line(
-            "friction.viscous_nms_per_rad",
-            "# viscous_nms_per_rad =       # viscous friction, Nms/rad; 0 for none\n"
-        ),
+        inertia = required_line("rotor.inertia_kg_m2"),
+        ratio = required_line("rotor.gear_ratio"),
+        coulomb = line("friction.coulomb_nm"),
+        viscous = line("friction.viscous_nms_per_rad"),
     );
     if !prismatic.is_empty() {
         let _ = write!(
@@ -145,12 +139,12 @@ gears = "elastic"             # between motors and links: "rigid" only if known 
             prismatic.join(", ")
         );
     }
-    text += r"
+    let _ = write!(
+        text,
+        r"
 # Profile: a set of rates and servo parameters of the drives.
 [profile.default]
-# servo_hz =                  # rate of the servo loops, Hz
-# servo_ticks_per_cycle =     # servo ticks per setpoint, a whole number; 5 is written 1:5 in reports
-## delay_servo_ticks =        # delay from writing a setpoint until it acts, in servo ticks: a whole number; unknown if absent
+{hz}{ticks}## delay_servo_ticks =        # delay from writing a setpoint until it acts, in servo ticks: a whole number; unknown if absent
 [profile.default.estimator]
 ## velocity_filter_hz =       # low-pass filter of velocities computed from measured positions, Hz; 150 if absent
 
@@ -159,17 +153,26 @@ gears = "elastic"             # between motors and links: "rigid" only if known 
 # addition, [profile.default.velocity_servo.joint_defaults] with kv_nms_per_rad, velocity_filter_hz and, if its velocity
 # loop has an integral, ki_nm_per_rad: torque = kv (dq_desired - dq) + ki times the integral of that error.
 [profile.default.servo.joint_defaults.cascaded]
-# kp_per_s =                  # gain of the position loop, 1/s
-# kv_nms_per_rad =            # gain of the velocity loop, Nms/rad: proportional to the inertia of each joint
-# velocity_filter_hz =        # low-pass filter of the servo's velocity, Hz
-
+{kp}{kv}{filter}
 # Simulated plant: parameters in addition to those above. Without this section the robot cannot be simulated.
 [simulated]
 ## physics_hz =               # rate of the plant's integration steps, a whole multiple of servo_hz, Hz
 ## current_loop_hz =          # bandwidth of the motors' current loop, Hz; no lag if absent
 ## torque_noise_nm =          # noise of the measured motor torque, rms, Nm (N); 0 if absent
-";
+",
+        hz = required_line("servo_hz"),
+        ticks = required_line("servo_ticks_per_cycle"),
+        kp = required_line("cascaded.kp_per_s"),
+        kv = required_line("cascaded.kv_nms_per_rad"),
+        filter = required_line("cascaded.velocity_filter_hz"),
+    );
     text
+}
+
+/// Line of a required key that still lacks its value, with the meaning of the key.
+fn required_line(key: &str) -> String {
+    let found = required_keys::all().find(|required| required.path.join(".") == key);
+    found.map_or_else(String::new, Required::line)
 }
 
 /// Returns a robot.toml in which all values that the URDF does not state are assumed, and marked as such. `kv` has the gains
