@@ -188,7 +188,7 @@ fn false_losses(name: &str, task: &TaskMetrics) -> Option<String> {
 }
 
 /// Notes above the tables of a run: tasks that are away from their references at its end, although these rest there, or from
-/// the target of their force, and tasks whose force sensor lost contact that there was. Those that [`Summary::unreached_goals`] explains are not listed.
+/// the target of their force, and tasks whose force sensor lost contact that there was. Those that a finding explains are not listed.
 #[must_use]
 pub fn final_notes(summary: &Summary) -> Vec<String> {
     if summary.faulted.is_some() || summary.interrupted {
