@@ -3,7 +3,6 @@
 use crate::extensions::Entry;
 use crate::metrics::metric::{Column, Metric};
 use crate::metrics::metric_tables::{Metrics, Timing};
-use crate::suggest::choices;
 #[cfg(feature = "schema")]
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::Deserialize;
@@ -60,15 +59,14 @@ pub fn column_schema(added: &[Metric]) -> Schema {
 /// Metrics of the columns with these names.
 ///
 /// # Errors
-/// The place of the first unknown name, and all known ones.
+/// The place of the first unknown name.
 pub fn columns_named<'a>(
     names: impl IntoIterator<Item = &'a str>,
     added: &[Metric],
-) -> Result<Vec<Metric>, (usize, String)> {
+) -> Result<Vec<Metric>, usize> {
     let find = |(place, name): (usize, &str)| {
         let found = with_columns(added).find(|(_, column)| column.name == name);
-        let known = || choices(name, with_columns(added).map(|(_, column)| column.name));
-        found.map(|(metric, _)| metric.clone()).ok_or_else(|| (place, known()))
+        found.map(|(metric, _)| metric.clone()).ok_or(place)
     };
     names.into_iter().enumerate().map(find).collect()
 }

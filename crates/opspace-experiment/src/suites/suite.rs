@@ -4,9 +4,10 @@ use crate::codes::Code;
 use crate::evaluate::results::is_possible;
 use crate::extensions::Extensions;
 use crate::files::controller_kind::ControllerKind;
+use crate::files::explain::did_you_mean;
 use crate::files::origin::{Files, Kind, beside};
 use crate::files::source::{FileError, Source, parse};
-use crate::metrics::columns::{ColumnName, columns_named, default_columns};
+use crate::metrics::columns::{ColumnName, columns_named, default_columns, with_columns};
 use crate::metrics::metric::Metric;
 use crate::run::experiment::{Experiment, RunOptions};
 use crate::run::physics::OWN_PLANT;
@@ -284,9 +285,11 @@ impl Suite {
 
 /// Metrics of the columns that a suite lists.
 fn columns(names: &[ColumnName], added: &[Metric], source: &Source) -> Result<Vec<Metric>, FileError> {
-    columns_named(names.iter().map(|name| name.0.as_str()), added).map_err(|(place, help)| {
-        let key = ["columns", &place.to_string()];
-        FileError::at_key(source, key, format!("unknown column `{}`", names[place].0), Some(help))
+    columns_named(names.iter().map(|name| name.0.as_str()), added).map_err(|place| {
+        let (name, key) = (names[place].0.as_str(), ["columns", &place.to_string()]);
+        let known: Vec<&str> = with_columns(added).map(|(_, column)| column.name).collect();
+        let help = did_you_mean(name, &known);
+        FileError::at_key(source, key, format!("unknown value `{name}`"), Some(help))
     })
 }
 
