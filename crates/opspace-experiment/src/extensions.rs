@@ -1,13 +1,13 @@
 //! Tables of what a program knows by name: built-in entries, and those that a user adds.
 //!
 //! ```
-//! use opspace_control::ControlError;
+//! use opspace_control::{ControlError, Reason};
 //! use opspace_experiment::{Extensions, TaskKind};
 //!
 //! # #[derive(serde::Deserialize)]
 //! # struct Parameters {}
 //! let kind = TaskKind::new("distance", |_: &Parameters, _name, _model, _context| {
-//!     Err(ControlError::Task("not implemented".to_owned()))
+//!     Err(ControlError::new("task.NAME.distance", Reason::Value { message: "not built yet".to_owned() }))
 //! });
 //! let extensions = Extensions::default().with(kind);
 //! assert!(extensions.names::<TaskKind>().any(|name| name == "distance"));

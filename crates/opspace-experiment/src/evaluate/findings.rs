@@ -12,6 +12,7 @@ use serde_json::{Value, json};
 /// Findings of a run, in the order in which they are listed.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize)]
 pub struct Findings {
+    #[serde(default)]
     findings: Vec<Finding>,
 }
 
