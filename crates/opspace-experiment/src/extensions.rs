@@ -36,6 +36,11 @@ pub trait Entry: Clone + Send + Sync + 'static {
 
     /// Name in files, on the command line and in errors.
     fn name(&self) -> &str;
+
+    /// True if a name that both would have, other than [`name`](Self::name), is the same.
+    fn shares_a_name(&self, _other: &Self) -> bool {
+        false
+    }
 }
 
 /// Everything that a program adds: entries of tables, and drivers, which need not be `Send`.
@@ -57,13 +62,15 @@ pub struct Tables {
 
 /// Reason why an entry cannot be added.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
-#[error("the {kind} '{name}' already exists")]
+#[error("the {kind} '{name}' already exists{}", if *is_of_part { ", or a name that it brings" } else { "" })]
 #[non_exhaustive]
 pub struct NameTaken {
     /// Kind of the entries.
     pub kind: &'static str,
     /// Name of the entry.
     pub name: String,
+    /// True if the name in use is not that of the entry, but one that it brings: that of a column.
+    pub is_of_part: bool,
 }
 
 /// Name that no entry has.
@@ -132,8 +139,12 @@ impl Tables {
     /// # Errors
     /// A name that is already in use.
     pub fn add<T: Entry>(&mut self, entry: T) -> Result<(), NameTaken> {
-        if self.get::<T>(entry.name()).is_some() {
-            return Err(NameTaken { kind: T::KIND, name: entry.name().to_owned() });
+        let name = entry.name();
+        if self.get::<T>(name).is_some() {
+            return Err(NameTaken { kind: T::KIND, name: name.to_owned(), is_of_part: false });
+        }
+        if self.all::<T>().any(|known| known.shares_a_name(&entry)) {
+            return Err(NameTaken { kind: T::KIND, name: name.to_owned(), is_of_part: true });
         }
         let mut table = self.added::<T>().to_vec();
         table.push(entry);

@@ -52,7 +52,7 @@ pub trait ServoStructure {
     /// Returns how gains that were identified are written as such a servo.
     ///
     /// # Errors
-    /// What the servo is, if it cannot be identified: "a transfer function".
+    /// Description of a servo that cannot be identified: "a transfer function".
     fn identified(&self) -> Result<IdentifiedKeys, &'static str>;
 }
 

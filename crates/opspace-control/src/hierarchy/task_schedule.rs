@@ -117,7 +117,8 @@ impl TaskSchedule {
     pub(crate) fn check(&self, other: &TaskSet) -> Result<(), ControlError> {
         for new in slots(self.recorded, [&other.0]) {
             let changed = |old: &&Slot| {
-                let same_signals = old.group != new.group || old.signals == new.signals;
+                let is_other = old.group != new.group || old.of_all_joints != new.of_all_joints;
+                let same_signals = is_other || old.signals == new.signals;
                 let same_kind = if [old.kind, new.kind].contains(&ALL_JOINTS) {
                     old.of_all_joints == new.of_all_joints
                 } else {
@@ -254,13 +255,13 @@ impl Observable for TaskSchedule {
 impl Slot {
     /// Records the signals of the slot's task, if it is active and has them.
     fn record(&self, hierarchy: &TaskHierarchy, out: &mut SignalRecorder<'_>) {
+        if self.of_all_joints {
+            let joint = hierarchy.joint.as_ref().filter(|task| task.name() == self.name);
+            return joint.into_iter().for_each(|task| self.record_joints(&**task, hierarchy, out));
+        }
         let is_own = |level: &&PriorityLevel| level.name() == self.name && level.task.kind() == self.kind;
-        match (&hierarchy.joint, hierarchy.levels.iter().find(is_own)) {
-            (Some(task), _) if self.of_all_joints && task.name() == self.name => {
-                self.record_joints(&**task, hierarchy, out)
-            }
-            (_, Some(level)) => level.record(self.group, out),
-            _ => {}
+        if let Some(level) = hierarchy.levels.iter().find(is_own) {
+            level.record(self.group, out);
         }
     }
 
@@ -283,7 +284,13 @@ fn slots<'a>(
 ) -> Vec<Slot> {
     let mut slots: Vec<Slot> = Vec::new();
     let mut add = |name: &str, kind: &'static str, of_all_joints, group: Group, hierarchy: &TaskHierarchy| {
-        if slots.iter().any(|slot| slot.name == name && slot.kind == kind && slot.group == group) {
+        let is_same = |slot: &Slot| {
+            slot.of_all_joints == of_all_joints
+                && slot.name == name
+                && slot.kind == kind
+                && slot.group == group
+        };
+        if slots.iter().any(is_same) {
             return;
         }
         let mut slot = Slot { name: name.to_owned(), kind, of_all_joints, group, signals: Vec::new() };

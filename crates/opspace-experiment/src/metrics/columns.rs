@@ -24,6 +24,10 @@ impl Entry for Metric {
     fn name(&self) -> &str {
         self.key
     }
+
+    fn shares_a_name(&self, other: &Self) -> bool {
+        self.column.zip(other.column).is_some_and(|(own, other)| own.name == other.name)
+    }
 }
 
 /// Metrics with a column, built-in and added.

@@ -9,6 +9,12 @@ use opspace_control::{
 use opspace_loop::{ControlLoop, Fault, LoopConfig, Run, RunOutcome, drive};
 use opspace_sim::{ArmConfig, SimulatedArm};
 
+/// Largest difference of positions under two solvers of the same programs, rad.
+const SAME_RAD: f64 = 1e-4;
+
+/// Time within which the first cycle ends, s.
+const FIRST_CYCLES_S: f64 = 0.01;
+
 /// Moves an arm with a controller that `change` has prepared, and solves the program of each cycle.
 fn outcome(change: impl FnOnce(&mut OperationalSpaceController)) -> (RunOutcome, Vec<f64>) {
     let model = common::model();
@@ -44,7 +50,7 @@ fn second_solver_replaces_the_first() {
     assert_eq!((plain, replaced), (RunOutcome::Completed, RunOutcome::Completed));
     assert!((expected[0] - 0.2).abs() > 0.1, "the arm moves: {expected:?}");
     for (is, expected) in q.iter().zip(&expected) {
-        assert!((is - expected).abs() < 1e-4, "{is} and {expected} rad");
+        assert!((is - expected).abs() < SAME_RAD, "{is} and {expected} rad");
     }
 }
 
@@ -54,6 +60,6 @@ fn unsolved_limits_fault_without_a_second_solver() {
     let (outcome, _) = outcome(|controller| controller.fail_active_sets(false));
     let RunOutcome::Faulted { fault, time_s } = outcome else { panic!("{outcome:?}") };
     assert_eq!(fault, Fault::UnsolvedLimits { error: QpError::Iterations });
-    assert!(time_s < 0.01, "stopped in the first cycle: {time_s} s");
+    assert!(time_s < FIRST_CYCLES_S, "stopped in the first cycle: {time_s} s");
     assert!(fault.to_string().contains("feature `clarabel`"), "{fault}");
 }

@@ -6,6 +6,12 @@ use std::f64::consts::TAU;
 
 const PERIOD_S: f64 = 2e-4;
 
+/// Relative rounding error of a product.
+const ROUNDING: f64 = 1e-12;
+
+/// Largest error of a torque at rest, Nm.
+const TORQUE_NM: f64 = 1e-9;
+
 /// Servo of each structure, by its name in files.
 const EXAMPLES: [(&str, &str); 4] = [
     ("cascaded", "{ kp_per_s = 40.0, kv_nms_per_rad = 60.0, velocity_filter_hz = 600.0 }"),
@@ -53,7 +59,7 @@ fn law_rests_with_a_torque() {
             let law = ServoLaw::new(&servo, PERIOD_S).unwrap();
             let (mut memory, setpoint) = law.rest(0.3, 5.0);
             let torque = law.step(&mut memory, setpoint, 0.3);
-            assert!((torque - 5.0).abs() < 1e-9, "{name}: {torque}");
+            assert!((torque - 5.0).abs() < TORQUE_NM, "{name}: {torque}");
         }
     }
 }
@@ -64,10 +70,10 @@ fn scale_multiplies_the_gains() {
     for (name, keys) in EXAMPLES {
         let servo = servo(name, keys);
         let (gains, scaled) = (servo.gains(PERIOD_S), servo.scaled(1.5, 0.5).gains(PERIOD_S));
-        assert!((scaled.stiffness - 0.75 * gains.stiffness).abs() <= 1e-12 * gains.stiffness, "{name}");
+        assert!((scaled.stiffness - 0.75 * gains.stiffness).abs() <= ROUNDING * gains.stiffness, "{name}");
         let of_loop = name == "transfer-function";
         let damping = if of_loop { 0.75 } else { 0.5 } * gains.damping;
-        assert!((scaled.damping - damping).abs() <= 1e-12 * damping, "{name}");
+        assert!((scaled.damping - damping).abs() <= ROUNDING * damping, "{name}");
     }
 }
 
