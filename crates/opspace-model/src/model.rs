@@ -356,6 +356,14 @@ impl Model {
         self
     }
 
+    /// Sets the reflected rotor inertia of a joint (kg m², or kg for a prismatic joint).
+    ///
+    /// # Panics
+    /// If there is no joint with this index.
+    pub fn set_rotor_inertia(&mut self, joint: usize, inertia: f64) {
+        self.rotor_inertia[joint] = inertia;
+    }
+
     /// Returns the robot with every mass and rotational inertia multiplied by `factor`, including rotors and payloads.
     #[must_use]
     pub fn with_scaled_inertia(mut self, factor: f64) -> Self {

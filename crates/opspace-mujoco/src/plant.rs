@@ -9,8 +9,8 @@ use crate::mjcf::{LOAD_CELL, ModelSettings, contents, joint_name, write};
 use nalgebra::Vector3;
 use opspace_model::Force;
 use opspace_sim::{
-    EnvironmentObject, ExternalForce, HeldObject, Plant, PlantArm, PlantArms, PlantConfig, PlantError,
-    PlantFrame, Scene,
+    EnvironmentObject, ExternalForce, HeldObject, JointTorque, Plant, PlantArm, PlantArms, PlantConfig,
+    PlantError, PlantFrame, Scene,
 };
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -139,13 +139,13 @@ impl Plant for MujocoPlant {
         self.arms.dq()
     }
 
-    fn step(&mut self, time_s: f64, dt_s: f64, joint_torques: &[f64]) {
-        self.arms.begin_step(time_s, dt_s, joint_torques);
+    fn step(&mut self, time_s: f64, dt_s: f64, torques: &[JointTorque]) {
+        self.arms.begin_step(time_s, dt_s, torques);
         self.predict_scene(dt_s);
         let (n, State { q, v, forces }) = (self.joints, &mut self.middle);
         self.arms.copy_middle(&mut q[..n], &mut v[..n], &mut forces[..n]);
         acceleration(&mut self.instance, &self.middle, self.step_s, &mut self.accelerations);
-        self.arms.end_step(dt_s, &self.accelerations[..n]);
+        self.arms.end_step(dt_s, &mut self.accelerations[..n]);
         self.advance_scene(dt_s);
     }
 

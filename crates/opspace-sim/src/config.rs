@@ -12,8 +12,9 @@ use crate::motor::{AngleTorque, Motor};
 use crate::parameters::{EncoderSide, SimulatedParameters};
 use crate::random::{RngStream, generator};
 use crate::sensor_load::SensorLoad;
+use crate::stiffness::{LinkElements, explicit_gear_hz, implicit_joints};
 use crate::timing::{Clock, Timing};
-use nalgebra::{DMatrix, DVector, Vector3};
+use nalgebra::{DVector, Vector3};
 use opspace_backend::quantity::NonNegative;
 use opspace_backend::{Capabilities, CommandKind, GravityCompensation};
 use opspace_model::collision::LinkCapsule;
@@ -25,12 +26,6 @@ use std::f64::consts::TAU;
 
 /// Largest lateness of measured torques, servo ticks; more indicates a mistake in a unit.
 const MAX_TORQUE_DELAY: u32 = 10_000;
-
-/// Largest product of a physics step and an angular frequency of links on elastic gears: the method is stable up to 2.
-const LARGEST_GEAR_STEP: f64 = 1.5;
-
-/// Largest product of a physics step and the damping of elastic gears over the inertia of the links.
-const LARGEST_DAMPING_STEP: f64 = 1.0;
 
 /// Configuration of a simulated arm.
 #[derive(Clone, Debug)]
@@ -259,37 +254,56 @@ impl ArmConfig {
         }
     }
 
-    /// Checks that the links on elastic gears do not vibrate too fast for the physics rate. `model` has the true rigid
-    /// bodies, without the rotors of these gears.
-    fn check_physics_rate(&self, model: &Model, physics_hz: f64) -> Result<(), SimulationError> {
-        let gears: Vec<Option<GearConfig>> = (0..model.n()).map(|joint| self.gear(joint)).collect();
-        if gears.iter().all(Option::is_none) {
-            return Ok(());
-        }
+    /// Name of the joint with the least inertia at the start.
+    fn lightest_joint(&self, model: &Model) -> String {
         let mut data = Data::new(model);
         kinematics(model, &mut data, &self.start, &vec![0.0; model.n()]);
         crba(model, &mut data);
-        let factor = data.mass_matrix.clone().cholesky().ok_or(SimulationError::GearLinks)?;
-        // Largest eigenvalue of M⁻¹ times the gears' stiffness or damping, and the joint with the largest diagonal element.
-        let largest = |of: fn(&GearConfig) -> f64| {
-            let root = |i: usize| gears[i].as_ref().map_or(0.0, of).sqrt();
-            let scaled = DMatrix::from_fn(model.n(), model.n(), |i, j| if i == j { root(i) } else { 0.0 });
-            let product = &scaled * factor.solve(&scaled);
-            let joint = self.name(product.diagonal().imax()).to_owned();
-            (product.symmetric_eigenvalues().max(), joint)
+        self.name(data.mass_matrix.diagonal().imin()).to_owned()
+    }
+
+    /// Lowest physics rate at which the elastic gears are integrated by explicit steps, Hz; `None` if all gears are rigid. At lower
+    /// rates the gears are integrated implicitly, which damps the vibrations of the links on them.
+    #[must_use]
+    pub fn explicit_gear_hz(&self) -> Option<f64> {
+        let elements: Vec<LinkElements> =
+            (0..self.model.n()).map(|joint| self.elements(joint, 0.0)).collect();
+        let hz = explicit_gear_hz(&self.true_model(), &self.start, &elements)?;
+        (hz > 0.0).then_some(hz)
+    }
+
+    /// Elements of a joint that act on its link; `dt` is the step of the plant (s).
+    fn elements(&self, joint: usize, dt: f64) -> LinkElements {
+        let torque_limit = self.joints[joint].torque_limit_nm.get();
+        let stop = self.simulated.end_stop_of(torque_limit);
+        let brake = self.simulated.brake_of(torque_limit);
+        let bristle = self.simulated.bristle_of(self.true_friction(joint));
+        let scale = self.simulated.true_over_nominal.friction.get();
+        let springs = [
+            (stop.stiffness_nm_per_rad.get(), stop.damping_nms_per_rad.get()),
+            (brake.stiffness_nm_per_rad.get(), brake.damping_nms_per_rad.get()),
+            (bristle.stiffness_nm_per_rad.get(), bristle.damping_nms_per_rad.get()),
+        ];
+        let [_, brake, mut bristle] = springs;
+        bristle.1 += scale * self.true_friction(joint).viscous_nms_per_rad.get();
+        let is_damped = springs.iter().all(|(stiffness, damping)| *damping >= dt * stiffness);
+        let stop = springs[0];
+        let Some(gear) = self.gear(joint) else {
+            return LinkElements {
+                stiffness: stop.0 + brake.0 + bristle.0,
+                damping: stop.1 + brake.1 + bristle.1,
+                is_damped,
+                ..LinkElements::default()
+            };
         };
-        let (squared, joint) = largest(|gear| gear.stiffness);
-        let needed_hz = squared.sqrt() / LARGEST_GEAR_STEP;
-        if needed_hz > physics_hz {
-            let frequency_hz = squared.sqrt() / TAU;
-            return Err(SimulationError::GearRate { joint, physics_hz, needed_hz, frequency_hz });
+        LinkElements {
+            stiffness: stop.0,
+            damping: stop.1,
+            is_damped,
+            gear_stiffness: gear.stiffness,
+            gear_damping: gear.damping,
+            has_light_rotor: gear.steps(dt, brake.0 + bristle.0, brake.1 + bristle.1) > MAX_STEPS,
         }
-        let (rate, joint) = largest(|gear| gear.damping);
-        let needed_hz = rate / LARGEST_DAMPING_STEP;
-        if needed_hz > physics_hz {
-            return Err(SimulationError::GearDamping { joint, physics_hz, needed_hz });
-        }
-        Ok(())
     }
 
     /// Returns the drivetrains; at the start their motors produce `motor_torque` (n; Nm, N), and elastic gears carry
@@ -301,9 +315,11 @@ impl ArmConfig {
         holding: &DVector<f64>,
         physics_hz: f64,
     ) -> Result<Vec<Drivetrain>, SimulationError> {
-        self.check_physics_rate(model, physics_hz)?;
         let simulated = &self.simulated;
         let dt = 1.0 / physics_hz;
+        let elements: Vec<LinkElements> = (0..model.n()).map(|joint| self.elements(joint, dt)).collect();
+        let implicit = implicit_joints(model, &self.start, &elements, dt)
+            .ok_or_else(|| SimulationError::NoInertia { joint: self.lightest_joint(model) })?;
         let bandwidth_hz = simulated.current_loop_hz.map(|hz| hz.get());
         let joint = |(i, parameters): (usize, &JointParameters)| {
             let torque_limit = parameters.torque_limit_nm.get();
@@ -328,19 +344,20 @@ impl ArmConfig {
             let drivetrain = drivetrain
                 .with_angle_torque(angle_torque)
                 .with_interface_encoder(self.encoder(parameters, simulated.encoder.interface));
-            let Some(gear) = self.gear(i) else { return Ok(drivetrain) };
-            let stiffness = brake.stiffness_nm_per_rad.get() + bristle.stiffness_nm_per_rad.get();
-            let scale = simulated.true_over_nominal.friction.get();
+            let drivetrain = match implicit[i] {
+                Some(inertia) => drivetrain.with_implicit_steps(inertia),
+                None => drivetrain,
+            };
+            let Some(gear) = self.gear(i) else { return drivetrain };
             let damping = brake.damping_nms_per_rad.get()
                 + bristle.damping_nms_per_rad.get()
-                + scale * self.true_friction(i).viscous_nms_per_rad.get();
+                + simulated.true_over_nominal.friction.get()
+                    * self.true_friction(i).viscous_nms_per_rad.get();
+            let stiffness = brake.stiffness_nm_per_rad.get() + bristle.stiffness_nm_per_rad.get();
             let steps = gear.steps(dt, stiffness, damping);
-            if steps > MAX_STEPS {
-                return Err(SimulationError::GearRotor { joint: self.name(i).to_owned() });
-            }
-            Ok(drivetrain.with_gear(ElasticGear::new(&gear, steps, self.start[i], holding[i])))
+            drivetrain.with_gear(ElasticGear::new(&gear, steps, self.start[i], holding[i]))
         };
-        self.joints.iter().enumerate().map(joint).collect()
+        Ok(self.joints.iter().enumerate().map(joint).collect())
     }
 
     /// Returns an encoder of a joint on this side of its gear.

@@ -4,11 +4,16 @@
 //! the link is `((motor − friction) + end stop) + brake`. With an [elastic gear](crate::gear), motor, friction and brake
 //! act on the rotor, whose motion is a state of the drivetrain, and the torque on the link is `gear + end stop`. Contact
 //! forces are part of the [plant](crate::plant).
+//!
+//! The torques above are constant over a step, and computed at its begin, unless they are too stiff for that: see
+//! [`stiff_joint`](crate::stiff_joint).
 
 use crate::friction::LuGre;
 use crate::gear::ElasticGear;
 use crate::motor::{AngleTorque, Motor};
 use crate::parameters::{BrakeParameters, EncoderSide, EndStopParameters};
+use crate::plant::JointTorque;
+use crate::stiff_joint::{StiffJoint, decrease, end_velocity};
 use opspace_model::Limits;
 
 /// Drivetrain of one joint.
@@ -21,6 +26,9 @@ pub struct Drivetrain {
     encoder: Encoder,
     interface_encoder: Encoder,
     gear: Option<ElasticGear>,
+    stiff: Option<StiffJoint>,
+    /// Position of the link before the present step, rad (m).
+    link: f64,
     angle_torque: AngleTorque,
     current_torque: f64,
     motor_torque: f64,
@@ -40,6 +48,8 @@ impl Drivetrain {
             encoder,
             interface_encoder,
             gear: None,
+            stiff: None,
+            link: 0.0,
             angle_torque: AngleTorque::default(),
             current_torque: 0.0,
             motor_torque: 0.0,
@@ -65,12 +75,44 @@ impl Drivetrain {
         Self { interface_encoder, ..self }
     }
 
-    /// Returns the torque on the link (Nm, N), constant over the next `dt_s` (s), at position `q` (rad, m) and velocity
-    /// `dq` (rad/s, m/s); `commanded` (Nm, N) is the input of the current loop.
-    pub fn step(&mut self, q: f64, dq: f64, dt_s: f64, commanded: f64) -> f64 {
+    /// Integrates brake, end stop, friction and an elastic gear implicitly: they are too stiff for the step. The link has
+    /// this inertia with the other joints free, without the rotor of an elastic gear (kg m², kg).
+    #[must_use]
+    pub fn with_implicit_steps(self, link_inertia: f64) -> Self {
+        Self { stiff: Some(StiffJoint::new(link_inertia)), ..self }
+    }
+
+    /// Returns the torque on the link over the next `dt_s` (s) from position `q` (rad, m) and velocity `dq` (rad/s, m/s);
+    /// `commanded` (Nm, N) is the input of the current loop.
+    pub fn begin_step(&mut self, q: f64, dq: f64, dt_s: f64, commanded: f64) -> JointTorque {
         self.current_torque = self.motor.step(commanded);
-        let motor = self.angle_torque.torque(self.current_torque, self.rotor_position(q));
-        self.motor_torque = motor;
+        self.motor_torque = self.angle_torque.torque(self.current_torque, self.rotor_position(q));
+        self.link = q;
+        if let Some(mut stiff) = self.stiff.take() {
+            let torque = |v: f64| self.end_torque(v, dt_s);
+            let result = stiff.begin(dq, dt_s, torque, |v| self.end_slope(v, dt_s));
+            self.stiff = Some(stiff);
+            return result;
+        }
+        JointTorque { torque: self.step(q, dq, dt_s), inertia: 0.0 }
+    }
+
+    /// Ends the step of `dt_s` (s) that was begun, with the link at velocity `dq` (rad/s, m/s).
+    pub fn end_step(&mut self, dq: f64, dt_s: f64) {
+        let Some(stiff) = &mut self.stiff else { return };
+        self.joint_torque = stiff.end(dq, dt_s);
+        let rotor = self.rotor_velocity(dq, dt_s);
+        self.friction.step(rotor, dt_s);
+        let stop = self.end_stop.torque(self.link + dt_s * dq, dq);
+        if let Some(gear) = &mut self.gear {
+            gear.end_step(rotor, dt_s);
+            self.joint_torque -= stop;
+        }
+    }
+
+    /// Explicit step: returns the torque on the link (Nm, N), constant over the next `dt_s` (s).
+    fn step(&mut self, q: f64, dq: f64, dt_s: f64) -> f64 {
+        let motor = self.motor_torque;
         let stop = self.end_stop.torque(q, dq);
         let Self { friction, brake, .. } = self;
         if let Some(gear) = &mut self.gear {
@@ -81,6 +123,39 @@ impl Drivetrain {
         let friction = friction.step(dq, dt_s);
         self.joint_torque = motor - friction + stop + brake.torque(q, dq);
         self.joint_torque
+    }
+
+    /// Torque on the rotor (Nm, N), without that of the gear, if the rotor has velocity `v` (rad/s, m/s) at the end of a step
+    /// of `h` (s).
+    fn rotor_torque(&self, v: f64, h: f64) -> f64 {
+        let position = self.rotor_position(self.link) + h * v;
+        self.motor_torque - self.friction.torque(v, h) + self.brake.torque(position, v)
+    }
+
+    /// Velocity of the rotor at the end of a step of `h` (s), with that of the link (rad/s, m/s).
+    fn rotor_velocity(&self, link: f64, h: f64) -> f64 {
+        let Some(gear) = &self.gear else { return link };
+        let torque = |v: f64| self.rotor_torque(v, h) - gear.end_torque(self.link, link, v, h);
+        end_velocity(gear.inertia() / h, gear.velocity(), torque)
+    }
+
+    /// Torque on the link (Nm, N) if it has velocity `v` (rad/s, m/s) at the end of a step of `h` (s).
+    fn end_torque(&self, v: f64, h: f64) -> f64 {
+        let stop = self.end_stop.torque(self.link + h * v, v);
+        match &self.gear {
+            None => self.rotor_torque(v, h) + stop,
+            Some(gear) => gear.end_torque(self.link, v, self.rotor_velocity(v, h), h) + stop,
+        }
+    }
+
+    /// Rate by which [`end_torque`](Self::end_torque) decreases with the velocity (Nms/rad, Ns/m).
+    fn end_slope(&self, v: f64, h: f64) -> f64 {
+        let stop = decrease(v, |v| self.end_stop.torque(self.link + h * v, v));
+        let Some(gear) = &self.gear else { return decrease(v, |v| self.rotor_torque(v, h)) + stop };
+        let rotor = self.rotor_velocity(v, h);
+        let gear_slope = decrease(v, |v| gear.end_torque(self.link, v, rotor, h));
+        let behind = gear.inertia() / h + decrease(rotor, |rotor| self.rotor_torque(rotor, h));
+        gear_slope * behind / (gear_slope + behind) + stop
     }
 
     /// Mean motor torque at the joint over the last step, Nm or N.

@@ -68,48 +68,20 @@ pub enum SimulationError {
         /// Name of the joint.
         joint: String,
     },
-    /// Elastic gear on a rotor without inertia, or with too little for the physics rate.
-    #[error(
-        "the rotor of joint '{joint}' has no inertia, or too little for its elastic gear: rotor.inertia_kg_m2 must be \
-         larger, or physics_hz higher"
-    )]
+    /// Elastic gear on a rotor without inertia.
+    #[error("the rotor of joint '{joint}' has no inertia: its elastic gear needs rotor.inertia_kg_m2")]
     GearRotor {
         /// Name of the joint.
         joint: String,
     },
-    /// Elastic gears on links without inertia.
+    /// Joint that moves no inertia.
     #[error(
-        "without the rotors on elastic gears a joint moves no inertia: give the links behind these gears mass and \
-         inertia"
+        "joint '{joint}' moves hardly any inertia, so that no torque determines its motion: give its link mass and inertia, or \
+         its rotor inertia_kg_m2 if its gear is rigid"
     )]
-    GearLinks,
-    /// Link that vibrates on its elastic gear too fast for the physics rate.
-    #[error(
-        "the link of joint '{joint}' vibrates on its elastic gear with {frequency_hz:.0} Hz: physics_hz is \
-         {physics_hz}, at least {needed_hz:.0} is needed"
-    )]
-    GearRate {
-        /// Name of the joint with the least inertia for its gear.
+    NoInertia {
+        /// Joint with the least inertia at the start.
         joint: String,
-        /// Physics rate `physics_hz`, Hz.
-        physics_hz: f64,
-        /// Lowest physics rate that is enough, Hz.
-        needed_hz: f64,
-        /// Highest frequency of the links on their gears at the start, Hz.
-        frequency_hz: f64,
-    },
-    /// Link whose elastic gear has too much damping for the physics rate.
-    #[error(
-        "the elastic gear of joint '{joint}' has much damping for the inertia of its link: physics_hz is \
-         {physics_hz}, at least {needed_hz:.0} is needed, or a smaller damping_nms_per_rad"
-    )]
-    GearDamping {
-        /// Name of the joint with the least inertia for its gear.
-        joint: String,
-        /// Physics rate `physics_hz`, Hz.
-        physics_hz: f64,
-        /// Lowest physics rate that is enough, Hz.
-        needed_hz: f64,
     },
     /// Invalid servo.
     #[error("the servo of joint '{joint}': {source}")]
@@ -328,18 +300,12 @@ impl SimulationError {
                 Key::Robot(vec!["simulated".into(), "gear".into(), joint.clone()])
             }
             Self::GearRotor { joint } => Key::Robot(vec!["joint".into(), joint.clone(), "rotor".into()]),
-            Self::GearLinks => Key::Robot(vec!["simulated".into(), "gear".into()]),
+            Self::NoInertia { joint } => Key::Robot(vec!["joint".into(), joint.clone(), "rotor".into()]),
             Self::Servos { .. } => Key::Profile(vec!["servo".into()]),
             Self::Period { .. } | Self::ServoRates { .. } => Key::Profile(vec!["servo_hz".into()]),
             Self::Joints { .. } => Key::Robot(vec!["joint".into()]),
-            Self::GearDamping { joint, .. } => {
-                let path = ["simulated", "gear", joint, "damping_nms_per_rad"];
-                Key::Robot(path.map(str::to_owned).to_vec())
-            }
             Self::NoArm | Self::Coupling { .. } | Self::Plant(_) => Key::Task(Vec::new()),
-            Self::PhysicsRate { .. } | Self::GearRate { .. } => {
-                Key::Robot(vec!["simulated".into(), "physics_hz".into()])
-            }
+            Self::PhysicsRate { .. } => Key::Robot(vec!["simulated".into(), "physics_hz".into()]),
             Self::HeldObject { object, mistake } => {
                 let path = ["objects", object].into_iter().chain(mistake.key.split_terminator('.'));
                 Key::Simulation(path.map(str::to_owned).collect())

@@ -43,17 +43,29 @@ impl LuGre {
     /// Returns the friction torque (Nm, N) against the velocity `v` (rad/s, m/s), which is constant over the step `dt`
     /// (s). The bristles' equation is solved exactly for that velocity.
     pub fn step(&mut self, v: f64, dt: f64) -> f64 {
+        let (torque, deflection) = self.after(v, dt);
+        self.deflection = deflection;
+        torque
+    }
+
+    /// Friction torque (Nm, N) that [`step`](Self::step) would return.
+    pub(crate) fn torque(&self, v: f64, dt: f64) -> f64 {
+        self.after(v, dt).0
+    }
+
+    /// Friction torque (Nm, N) and deflection (rad, m) after a step.
+    fn after(&self, v: f64, dt: f64) -> (f64, f64) {
         let level = self.coulomb + self.stiction * (-(v / self.stribeck).powi(2)).exp();
         if level <= 0.0 {
-            return self.viscous * v;
+            return (self.viscous * v, self.deflection);
         }
         let before = self.deflection;
         let steady = level * v.signum() / self.bristle_stiffness;
         let decay = (-self.bristle_stiffness * v.abs() / level * dt).exp();
-        self.deflection = steady + (before - steady) * decay;
-        let rate = (self.deflection - before) / dt;
+        let deflection = steady + (before - steady) * decay;
+        let rate = (deflection - before) / dt;
         // Bristle damping decreases with speed, and with the friction level if that is below 1 Nm.
         let damping = self.bristle_damping * (-(v / self.damping_fades_over).powi(2)).exp() * level.min(1.0);
-        self.bristle_stiffness * self.deflection + damping * rate + self.viscous * v
+        (self.bristle_stiffness * deflection + damping * rate + self.viscous * v, deflection)
     }
 }

@@ -77,6 +77,23 @@ impl ElasticGear {
         }
     }
 
+    /// Inertia of the rotor at the joint, kg m² (kg).
+    pub(crate) fn inertia(&self) -> f64 {
+        self.inertia
+    }
+
+    /// Torque on the link (Nm, N) at the end of a step of `h` (s), in which the link begins at `q` (rad, m), if link and rotor
+    /// have these velocities (rad/s, m/s) at its end.
+    pub(crate) fn end_torque(&self, q: f64, link: f64, rotor: f64, h: f64) -> f64 {
+        self.torque(self.position - q + h * (rotor - link), rotor - link)
+    }
+
+    /// Ends a step of `h` (s) with this velocity of the rotor (rad/s, m/s).
+    pub(crate) fn end_step(&mut self, velocity: f64, h: f64) {
+        self.position += h * velocity;
+        self.velocity = velocity;
+    }
+
     /// Position of the rotor at the joint, rad (m).
     #[must_use]
     pub fn position(&self) -> f64 {

@@ -79,4 +79,10 @@ impl Midpoint {
             dq[i] += dt * self.ddq[i];
         }
     }
+
+    /// Changes the position `q` (rad, m) of a joint after a step of `dt` (s) to that of a backward Euler step, which moves at the
+    /// velocity of its end.
+    pub(crate) fn step_backward(&self, joint: usize, q: &mut f64, dt: f64) {
+        *q += 0.5 * dt * dt * self.ddq[joint];
+    }
 }

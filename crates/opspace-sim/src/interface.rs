@@ -8,7 +8,7 @@ use crate::external::ExternalForceHandle;
 use crate::fault;
 use crate::force_sensor::SimulatedForceSensor;
 use crate::motors::Motors;
-use crate::plant::{Plant, PlantFrame};
+use crate::plant::{JointTorque, Plant, PlantFrame};
 use crate::servo_drives::{ServoDrives, ServoDrivesConfig};
 use crate::setpoint_check::SetpointCheck;
 use crate::timing::{Clock, Timing};
@@ -246,12 +246,16 @@ impl ArmInterface {
         self.timing.servo_tick += 1;
     }
 
-    /// Computes a physics step of `dt_s` (s) of the drives and writes its joint torques (Nm, N) into the torques of all
-    /// arms.
-    pub fn step_drives(&mut self, plant: &dyn Plant, dt_s: f64, torques: &mut [f64]) {
+    /// Begins a physics step of `dt_s` (s) of the drives, and writes what acts on its links into the torques of all arms.
+    pub fn begin_step(&mut self, plant: &dyn Plant, dt_s: f64, torques: &mut [JointTorque]) {
         let joints = self.joints.clone();
         let (q, dq) = (&plant.q()[joints.clone()], &plant.dq()[joints.clone()]);
-        self.motors.step(q, dq, dt_s, &mut torques[joints]);
+        self.motors.begin_step(q, dq, dt_s, &mut torques[joints]);
+    }
+
+    /// Ends a physics step of `dt_s` (s) of the drives.
+    pub fn end_step(&mut self, plant: &dyn Plant, dt_s: f64) {
+        self.motors.end_step(&plant.dq()[self.joints.clone()], dt_s);
         let steps = f64::from(self.timing.steps_per_servo);
         for (sum, torque) in self.rows.servo_row().iter_mut().zip(self.motors.motor_torques()) {
             *sum += torque / steps;

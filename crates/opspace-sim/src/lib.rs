@@ -88,6 +88,8 @@ mod setpoint_check;
 mod shared_arm;
 pub mod simulation;
 mod sines;
+mod stiff_joint;
+mod stiffness;
 mod timing;
 pub mod torque_arm;
 mod torque_drives;
@@ -106,8 +108,8 @@ pub use held_object::{GripParameters, HeldObject, HeldObjectConfig, HeldObjectPa
 pub use integrator::Midpoint;
 pub use parameters::SimulatedParameters;
 pub use plant::{
-    PhysicsEngine, Plant, PlantArm, PlantConfig, PlantCoupling, PlantError, PlantFrame, PlantGrip,
-    PlantObject, Scene,
+    JointTorque, PhysicsEngine, Plant, PlantArm, PlantConfig, PlantCoupling, PlantError, PlantFrame,
+    PlantGrip, PlantObject, Scene,
 };
 pub use plant_arms::PlantArms;
 pub use rigid::{RigidEngine, RigidPlant};

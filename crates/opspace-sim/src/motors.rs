@@ -1,6 +1,7 @@
 //! Motors of a simulated arm with their drivetrains and encoders: what every kind of robot has.
 
 use crate::drivetrain::Drivetrain;
+use crate::plant::JointTorque;
 use nalgebra::DVector;
 
 /// Drivetrains of one arm, with the torques that their motors are asked for.
@@ -64,12 +65,17 @@ impl Motors {
         }
     }
 
-    /// Runs a physics step of `dt_s` (s) at the true `q` (n; rad, m) and `dq` (n; rad/s, m/s): writes the torques on
-    /// the links (n; Nm, N).
-    pub fn step(&mut self, q: &[f64], dq: &[f64], dt_s: f64, torques: &mut [f64]) {
+    /// Begins a physics step of `dt_s` (s) at the true `q` (n; rad, m) and `dq` (n; rad/s, m/s): writes what acts on the links
+    /// (n).
+    pub fn begin_step(&mut self, q: &[f64], dq: &[f64], dt_s: f64, torques: &mut [JointTorque]) {
         for (i, joint) in self.drivetrains.iter_mut().enumerate() {
-            torques[i] = joint.step(q[i], dq[i], dt_s, self.asked[i]);
+            torques[i] = joint.begin_step(q[i], dq[i], dt_s, self.asked[i]);
         }
+    }
+
+    /// Ends a physics step of `dt_s` (s) with the true `dq` (n; rad/s, m/s).
+    pub fn end_step(&mut self, dq: &[f64], dt_s: f64) {
+        self.drivetrains.iter_mut().zip(dq).for_each(|(joint, &dq)| joint.end_step(dq, dt_s));
     }
 
     /// Motor torques during the last physics step, Nm or N.

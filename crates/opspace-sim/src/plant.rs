@@ -23,9 +23,9 @@ pub trait Plant {
     /// True joint velocities, in the order of [`q`](Self::q), rad/s or m/s.
     fn dq(&self) -> &[f64];
 
-    /// Advances by `dt_s` (s) from the time `time_s` (s after the start of control). `joint_torques` (Nm or N, in the
-    /// order of [`q`](Self::q)) are constant over the step.
-    fn step(&mut self, time_s: f64, dt_s: f64, joint_torques: &[f64]);
+    /// Advances by `dt_s` (s) from the time `time_s` (s after the start of control). `torques`, in the order of
+    /// [`q`](Self::q), are those of the drives on the links during the step.
+    fn step(&mut self, time_s: f64, dt_s: f64, torques: &[JointTorque]);
 
     /// Returns the wrench (N, Nm) of the last step's contacts and external force on the body of `frame`. It acts on the
     /// robot, is expressed in the frame's axes and refers to the frame's origin.
@@ -56,6 +56,22 @@ pub trait Plant {
 
     /// External force on an arm during the last step, world axes (N).
     fn external_force(&self, arm: usize) -> Vector3<f64>;
+}
+
+/// Torque of a drive on its link during a step: `torque − inertia q̈`, with the acceleration q̈ of the joint in the step.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct JointTorque {
+    /// Torque on a link that does not accelerate, Nm (N).
+    pub torque: f64,
+    /// Inertia by which the drivetrain resists the acceleration of the link, in addition to the rotor's, kg m² (kg).
+    pub inertia: f64,
+}
+
+impl From<f64> for JointTorque {
+    /// Torque (Nm, N) that does not depend on the acceleration.
+    fn from(torque: f64) -> Self {
+        Self { torque, inertia: 0.0 }
+    }
 }
 
 /// Physics engine in place of the library's plant. Threads that run simulations side by side share it.

@@ -16,9 +16,12 @@ use crate::environment::EnvironmentObject;
 use crate::external::ExternalForce;
 use crate::held_object::{HandMotion, HeldObject};
 use crate::integrator::Midpoint;
-use crate::plant::{PlantArm, PlantConfig, PlantCoupling, PlantFrame, PlantObject};
+use crate::plant::{JointTorque, PlantArm, PlantConfig, PlantCoupling, PlantFrame, PlantObject};
 use nalgebra::{DVector, Matrix6xX, Rotation3, UnitQuaternion, Vector3};
-use opspace_model::{Force, FrameId, Model, frame_jacobian, frame_placement, frame_velocity};
+use opspace_model::{
+    Data, Force, FrameId, Model, aba, cholesky, crba, frame_jacobian, frame_placement, frame_velocity,
+    kinematics,
+};
 use std::ops::Range;
 
 /// Arms of a plant, and the forces on them. Joint torques and contact forces are constant over a step, the latter those
@@ -39,12 +42,73 @@ struct MovingArm {
     integrator: Midpoint,
     joints: Range<usize>,
     torque: DVector<f64>,
+    drives: DriveInertia,
     /// Mean velocities during the last step (n; rad/s, m/s).
     mean_dq: DVector<f64>,
     objects: Vec<EnvironmentObject>,
     /// Forces of the objects, then those of the couplings, then those of held objects.
     contacts: Vec<PointForce>,
     external: External,
+}
+
+/// Inertia by which the drives of an arm resist its acceleration, in addition to that of its rotors: see [`JointTorque`]. While it
+/// is not zero, the rotors of the arm's model have it.
+struct DriveInertia {
+    /// Inertia of the rotors (n; kg m², kg).
+    rotors: Vec<f64>,
+    /// Inertia of the drives in the present step (n; kg m², kg).
+    added: DVector<f64>,
+    is_present: bool,
+    /// Accelerations of the articulated-body algorithm, which another engine corrects (n; rad/s², m/s²).
+    expected: DVector<f64>,
+    data: Data,
+}
+
+impl DriveInertia {
+    fn new(model: &Model) -> Self {
+        let zero = DVector::zeros(model.n());
+        let rotors = model.rotor_inertia().to_vec();
+        Self { rotors, added: zero.clone(), is_present: false, expected: zero, data: Data::new(model) }
+    }
+
+    /// Sets the inertia of the drives, and that of the rotors in the model.
+    fn set(&mut self, model: &mut Model, torques: &[JointTorque]) {
+        let is_present = torques.iter().any(|torque| torque.inertia != 0.0);
+        if is_present || self.is_present {
+            for (joint, torque) in torques.iter().enumerate() {
+                self.added[joint] = torque.inertia;
+                model.set_rotor_inertia(joint, self.rotors[joint] + torque.inertia);
+            }
+        }
+        self.is_present = is_present;
+    }
+
+    /// Computes the expected accelerations in the middle of a step, under `torque` (n; Nm, N).
+    fn expect(&mut self, model: &Model, q: &[f64], dq: &[f64], torque: &DVector<f64>) {
+        if self.is_present {
+            kinematics(model, &mut self.data, q, dq);
+            aba(model, &mut self.data, torque.as_slice());
+            self.expected.copy_from(&self.data.ddq);
+        }
+    }
+
+    /// Corrects accelerations (n; rad/s², m/s²) that an engine without the inertia of the drives has computed under the torques
+    /// less G times the expected accelerations: with the inertia, `q̈ + (M + G)⁻¹ G (expected − q̈)`.
+    fn correct(&mut self, model: &Model, ddq: &mut [f64]) {
+        if !self.is_present {
+            return;
+        }
+        crba(model, &mut self.data);
+        if !cholesky(&mut self.data) {
+            ddq.fill(f64::NAN);
+            return;
+        }
+        for (i, ddq) in ddq.iter().enumerate() {
+            self.data.ddq[i] = self.added[i] * (self.expected[i] - ddq);
+        }
+        self.data.mass_matrix_factor.solve(self.data.ddq.as_mut_slice());
+        ddq.iter_mut().zip(&self.data.ddq).for_each(|(ddq, change)| *ddq += change);
+    }
 }
 
 /// Contact force on the origin of a frame, and moment about it, during the last step.
@@ -117,6 +181,7 @@ impl MovingArm {
             integrator,
             joints: first_joint..first_joint + n,
             torque: DVector::zeros(n),
+            drives: DriveInertia::new(&arm.model),
             mean_dq: DVector::zeros(n),
             objects,
             contacts: frames.into_iter().map(|frame| PointForce::new(frame, n)).collect(),
@@ -250,12 +315,14 @@ impl PlantArms {
     }
 
     /// Predicts the middle of the next step of `dt_s` (s) from the time `time_s` (s after the start of control), and computes
-    /// all forces there. `joint_torques` are those of the drives (Nm or N).
-    pub fn begin_step(&mut self, time_s: f64, dt_s: f64, joint_torques: &[f64]) {
+    /// all forces there. `torques` are those of the drives.
+    pub fn begin_step(&mut self, time_s: f64, dt_s: f64, torques: &[JointTorque]) {
         let middle_s = time_s + 0.5 * dt_s;
         self.is_controlled = middle_s >= 0.0;
         for arm in &mut self.arms {
-            arm.torque.copy_from_slice(&joint_torques[arm.joints.clone()]);
+            let torques = &torques[arm.joints.clone()];
+            arm.torque.iter_mut().zip(torques).for_each(|(to, torque)| *to = torque.torque);
+            arm.drives.set(&mut arm.model, torques);
             let (q, dq) = (&self.q.as_slice()[arm.joints.clone()], &self.dq.as_slice()[arm.joints.clone()]);
             arm.integrator.predict(&arm.model, q, dq, dt_s);
             arm.touch(middle_s, dt_s);
@@ -272,17 +339,29 @@ impl PlantArms {
     }
 
     /// Copies the middle of the step that was begun, in the order of [`q`](Self::q): positions (rad or m), velocities
-    /// (rad/s or m/s), and torques of drives and forces (Nm or N).
-    pub fn copy_middle(&self, q: &mut [f64], dq: &mut [f64], torques: &mut [f64]) {
-        for arm in &self.arms {
+    /// (rad/s or m/s), and torques of drives and forces (Nm or N), with which an engine computes the accelerations for
+    /// [`end_step`](Self::end_step). The inertia of the drives is taken into account here and there.
+    pub fn copy_middle(&mut self, q: &mut [f64], dq: &mut [f64], torques: &mut [f64]) {
+        for arm in &mut self.arms {
+            let middle = &arm.integrator;
+            arm.drives.expect(&arm.model, middle.middle_q(), middle.middle_dq(), &arm.torque);
             q[arm.joints.clone()].copy_from_slice(arm.integrator.middle_q());
             dq[arm.joints.clone()].copy_from_slice(arm.integrator.middle_dq());
             torques[arm.joints.clone()].copy_from_slice(arm.torque.as_slice());
+            if arm.drives.is_present {
+                let resistance = arm.drives.added.iter().zip(&arm.drives.expected);
+                let torques = torques[arm.joints.clone()].iter_mut();
+                torques.zip(resistance).for_each(|(torque, (inertia, ddq))| *torque -= inertia * ddq);
+            }
         }
     }
 
-    /// Ends the step that was begun, with the joint accelerations in its middle (rad/s² or m/s²).
-    pub fn end_step(&mut self, dt_s: f64, ddq: &[f64]) {
+    /// Ends the step that was begun, with the joint accelerations in its middle (rad/s² or m/s²), which an engine has computed
+    /// from [`copy_middle`](Self::copy_middle). They are corrected for the inertia of the drives.
+    pub fn end_step(&mut self, dt_s: f64, ddq: &mut [f64]) {
+        for arm in &mut self.arms {
+            arm.drives.correct(&arm.model, &mut ddq[arm.joints.clone()]);
+        }
         self.advance(dt_s, |arm, q, dq| arm.integrator.accelerate(q, dq, &ddq[arm.joints.clone()], dt_s));
     }
 
@@ -300,6 +379,12 @@ impl PlantArms {
             let dq = &mut self.dq.as_mut_slice()[arm.joints.clone()];
             arm.mean_dq.copy_from_slice(dq);
             integrate(arm, q, dq);
+            if arm.drives.is_present {
+                for (joint, q) in q.iter_mut().enumerate().filter(|(joint, _)| arm.drives.added[*joint] > 0.0)
+                {
+                    arm.integrator.step_backward(joint, q, dt_s);
+                }
+            }
             for (mean, dq) in arm.mean_dq.iter_mut().zip(dq) {
                 *mean = 0.5 * (*mean + *dq);
             }

@@ -3,7 +3,7 @@
 use crate::environment::EnvironmentObject;
 use crate::external::ExternalForce;
 use crate::held_object::HeldObject;
-use crate::plant::{PhysicsEngine, Plant, PlantConfig, PlantError, PlantFrame, Scene};
+use crate::plant::{JointTorque, PhysicsEngine, Plant, PlantConfig, PlantError, PlantFrame, Scene};
 use crate::plant_arms::PlantArms;
 use nalgebra::Vector3;
 use opspace_model::Force;
@@ -62,8 +62,8 @@ impl Plant for RigidPlant {
         self.arms.dq()
     }
 
-    fn step(&mut self, time_s: f64, dt_s: f64, joint_torques: &[f64]) {
-        self.arms.begin_step(time_s, dt_s, joint_torques);
+    fn step(&mut self, time_s: f64, dt_s: f64, torques: &[JointTorque]) {
+        self.arms.begin_step(time_s, dt_s, torques);
         self.arms.end_step_rigid(dt_s);
     }
 

@@ -11,7 +11,9 @@ use crate::environment::Mistake;
 use crate::error::SimulationError;
 use crate::fault;
 use crate::interface::{ArmInterface, Place};
-use crate::plant::{Plant, PlantArm, PlantConfig, PlantCoupling, PlantError, PlantFrame, PlantObject};
+use crate::plant::{
+    JointTorque, Plant, PlantArm, PlantConfig, PlantCoupling, PlantError, PlantFrame, PlantObject,
+};
 use crate::rigid::RigidPlant;
 use crate::timing::Clock;
 use crate::truth::ContactSignals;
@@ -28,8 +30,8 @@ pub struct Simulation {
     tick: u64,
     /// Ticks until the last controller starts.
     rest_ticks: f64,
-    /// Joint torques of all arms, one arm after the other, Nm or N.
-    torques: Vec<f64>,
+    /// Torques on the links of all arms, one arm after the other.
+    torques: Vec<JointTorque>,
 }
 
 impl Simulation {
@@ -100,7 +102,7 @@ impl Simulation {
             capabilities: config.arms.into_iter().map(|arm| arm.capabilities).collect(),
             clock,
             tick: 0,
-            torques: vec![0.0; first_joint],
+            torques: vec![JointTorque::default(); first_joint],
         })
     }
 
@@ -157,9 +159,12 @@ impl Simulation {
         let begin_s = (self.tick as f64 - self.rest_ticks) * period_s;
         for step in 0..self.clock.steps_per_tick {
             for arm in &mut self.arms {
-                arm.step_drives(&*self.plant, dt_s, &mut self.torques);
+                arm.begin_step(&*self.plant, dt_s, &mut self.torques);
             }
             self.plant.step(begin_s + f64::from(step) * dt_s, dt_s, &self.torques);
+            for arm in &mut self.arms {
+                arm.end_step(&*self.plant, dt_s);
+            }
         }
     }
 }

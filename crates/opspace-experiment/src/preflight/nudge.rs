@@ -14,7 +14,7 @@ use opspace_backend::{Backend, CommandKind, Observable, Sample, SignalRecorder};
 use opspace_control::{ControlInput, Controller, Measurement, Targets};
 use opspace_loop::{ControlLoop, LoopConfig, SafetyParameters};
 use opspace_model::{Data, update};
-use opspace_sim::{ArmConfig, SimulatedArm, SimulatedParameters, SimulationError};
+use opspace_sim::{ArmConfig, SimulatedArm, SimulatedParameters};
 use opspace_transformer::{FrictionCompensation, Transformer, TransformerName};
 
 /// Duration of the run after a nudge, s: negative damping of 1 % of kv doubles the motion within a few tenths of a
@@ -37,6 +37,9 @@ const STEADY_PER_S: f64 = 0.1;
 /// Physics steps per step that the integration of elastic gears needs to be stable: with three, their resonances are
 /// right within 1 %.
 const ACCURATE_STEPS: f64 = 3.0;
+
+/// Largest number of steps in place of one. Faster vibrations are damped by the simulation: they are not what a nudge looks for.
+const MOST_STEPS: f64 = 100.0;
 
 /// Outcome of a nudge.
 pub(super) enum Nudge {
@@ -211,15 +214,15 @@ impl Motion {
 
 /// Simulated arm, at a physics rate at which its gears are accurate.
 fn simulated(config: &ArmConfig) -> Option<SimulatedArm> {
-    match SimulatedArm::new(config.clone()) {
-        Err(SimulationError::GearRate { physics_hz, needed_hz, .. }) => {
-            let steps = (ACCURATE_STEPS * needed_hz / physics_hz).ceil();
-            let mut faster = config.clone();
-            faster.simulated.physics_hz = Positive::try_from(steps * physics_hz).ok()?;
-            SimulatedArm::new(faster).ok()
-        }
-        arm => arm.ok(),
+    let physics_hz = config.simulated.physics_hz.get();
+    let needed_hz = config.explicit_gear_hz().unwrap_or(0.0);
+    if needed_hz <= physics_hz {
+        return SimulatedArm::new(config.clone()).ok();
     }
+    let steps = (ACCURATE_STEPS * needed_hz / physics_hz).ceil().min(MOST_STEPS);
+    let mut faster = config.clone();
+    faster.simulated.physics_hz = Positive::try_from(steps * physics_hz).ok()?;
+    SimulatedArm::new(faster).ok()
 }
 
 /// Damping of the tasks' control law at the start, D = −∂τ/∂q̇, Nms/rad (n × n).

@@ -7,8 +7,8 @@ use opspace_experiment::{Files, RobotDefinition};
 use opspace_model::{Data, forward_kinematics, frame_placement};
 use opspace_sim::random::{RngStream, generator};
 use opspace_sim::{
-    EnvironmentObject, ExternalForce, PhysicsEngine, Plant, PlantArm, PlantConfig, PlantCoupling, PlantFrame,
-    PlantGrip, PlantObject, Pull, RigidPlant,
+    EnvironmentObject, ExternalForce, JointTorque, PhysicsEngine, Plant, PlantArm, PlantConfig,
+    PlantCoupling, PlantFrame, PlantGrip, PlantObject, Pull, RigidPlant,
 };
 
 /// Start of the arm, rad.
@@ -47,7 +47,8 @@ fn positions_after(plant: &mut dyn Plant, step_s: f64, duration_s: f64) -> Vec<f
         let time_s = f64::from(step) * step_s;
         // Torques of the step's middle: constant torques over a step would be an error of second order of their own.
         let middle_s = time_s + 0.5 * step_s;
-        let torque = |i: usize| 8.0 * (5.0 * middle_s + i as f64).sin() / (1.0 + 0.5 * i as f64);
+        let torque =
+            |i: usize| JointTorque::from(8.0 * (5.0 * middle_s + i as f64).sin() / (1.0 + 0.5 * i as f64));
         plant.step(time_s, step_s, &(0..n).map(torque).collect::<Vec<_>>());
     }
     plant.q().to_vec()
@@ -101,7 +102,7 @@ fn midpoint_steps_agree_with_runge_kutta_steps_of_mujoco() {
     let other = mujoco.runge_kutta(&config.arms[0], &torques, 2.0 * STEP_S, 5000).expect("an arm");
     let mut plant = RigidPlant::new(config);
     for step in 0..10_000 {
-        plant.step(f64::from(step) * STEP_S, STEP_S, &torques);
+        plant.step(f64::from(step) * STEP_S, STEP_S, &torques.map(JointTorque::from));
     }
     let (apart, travel) = (difference(plant.q(), &other), difference(plant.q(), &START));
     println!("midpoint steps: {apart:.1e} rad from MuJoCo's Runge-Kutta steps after {travel:.2} rad");

@@ -6,7 +6,7 @@ use opspace_experiment::{Experiment, Files, RobotDefinition, RunOptions};
 use opspace_model::collision::Capsule;
 use opspace_model::{Inertia, Joint, JointKind, Limits, Model, Placement};
 use opspace_mujoco::Mujoco;
-use opspace_sim::{PhysicsEngine, Plant, PlantArm, PlantConfig, PlantFrame, RigidPlant};
+use opspace_sim::{JointTorque, PhysicsEngine, Plant, PlantArm, PlantConfig, PlantFrame, RigidPlant};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -67,7 +67,7 @@ fn force_sensor_feels_a_box() {
         let spring = |i: usize| -2000.0 * (plant.q()[i] - TRAY[i]) - 100.0 * plant.dq()[i];
         let torques = [3.0 * GRAVITY + spring(0), spring(1)];
         let before = plant.dq()[0];
-        plant.step(f64::from(step) * STEP_S, STEP_S, &torques);
+        plant.step(f64::from(step) * STEP_S, STEP_S, &torques.map(JointTorque::from));
         if step < 3000 {
             // The second joint turns about the vertical: the tray's axes in the world.
             let rotation = Placement::from_rpy([0.0, 0.0, plant.q()[1]], [0.0; 3]) * placement;
@@ -120,7 +120,11 @@ fn settings_of_a_scene_do_not_change_the_arm() {
     };
     let after = |mut plant: Box<dyn Plant>| {
         for step in 0..2000 {
-            plant.step(f64::from(step) * STEP_S, STEP_S, &[1.0, -2.0, 3.0, 4.0, 1.0, 0.5, 0.2]);
+            plant.step(
+                f64::from(step) * STEP_S,
+                STEP_S,
+                &[1.0, -2.0, 3.0, 4.0, 1.0, 0.5, 0.2].map(JointTorque::from),
+            );
         }
         plant.q().to_vec()
     };
@@ -140,7 +144,7 @@ fn weightless_arm_rests_in_a_scene_with_gravity() {
     config.arms[0].model = config.arms[0].model.clone().with_gravity(Vector3::zeros());
     let mut plant = mujoco.build(config).expect("a plant");
     let mut after = |steps: std::ops::Range<u32>| {
-        steps.for_each(|step| plant.step(f64::from(step) * STEP_S, STEP_S, &[0.0, 0.0]));
+        steps.for_each(|step| plant.step(f64::from(step) * STEP_S, STEP_S, &[JointTorque::default(); 2]));
         plant.q()[0]
     };
     // The box falls for 32 ms.
@@ -154,9 +158,9 @@ fn warning_of_mujoco_ends_a_run() {
     let Some(mujoco) = mujoco(None) else { return };
     let (config, ..) = tray();
     let mut plant = mujoco.build(config).expect("a plant");
-    plant.step(0.0, STEP_S, &[1e9, 0.0]);
+    plant.step(0.0, STEP_S, &[1e9, 0.0].map(JointTorque::from));
     assert!(plant.q()[0].is_finite());
-    plant.step(STEP_S, STEP_S, &[1e12, 0.0]);
+    plant.step(STEP_S, STEP_S, &[1e12, 0.0].map(JointTorque::from));
     assert!(plant.q()[0].is_nan(), "{}", plant.q()[0]);
 }
 

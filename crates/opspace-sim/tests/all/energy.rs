@@ -7,7 +7,7 @@ use opspace_model::{Data, Limits, Model, kinematics, kinetic_energy, potential_e
 use opspace_sim::drivetrain::{Brake, Drivetrain, Encoder, EndStop};
 use opspace_sim::friction::LuGre;
 use opspace_sim::motor::Motor;
-use opspace_sim::{Midpoint, Plant, PlantArm, PlantConfig, RigidPlant};
+use opspace_sim::{JointTorque, Midpoint, Plant, PlantArm, PlantConfig, RigidPlant};
 use opspace_transformer::JointParameters;
 
 /// Returns plant and drivetrains of the experiments' arm without friction, end stops and environment.
@@ -49,8 +49,8 @@ fn frictionless_arm_conserves_energy() {
     let (_, start) = energy(&model, &mut data, plant.q(), plant.dq());
     let (mut drift, mut slowest, mut fastest) = (0.0_f64, f64::INFINITY, 0.0_f64);
     for step in 0..(5.0 * steps_per_s) as u32 {
-        let torques: Vec<f64> = (drivetrains.iter_mut().enumerate())
-            .map(|(i, joint)| joint.step(plant.q()[i], plant.dq()[i], dt, 0.0))
+        let torques: Vec<JointTorque> = (drivetrains.iter_mut().enumerate())
+            .map(|(i, joint)| joint.begin_step(plant.q()[i], plant.dq()[i], dt, 0.0))
             .collect();
         plant.step(f64::from(step) * dt, dt, &torques);
         if step % 20 == 0 {

@@ -5,8 +5,8 @@ use nalgebra::{UnitQuaternion, Vector3};
 use opspace_backend::{Backend, Command, CommandKind, GroundTruth, Sample, TruthRow};
 use opspace_model::{Data, Model, Placement, forward_kinematics, frame_placement};
 use opspace_sim::{
-    ArmConfig, GripParameters, HeldObject, HeldObjectConfig, HeldObjectParameters, Key, Plant, PlantArm,
-    PlantConfig, PlantFrame, PlantGrip, PlantObject, RigidPlant, Simulation, SimulationConfig,
+    ArmConfig, GripParameters, HeldObject, HeldObjectConfig, HeldObjectParameters, JointTorque, Key, Plant,
+    PlantArm, PlantConfig, PlantFrame, PlantGrip, PlantObject, RigidPlant, Simulation, SimulationConfig,
     SimulationError,
 };
 use opspace_testing::allocation::allocations;
@@ -78,7 +78,7 @@ fn plant(places: &[Vector3<f64>], object: PlantObject, step_s: f64) -> RigidPlan
 
 /// Runs from `from_s` to `until_s` without torques, and calls `see` after each step with the time.
 fn run(plant: &mut RigidPlant, from_s: f64, until_s: f64, mut see: impl FnMut(&mut RigidPlant, f64)) {
-    let torques = vec![0.0; plant.q().len()];
+    let torques = vec![JointTorque::default(); plant.q().len()];
     let (first, last) = ((from_s / STEP_S).round() as i64, (until_s / STEP_S).round() as i64);
     for step in first..last {
         plant.step(step as f64 * STEP_S, STEP_S, &torques);
@@ -147,7 +147,7 @@ fn momentum_and_energy_are_conserved() {
         let mut most_turned = 0.0_f64;
         for step in 0..(DURATION_S / step_s).round() as u32 {
             let torques = if step < pushed { [3.0, -9.0, 20.0, 1.0, 6.0, -15.0] } else { [0.0; 6] };
-            plant.step(f64::from(step) * step_s, step_s, &torques);
+            plant.step(f64::from(step) * step_s, step_s, &torques.map(JointTorque::from));
             if step + 1 < pushed {
                 continue;
             }
@@ -214,7 +214,7 @@ fn turning_hands_get_what_the_object_loses() {
         let mut plant =
             RigidPlant::new(PlantConfig { arms, couplings: Vec::new(), objects: vec![object], step_s });
         for step in 0..(0.5 / step_s).round() as u32 {
-            plant.step(f64::from(step) * step_s, step_s, &[0.0; 8]);
+            plant.step(f64::from(step) * step_s, step_s, &[JointTorque::default(); 8]);
         }
         let held = plant.held_object(0);
         let mut energy = kinetic(held) + 2.0 * G * (held.position() - at_start).z;
@@ -333,7 +333,7 @@ fn steps_do_not_allocate() {
     let late =
         PlantGrip { from_s: 0.1, until_s: 0.3, stiffness_nm_per_rad: 5.0, ..grip(1, "hand", 900.0, 1.0) };
     let mut plant = plant(&APART, object(G, vec![grip(0, "post", 2000.0, 10.0), late]), STEP_S);
-    let torques = vec![0.0; 6];
+    let torques = vec![JointTorque::default(); 6];
     let steps = || {
         for step in 0..10_000 {
             plant.step(f64::from(step) * STEP_S, STEP_S, &torques);

@@ -17,6 +17,7 @@ mod motors_and_loads;
 mod probe;
 mod setpoint_limits;
 mod simulation;
+mod stability;
 mod velocity;
 mod work;
 

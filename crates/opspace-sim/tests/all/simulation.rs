@@ -6,8 +6,8 @@ use opspace_backend::quantity::NonNegative;
 use opspace_backend::{Backend, Command, CommandKind, GroundTruth, Sample, Setpoints, TruthRow};
 use opspace_model::{Data, Force, Model, Placement, frame_placement, kinematics};
 use opspace_sim::{
-    ArmConfig, CouplingConfig, EnvironmentObject, ExternalForce, HeldObject, Plant, PlantFrame, RigidPlant,
-    SimulatedArm, Simulation, SimulationConfig, SimulationError,
+    ArmConfig, CouplingConfig, EnvironmentObject, ExternalForce, HeldObject, JointTorque, Plant, PlantFrame,
+    RigidPlant, SimulatedArm, Simulation, SimulationConfig, SimulationError,
 };
 
 use std::sync::Arc;
@@ -295,9 +295,9 @@ impl Plant for OtherEngine {
         self.0.dq()
     }
 
-    fn step(&mut self, time_s: f64, dt_s: f64, joint_torques: &[f64]) {
+    fn step(&mut self, time_s: f64, dt_s: f64, torques: &[JointTorque]) {
         self.1.fetch_add(1, Ordering::Relaxed);
-        self.0.step(time_s, dt_s, joint_torques);
+        self.0.step(time_s, dt_s, torques);
     }
 
     fn contact_wrench(&mut self, frame: PlantFrame) -> Force {

@@ -7,7 +7,9 @@ use opspace_model::{
     Data, Model, forward_kinematics, frame_placement, kinematics, kinetic_energy, potential_energy,
 };
 use opspace_sim::random::{RngStream, generator};
-use opspace_sim::{EnvironmentObject, Plant, PlantArm, PlantConfig, PlantCoupling, PlantFrame, RigidPlant};
+use opspace_sim::{
+    EnvironmentObject, JointTorque, Plant, PlantArm, PlantConfig, PlantCoupling, PlantFrame, RigidPlant,
+};
 
 /// Mass of 2 kg on a horizontal slide.
 const SLIDER: &str = r#"<robot name="slider">
@@ -49,7 +51,7 @@ fn work_is_exactly_the_kinetic_energy_of_a_slider() {
         if step == STEPS / 2 {
             at_start = kinetic(&plant);
         }
-        plant.step(time_s, STEP_S, &[0.0]);
+        plant.step(time_s, STEP_S, &[JointTorque::default()]);
         let work = plant.contact_work(0, 0);
         if step < STEPS / 2 {
             assert_eq!(work, 0.0, "before the start of control");
@@ -104,7 +106,7 @@ impl Pair {
 
     fn run(&mut self, step_s: f64, duration_s: f64) {
         for step in 0..(duration_s / step_s).round() as u32 {
-            self.plant.step(f64::from(step) * step_s, step_s, &[0.0; 8]);
+            self.plant.step(f64::from(step) * step_s, step_s, &[JointTorque::default(); 8]);
         }
     }
 

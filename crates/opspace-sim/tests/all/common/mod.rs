@@ -2,6 +2,8 @@
 
 #![allow(dead_code, reason = "each test uses some of it")]
 
+pub mod stiff_arms;
+
 use nalgebra::DVector;
 use opspace_backend::{
     Backend, Capabilities, CommandKind, DeviceFault, GroundTruth, Measured, Sample, TruthRow,

@@ -1,0 +1,95 @@
+//! Choice of the joints that are integrated implicitly: those whose elements are too stiff for the step of the plant.
+//!
+//! With the stiffness k and the damping d of the elements of each joint, an explicit step of h is stable if the largest
+//! eigenvalue of `M⁻¹ diag(h² k + h d)` is small, and accurate if it is well below one. Joints leave the diagonal, the least
+//! accurate one first, until that holds; they are integrated [implicitly](crate::stiff_joint).
+
+use nalgebra::{DMatrix, DVector};
+use opspace_model::{Data, Model, Postures, crba, forward_kinematics};
+
+/// Largest share of the elements at rest: h² k + h d over the inertia.
+const LARGEST_SHARE: f64 = 0.5;
+
+/// Largest product of a step and an angular frequency of links on elastic gears: the method is stable up to 2.
+const LARGEST_GEAR_STEP: f64 = 1.5;
+
+/// Number of postures besides the start at which inertias are computed.
+const POSTURES: usize = 20;
+
+/// Stiffness (Nm/rad, N/m) and damping (Nms/rad, Ns/m) of the elements on the link of a joint.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct LinkElements {
+    /// Sums over end stop, and on a rigid gear over brake and friction.
+    pub stiffness: f64,
+    pub damping: f64,
+    /// True if each of these springs has a damper that suffices for an explicit step.
+    pub is_damped: bool,
+    /// Elastic gear; zero if the gear is rigid.
+    pub gear_stiffness: f64,
+    pub gear_damping: f64,
+    /// True if the rotor on the elastic gear is too light for explicit steps.
+    pub has_light_rotor: bool,
+}
+
+impl LinkElements {
+    fn share(&self, h: f64) -> f64 {
+        let gear = h * h * self.gear_stiffness / LARGEST_GEAR_STEP.powi(2) + h * self.gear_damping;
+        gear + (h * h * self.stiffness + h * self.damping) / LARGEST_SHARE
+    }
+}
+
+/// Returns for each joint the least inertia of its link with the other joints free, if its elements are integrated implicitly
+/// in steps of `h` (s); `None` without a positive definite mass matrix. `model` has the true bodies, and the rotors on rigid
+/// gears.
+pub(crate) fn implicit_joints(
+    model: &Model,
+    start: &[f64],
+    elements: &[LinkElements],
+    h: f64,
+) -> Option<Vec<Option<f64>>> {
+    let n = model.n();
+    let inverses = inverse_inertias(model, start)?;
+    let least = |i: usize| 1.0 / inverses.iter().map(|inverse| inverse[(i, i)]).fold(0.0, f64::max);
+    let mut implicit: Vec<bool> = elements.iter().map(|e| !e.is_damped || e.has_light_rotor).collect();
+    loop {
+        let root = DVector::from_fn(n, |i, _| if implicit[i] { 0.0 } else { elements[i].share(h).sqrt() });
+        let scaled =
+            |inverse: &DMatrix<f64>| DMatrix::from_fn(n, n, |i, j| root[i] * inverse[(i, j)] * root[j]);
+        let largest = |matrix: &DMatrix<f64>| matrix.symmetric_eigenvalues().max();
+        let shares = inverses.iter().map(scaled).map(|matrix| (largest(&matrix), matrix));
+        let Some((share, matrix)) = shares.max_by(|a, b| a.0.total_cmp(&b.0)) else { break };
+        if share <= 1.0 {
+            break;
+        }
+        implicit[matrix.diagonal().imax()] = true;
+    }
+    Some(implicit.into_iter().enumerate().map(|(i, implicit)| implicit.then(|| least(i))).collect())
+}
+
+/// Lowest rate of explicit steps at which links on elastic gears are stable at the start, Hz; `None` without a positive definite
+/// mass matrix.
+pub(crate) fn explicit_gear_hz(model: &Model, start: &[f64], elements: &[LinkElements]) -> Option<f64> {
+    let inverse = inverse_inertia(model, start)?;
+    let largest = |of: fn(&LinkElements) -> f64| {
+        let root = |i: usize| of(&elements[i]).sqrt();
+        let scaled = DMatrix::from_fn(model.n(), model.n(), |i, j| root(i) * inverse[(i, j)] * root(j));
+        scaled.symmetric_eigenvalues().max()
+    };
+    let by_stiffness = largest(|gear| gear.gear_stiffness).sqrt() / LARGEST_GEAR_STEP;
+    Some(by_stiffness.max(largest(|gear| gear.gear_damping)))
+}
+
+/// Inverses of the mass matrix at the start and at other postures.
+fn inverse_inertias(model: &Model, start: &[f64]) -> Option<Vec<DMatrix<f64>>> {
+    let postures = Postures::new(model, 1.0);
+    let others = (0..POSTURES).map(|number| postures.posture(number));
+    std::iter::once(start.to_vec()).chain(others).map(|q| inverse_inertia(model, &q)).collect()
+}
+
+/// Inverse of the mass matrix at a posture.
+fn inverse_inertia(model: &Model, q: &[f64]) -> Option<DMatrix<f64>> {
+    let mut data = Data::new(model);
+    forward_kinematics(model, &mut data, q);
+    crba(model, &mut data);
+    Some(data.mass_matrix.cholesky()?.inverse())
+}
