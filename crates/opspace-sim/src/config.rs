@@ -254,6 +254,23 @@ impl ArmConfig {
         }
     }
 
+    /// Returns an error if a gear with backlash would be integrated implicitly: what happens when teeth meet depends on all joints,
+    /// which the linearisation of one joint does not know.
+    fn check_backlash(
+        &self,
+        implicit: &[Option<f64>],
+        elements: &[LinkElements],
+        physics_hz: f64,
+    ) -> Result<(), SimulationError> {
+        let has_backlash = |joint: usize| self.gear(joint).is_some_and(|gear| gear.backlash > 0.0);
+        let mut found = (0..implicit.len()).filter_map(|joint| Some((joint, implicit[joint]?)));
+        let Some((joint, inertia)) = found.find(|(joint, _)| has_backlash(*joint)) else { return Ok(()) };
+        let joint_name = self.name(joint).to_owned();
+        let of_joint = elements[joint].explicit_hz(inertia);
+        let needed_hz = self.explicit_gear_hz().unwrap_or(0.0).max(of_joint).max(physics_hz);
+        Err(SimulationError::GearBacklash { joint: joint_name, physics_hz, needed_hz })
+    }
+
     /// Name of the joint with the least inertia at the start.
     fn lightest_joint(&self, model: &Model) -> String {
         let mut data = Data::new(model);
@@ -320,6 +337,7 @@ impl ArmConfig {
         let elements: Vec<LinkElements> = (0..model.n()).map(|joint| self.elements(joint, dt)).collect();
         let implicit = implicit_joints(model, &self.start, &elements, dt)
             .ok_or_else(|| SimulationError::NoInertia { joint: self.lightest_joint(model) })?;
+        self.check_backlash(&implicit, &elements, physics_hz)?;
         let bandwidth_hz = simulated.current_loop_hz.map(|hz| hz.get());
         let joint = |(i, parameters): (usize, &JointParameters)| {
             let torque_limit = parameters.torque_limit_nm.get();

@@ -32,9 +32,20 @@ pub(crate) struct LinkElements {
 }
 
 impl LinkElements {
+    /// Share of the elements in the inertia of a link of 1 kg m² (kg): a step of `h` (s) is accurate well below one.
     fn share(&self, h: f64) -> f64 {
         let gear = h * h * self.gear_stiffness / LARGEST_GEAR_STEP.powi(2) + h * self.gear_damping;
         gear + (h * h * self.stiffness + h * self.damping) / LARGEST_SHARE
+    }
+}
+
+impl LinkElements {
+    /// Rate of explicit steps at which the elements on a link of this inertia (kg m², kg) are accurate, Hz.
+    pub fn explicit_hz(&self, inertia: f64) -> f64 {
+        let stiffness = self.gear_stiffness / LARGEST_GEAR_STEP.powi(2) + self.stiffness / LARGEST_SHARE;
+        let damping = self.gear_damping + self.damping / LARGEST_SHARE;
+        // h² k + h d = inertia, with h = 1/rate.
+        (damping + (damping * damping + 4.0 * stiffness * inertia).sqrt()) / (2.0 * inertia)
     }
 }
 

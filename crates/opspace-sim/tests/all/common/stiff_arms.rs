@@ -81,37 +81,45 @@ pub fn random_arm(seed: u64) -> ArmConfig {
     config.profile.servo_hz = Positive::literal(1000.0);
     let rate = [1000.0, 2000.0, 5000.0, 10_000.0, 20_000.0][draw.within(0.0, 4.999) as usize];
     config.simulated.physics_hz = Positive::try_from(rate).expect("a rate");
-    config.simulated.end_stop = Some(EndStopParameters {
-        stiffness_nm_per_rad: draw.positive(1.0, 7.0),
-        damping_nms_per_rad: draw.non_negative(-3.0, 4.0),
-    });
-    config.simulated.brake = Some(BrakeParameters {
-        holding_torque_ratio: draw.positive(-0.3, 1.0),
-        stiffness_nm_per_rad: draw.positive(1.0, 7.0),
-        damping_nms_per_rad: draw.non_negative(-3.0, 4.0),
-    });
+    let strength = draw.decades(-2.0, 3.0);
+    // Each spring is stated by its deflection under the torque that it bears, and its damper by a time.
+    let spring = |draw: &mut Draw, torque: f64, softest: f64| {
+        let stiffness = torque * draw.decades(softest, 4.0);
+        let damping = if draw.happens(0.2) { 0.0 } else { stiffness * draw.decades(-5.0, -1.0) };
+        let damping_nms_per_rad = NonNegative::try_from(damping).expect("a number from zero on");
+        (Positive::try_from(stiffness).expect("a positive number"), damping_nms_per_rad)
+    };
+    let (stiffness_nm_per_rad, damping_nms_per_rad) = spring(draw, strength, 1.0);
+    config.simulated.end_stop = Some(EndStopParameters { stiffness_nm_per_rad, damping_nms_per_rad });
+    let holding_torque_ratio = draw.positive(-0.3, 1.0);
+    let (stiffness_nm_per_rad, damping_nms_per_rad) = spring(draw, strength * holding_torque_ratio.get(), 1.0);
+    config.simulated.brake =
+        Some(BrakeParameters { holding_torque_ratio, stiffness_nm_per_rad, damping_nms_per_rad });
+    let friction = strength * draw.decades(-4.0, 0.0);
+    let (stiffness_nm_per_rad, damping_nms_per_rad) = spring(draw, friction, 2.0);
     config.simulated.bristle = Some(BristleParameters {
-        stiffness_nm_per_rad: draw.positive(0.0, 7.0),
-        damping_nms_per_rad: draw.non_negative(-3.0, 4.0),
+        stiffness_nm_per_rad,
+        damping_nms_per_rad,
         damping_fade_velocity_rad_per_s: draw.positive(-2.0, 0.0),
     });
     let mut rotors = Vec::new();
     for (i, joint) in config.joints.iter_mut().enumerate() {
-        joint.torque_limit_nm = draw.positive(-2.0, 3.0);
-        let limit = joint.torque_limit_nm.get();
-        let coulomb = limit * draw.decades(-4.0, 0.0);
+        let limit = strength * draw.decades(-1.0, 0.0);
+        joint.torque_limit_nm = Positive::try_from(limit).expect("a positive number");
+        let coulomb = friction * draw.decades(-1.0, 0.0);
         joint.friction.coulomb_nm = NonNegative::try_from(coulomb).expect("a number");
         joint.friction.static_nm = NonNegative::try_from(coulomb * draw.within(1.0, 1.5)).expect("a number");
         joint.friction.stribeck_rad_per_s = draw.positive(-3.0, 0.0);
         joint.friction.viscous_nms_per_rad = draw.non_negative(-5.0, 2.0);
-        let is_elastic = draw.happens(0.5);
+        let is_elastic = draw.happens(if std::env::var("RIGID").is_ok() { 0.0 } else { 0.5 });
         let rotor = draw.decades(-8.0, 1.0);
         rotors.push(if is_elastic || draw.happens(0.7) { rotor } else { 0.0 });
         if is_elastic {
+            let (stiffness, damping_nms_per_rad) = spring(draw, limit, 1.0);
             let gear = GearParameters {
-                stiffness_nm_per_rad: Some(draw.positive(1.0, 9.0)),
-                damping_nms_per_rad: draw.non_negative(-3.0, 4.0),
-                backlash_rad: draw.non_negative(-4.0, -1.7),
+                stiffness_nm_per_rad: Some(stiffness),
+                damping_nms_per_rad,
+                backlash_rad: if draw.happens(0.05) { draw.non_negative(-4.0, -1.7) } else { NonNegative::default() },
             };
             config.simulated.gear.insert(names[i].clone(), gear);
         }
