@@ -701,9 +701,18 @@ pub struct NewArgs {
     #[arg(long, value_name = "ARM", num_args = 0..=1, conflicts_with = "assume")]
     pub like: Option<Option<String>>,
 
-    /// Fill in assumed values of the drives, computed from the URDF and marked as assumed: the robot can be simulated at once.
+    /// Fill in assumed values of the drives, computed from the URDF and marked as assumed, and of the masses that it does not state:
+    /// the robot can be simulated at once.
     #[arg(long)]
     pub assume: bool,
+
+    /// Mass of the whole arm with its base, kg, if the URDF does not state the masses of its links.
+    #[arg(long, value_name = "KG", value_parser = positive, allow_negative_numbers = true, requires = "assume")]
+    pub mass: Option<f64>,
+
+    /// Payload that the assumed drives can carry, kg; a tenth of the mass that moves if not given.
+    #[arg(long, value_name = "KG", value_parser = positive, allow_negative_numbers = true, requires = "assume")]
+    pub payload: Option<f64>,
 
     /// First link of the chain that is used; joints elsewhere do not move. The root link if only --to is given.
     #[arg(long, value_name = "LINK", requires = "to")]

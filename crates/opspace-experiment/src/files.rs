@@ -1,5 +1,6 @@
 //! Robot, task and experiment files: reading, and descriptions of the mistakes in them.
 
+pub(crate) mod body;
 pub mod collision;
 pub mod controller_kind;
 pub mod expectation;
@@ -8,6 +9,7 @@ pub(crate) mod explain;
 pub mod interface;
 pub mod joint_layers;
 pub(crate) mod layered_path;
+pub mod link;
 pub(crate) mod missing;
 pub mod origin;
 pub mod overrides;

@@ -1,6 +1,7 @@
 //! Files of a new robot: its robot.toml, with the values of a template or assumed ones if requested, and a first task.
 
 pub mod arm_template;
+pub mod assumed_bodies;
 pub mod assumed_drives;
 pub mod first_motion;
 pub mod first_task;

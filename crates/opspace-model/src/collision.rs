@@ -47,6 +47,7 @@ mod model;
 mod pairs;
 mod proximity;
 mod segment;
+mod solid;
 mod travel;
 
 pub use capsule::{Capsule, CapsuleSource, CollisionShape, HalfSpace, LinkCapsule};
@@ -55,7 +56,10 @@ pub use enclose::enclosing_capsule;
 pub use ends::end_proximities;
 pub use generate::{CapsuleWarning, GeneratedCapsules, generate_capsules};
 pub use gradient::{distance_bias_acceleration, distance_gradient};
-pub use mesh::{MAX_MESH_BYTES, MeshError, MeshErrorKind, MeshFormat, find_mesh, mesh_vertices};
+pub use mesh::{
+    MAX_MESH_BYTES, MeshError, MeshErrorKind, MeshFormat, find_mesh, mesh_triangles, mesh_vertices,
+};
 pub use model::{CollisionError, CollisionModel, CollisionObject, CollisionPair, Holder};
 pub use pairs::{DropReason, DroppedPair, PairSampling};
 pub use proximity::Proximity;
+pub use solid::{mesh_inertia, solid_inertia};

@@ -108,8 +108,8 @@ pub use regressor::{inertial_parameters, torque_regressor};
 pub use rnea::{bias, gravity, rnea, rnea_external};
 pub use spatial::{Force, Inertia, Motion, Placement, SpatialInertia, principal_moments};
 pub use urdf::{
-    JointDynamics, ParsedUrdf, UrdfError, UrdfErrorKind, UrdfJoint, UrdfOptions, UrdfWarning,
-    UrdfWarningKind, urdf_joints,
+    JointDynamics, MasslessJoint, ParsedUrdf, UrdfChanges, UrdfError, UrdfErrorKind, UrdfJoint, UrdfOptions,
+    UrdfWarning, UrdfWarningKind, urdf_joints,
 };
 pub use warnings::{ModelWarning, model_warnings};
 

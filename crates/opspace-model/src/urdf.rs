@@ -57,6 +57,8 @@ pub struct ParsedUrdf {
     pub standing_kg: f64,
     /// Friction of the joints according to their `<dynamics>`, in the model's joint order. It is no part of the model.
     pub dynamics: Vec<JointDynamics>,
+    /// Joints that move no mass; empty unless [`UrdfOptions::allow_massless`] is set.
+    pub massless: Vec<MasslessJoint>,
     /// Warnings about accepted but suspicious values, in the order of the file.
     pub warnings: Vec<UrdfWarning>,
 }
@@ -97,6 +99,29 @@ pub struct UrdfOptions {
     /// True if mimic joints move with their leaders; otherwise they have independent coordinates. See
     /// [`Model::with_mimic_constraints`].
     pub enforce_mimic: bool,
+    /// True if joints may move no mass: the kinematics need none. [`ParsedUrdf::massless`] lists them.
+    pub allow_massless: bool,
+}
+
+/// Changes of a URDF that is read.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct UrdfChanges {
+    /// Joints that do not move, each with its position, rad (m). A locked joint needs no limits.
+    pub locked: Vec<(String, f64)>,
+    /// Inertias of links, in the frame of each link, in place of those that the URDF states.
+    pub inertias: Vec<(String, Inertia)>,
+}
+
+/// Joint that moves no mass.
+#[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct MasslessJoint {
+    /// Name of the joint.
+    pub joint: String,
+    /// Name of its child link.
+    pub link: String,
+    /// Line of the joint, from 1; `None` if the robot was not read from text.
+    pub line: Option<u32>,
 }
 
 impl Model {
@@ -117,20 +142,25 @@ impl Model {
     /// # Errors
     /// As [`from_urdf`](Self::from_urdf).
     pub fn from_urdf_with(text: &str, options: UrdfOptions) -> Result<ParsedUrdf, UrdfError> {
-        load(read::read(text)?, options, &[])
+        Self::from_urdf_changed(text, options, &UrdfChanges::default())
     }
 
-    /// Variant of [`from_urdf_with`](Self::from_urdf_with) with some joints locked, each at a position (rad, m): they are
-    /// fixed joints there, and so are joints that mimic them if mimic joints are enforced. A locked joint needs no limits.
+    /// Variant of [`from_urdf_with`](Self::from_urdf_with) with changes of the URDF. Locked joints are fixed joints at their
+    /// positions, and so are joints that mimic them if mimic joints are enforced.
     ///
     /// # Errors
-    /// As [`from_urdf`](Self::from_urdf); a locked joint that the URDF does not have, or that is fixed.
-    pub fn from_urdf_locked(
+    /// As [`from_urdf`](Self::from_urdf); a locked joint that the URDF does not have, or that is fixed; an inertia of a link that
+    /// it does not have.
+    pub fn from_urdf_changed(
         text: &str,
         options: UrdfOptions,
-        locked: &[(String, f64)],
+        changes: &UrdfChanges,
     ) -> Result<ParsedUrdf, UrdfError> {
-        load(read::read(text)?, options, locked)
+        let mut robot = read::read(text)?;
+        let declared = std::mem::take(&mut robot.warnings);
+        let mut parsed = load(robot, options, changes)?;
+        parsed.warnings.splice(0..0, declared);
+        Ok(parsed)
     }
 
     /// Returns a robot read by urdf-rs or built in code from its types. The checks are those of
@@ -145,7 +175,16 @@ impl Model {
     /// As [`from_urdf`](Self::from_urdf).
     #[cfg(feature = "urdf-rs")]
     pub fn from_urdf_rs(robot: &urdf_rs::Robot, options: UrdfOptions) -> Result<ParsedUrdf, UrdfError> {
-        load(from_urdf_rs::elements(robot)?, options, &[])
+        load(from_urdf_rs::elements(robot)?, options, &UrdfChanges::default())
+    }
+}
+
+impl MasslessJoint {
+    /// Error of a URDF in which the joint may not be massless.
+    #[must_use]
+    pub fn error(&self) -> UrdfError {
+        let (joint, link) = (self.joint.clone(), self.link.clone());
+        UrdfError::at(self.line, UrdfErrorKind::Massless { joint, link })
     }
 }
 
@@ -170,13 +209,15 @@ pub fn urdf_joints(text: &str) -> Result<Vec<UrdfJoint>, UrdfError> {
 fn load(
     robot: RobotElement,
     options: UrdfOptions,
-    locked: &[(String, f64)],
+    UrdfChanges { locked, inertias }: &UrdfChanges,
 ) -> Result<ParsedUrdf, UrdfError> {
     let moves = |name: &str| locked.iter().all(|(locked, _)| locked != name);
     let Checked { mut description, mut warnings } = check::check(robot, moves)?;
     lock(&mut description, options, locked)?;
+    replace_inertias(&mut description, inertias, &mut warnings)?;
     let order = tree::depth_first(&description)?;
-    let (mut model, standing_kg) = assemble(&description, &order, options.floating_base, &mut warnings)?;
+    let Assembled { mut model, standing_kg, massless } =
+        assemble(&description, &order, options, &mut warnings)?;
     let is_moving = |name: &str| description.joints.iter().any(|j| j.name == name && j.motion.is_moving());
     warnings.retain(|w| !matches!(w.kind(), UrdfWarningKind::Mimic { joint, .. } if !is_moving(joint)));
     if options.enforce_mimic {
@@ -194,7 +235,7 @@ fn load(
         }
     };
     let dynamics = model.joints().iter().map(dynamics_of).collect();
-    Ok(ParsedUrdf { model, standing_kg, dynamics, warnings })
+    Ok(ParsedUrdf { model, standing_kg, dynamics, massless, warnings })
 }
 
 /// Fixes the locked joints at their positions and, if mimic joints are enforced, those that mimic them.
@@ -240,6 +281,27 @@ fn lock(
     Ok(())
 }
 
+/// Replaces the inertias of links.
+fn replace_inertias(
+    description: &mut Description,
+    inertias: &[(String, Inertia)],
+    warnings: &mut Vec<UrdfWarning>,
+) -> Result<(), UrdfError> {
+    for (name, inertia) in inertias {
+        let Some(link) = description.links.iter_mut().find(|link| link.name == *name) else {
+            let known = description.links.iter().map(|link| link.name.clone()).collect();
+            return Err(UrdfError::whole_file(UrdfErrorKind::UnknownInertia { link: name.clone(), known }));
+        };
+        (link.inertia, link.indefinite) = (Some(*inertia), None);
+        let is_replaced = |warning: &UrdfWarning| match warning.kind() {
+            UrdfWarningKind::ImpossibleInertia { link, .. } => link == name,
+            _ => false,
+        };
+        warnings.retain(|warning| !is_replaced(warning));
+    }
+    Ok(())
+}
+
 /// Placement of a link: its body, and its pose in the frame of that body.
 #[derive(Clone, Copy)]
 struct Place {
@@ -247,13 +309,21 @@ struct Place {
     placement: Placement,
 }
 
-/// Returns the model, and the mass of the links that cannot move (kg).
+/// Model made of the links and joints of a URDF.
+struct Assembled {
+    model: Model,
+    /// Mass of the links that cannot move, kg.
+    standing_kg: f64,
+    massless: Vec<MasslessJoint>,
+}
+
 fn assemble(
     description: &Description,
     order: &[tree::Step],
-    floating: bool,
+    options: UrdfOptions,
     warnings: &mut Vec<UrdfWarning>,
-) -> Result<(Model, f64), UrdfError> {
+) -> Result<Assembled, UrdfError> {
+    let floating = options.floating_base;
     let mut standing_kg = 0.0;
     let name = &description.name;
     let mut model = if floating { Model::floating(name, Inertia::zero()) } else { Model::new(name) };
@@ -305,11 +375,15 @@ fn assemble(
         model.add_frame(&link.name, place.body, place.placement);
     }
     let jointed = model.first_jointed_body();
+    let mut massless = Vec::new();
     for (inertia, element) in inertias.iter().skip(jointed).zip(movers) {
         if inertia.mass <= 0.0 {
-            let kind = UrdfErrorKind::Massless { joint: element.name.clone(), link: element.child.clone() };
-            return Err(UrdfError::at(element.line, kind));
+            let (joint, link, line) = (element.name.clone(), element.child.clone(), element.line);
+            massless.push(MasslessJoint { joint, link, line });
         }
+    }
+    if let Some(first) = massless.first().filter(|_| !options.allow_massless) {
+        return Err(first.error());
     }
     for (body, inertia) in inertias.into_iter().enumerate().skip(root.body.unwrap_or(0)) {
         model.set_inertia(body, inertia);
@@ -322,7 +396,7 @@ fn assemble(
             return Err(UrdfError::at(link.line, kind));
         }
     }
-    Ok((model, standing_kg))
+    Ok(Assembled { model, standing_kg, massless })
 }
 
 /// Couples every mimic joint to its leader.

@@ -6,7 +6,7 @@ use crate::console::{Console, Exit, Failure, Outcome, print};
 use crate::output::write;
 use opspace_backend::CommandKind;
 use opspace_experiment::setup::arm_template::ArmTemplate;
-use opspace_experiment::setup::new_robot::{DriveValues, NewFiles, Part, new_files};
+use opspace_experiment::setup::new_robot::{DriveValues, KnownMasses, NewFiles, Part, new_files};
 use opspace_experiment::{Extensions, Source};
 use std::fs;
 use std::path::Path;
@@ -48,7 +48,7 @@ fn create(
     let part = Part { from: args.from.as_deref(), to: args.to.as_deref() };
     let values = match (template, args.assume) {
         (Some(template), _) => DriveValues::Template(template),
-        (None, true) => DriveValues::Assumed,
+        (None, true) => DriveValues::Assumed(KnownMasses { arm_kg: args.mass, payload_kg: args.payload }),
         (None, false) => DriveValues::Missing,
     };
     let NewFiles { robot_toml, task_toml, motion, warnings, command, unmatched_joints, notes, .. } =

@@ -5,12 +5,12 @@ use crate::files::source::{FileError, Source};
 use crate::suggest::choices;
 use nalgebra::Vector3;
 use opspace_backend::quantity::{NonNegative, Positive, exactly};
-use opspace_model::Model;
 use opspace_model::collision::{
     Capsule, CapsuleSource, CapsuleWarning, CollisionError, CollisionModel, CollisionShape,
-    GeneratedCapsules, HalfSpace, LinkCapsule, generate_capsules,
+    GeneratedCapsules, HalfSpace, LinkCapsule, MeshError, generate_capsules, solid_inertia,
 };
-use opspace_model::urdf::link_shapes;
+use opspace_model::urdf::{LinkShapes, link_shapes};
+use opspace_model::{Inertia, Model};
 #[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::Deserialize;
@@ -178,14 +178,36 @@ pub(crate) struct RobotCapsules {
 /// # Errors
 /// A URDF that cannot be read; a mesh that exists and is damaged.
 pub fn generated_capsules(urdf: &Source) -> Result<GeneratedCapsules, FileError> {
-    let links = link_shapes(urdf.text()).map_err(|error| {
+    generate_capsules(&shapes_of(urdf)?, Some(Path::new(urdf.name())))
+        .map_err(|error| mesh_error(urdf, &error))
+}
+
+/// Returns the mass properties of the shapes of each link that has some, with a density of 1 kg/m³, in the frame of the link.
+pub(crate) fn link_volumes(urdf: &Source) -> Result<Vec<(String, Inertia)>, FileError> {
+    let mut volumes = Vec::new();
+    for link in shapes_of(urdf)? {
+        let solid =
+            solid_inertia(&link, Some(Path::new(urdf.name()))).map_err(|error| mesh_error(urdf, &error))?;
+        volumes.extend(solid.map(|solid| (link.link, solid)));
+    }
+    Ok(volumes)
+}
+
+/// Returns the inertias that a URDF states for its links, in their frames.
+pub(crate) fn link_inertias(urdf: &Source) -> Result<Vec<(String, Inertia)>, FileError> {
+    Ok(shapes_of(urdf)?.into_iter().filter_map(|link| Some((link.link, link.inertia?))).collect())
+}
+
+fn shapes_of(urdf: &Source) -> Result<Vec<LinkShapes>, FileError> {
+    link_shapes(urdf.text()).map_err(|error| {
         let line = error.line().and_then(|line| usize::try_from(line).ok());
         FileError::at_line(urdf, line, error.kind().to_string(), None)
-    })?;
-    generate_capsules(&links, Some(Path::new(urdf.name()))).map_err(|error| {
-        let help = "repair the mesh, or remove it from the URDF".to_owned();
-        FileError::of_file(urdf.name(), error.to_string(), Some(help))
     })
+}
+
+fn mesh_error(urdf: &Source, error: &MeshError) -> FileError {
+    let help = "repair the mesh, or remove it from the URDF".to_owned();
+    FileError::of_file(urdf.name(), error.to_string(), Some(help))
 }
 
 /// Returns the capsules of a robot: those of its file, and for all other links those of `generated`, or those that are

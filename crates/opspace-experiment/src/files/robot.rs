@@ -4,6 +4,7 @@ use crate::files::collision::{CollisionFile, RobotCapsules, robot_capsules};
 use crate::files::interface::InterfaceParameters;
 use crate::files::joint_layers::{Groups, UrdfValue, check_layers, expand, groups, urdf_layer, urdf_values};
 use crate::files::layered_path::{inner, stated_path};
+use crate::files::link::LinkFile;
 use crate::files::missing::{Purpose, check_complete};
 use crate::files::origin::{Files, Kind, beside};
 use crate::files::overrides;
@@ -21,7 +22,9 @@ use opspace_loop::{
     SensorBiasParameters, SensorEstimateParameters, SensorLoadParameters,
 };
 use opspace_model::collision::{CapsuleWarning, LinkCapsule};
-use opspace_model::{FrameId, JointDynamics, Limits, Model, ParsedUrdf, UrdfOptions, UrdfWarning};
+use opspace_model::{
+    FrameId, JointDynamics, Limits, MasslessJoint, Model, ParsedUrdf, UrdfOptions, UrdfWarning,
+};
 use opspace_sim::SimulatedParameters;
 use opspace_transformer::{
     ClosedLoopModel, Gears, JointParameters, ProfileParameters, ServoLaw, ServoParameters,
@@ -47,6 +50,9 @@ pub struct RobotFile {
     /// Name of the default profile.
     #[cfg_attr(feature = "schema", schemars(with = "Option<String>", extend("x-default" = "the only profile")))]
     pub default_profile: String,
+    /// Masses and inertias of links of the URDF, by name, in place of those that it states, or for links for which it states none.
+    #[serde(default)]
+    pub link: BTreeMap<String, LinkFile>,
     /// Joints of the URDF that do not move, each with its position, rad (m).
     #[serde(default)]
     pub locked_joints: BTreeMap<String, f64>,
@@ -145,6 +151,8 @@ pub struct RobotDefinition {
     pub standing_kg: f64,
     /// Values that the URDF states and the robot file does not.
     pub urdf_values: Vec<UrdfValue>,
+    /// Joints that move no mass. Only the kinematics of such a robot are known.
+    pub massless: Vec<MasslessJoint>,
     /// Warnings about the URDF.
     pub warnings: Vec<UrdfWarning>,
     /// Force sensors, sorted by name, and after them the estimated forces, sorted by name.
@@ -249,12 +257,21 @@ impl RobotDefinition {
             model,
             standing_kg: loaded.standing_kg,
             urdf_values,
+            massless: loaded.massless,
             warnings: loaded.warnings,
             sensors,
             capsules,
         };
         robot.profile(None)?;
         Ok(robot)
+    }
+
+    /// Checks that each joint moves a mass, as dynamics need it.
+    ///
+    /// # Errors
+    /// The first joint that moves none.
+    pub fn require_masses(&self) -> Result<(), FileError> {
+        self.massless.first().map_or(Ok(()), |joint| Err(urdf_error(&self.urdf, &joint.error())))
     }
 
     /// Name of the robot: that of its folder, or else that of its URDF.

@@ -1,10 +1,12 @@
 //! Part of a robot that is used: locked joints, mimic joints, and one chain of a larger robot.
 
 use crate::codes::Code;
+use crate::files::link::{LinkFile, inertias};
 use crate::files::source::{FileError, Source};
 use crate::suggest::choices;
 use opspace_model::{
-    Limits, Model, ParsedUrdf, UrdfError, UrdfErrorKind, UrdfJoint, UrdfOptions, urdf_joints,
+    Inertia, Limits, Model, ParsedUrdf, UrdfChanges, UrdfError, UrdfErrorKind, UrdfJoint, UrdfOptions,
+    urdf_joints,
 };
 #[cfg(feature = "schema")]
 use schemars::JsonSchema;
@@ -33,6 +35,8 @@ pub(crate) struct PartKeys {
     used: Option<UsedPart>,
     #[serde(default)]
     enforce_mimic: bool,
+    #[serde(default)]
+    link: BTreeMap<String, LinkFile>,
 }
 
 /// Returns the model of the part of a URDF that a robot file uses.
@@ -44,24 +48,62 @@ pub(crate) fn load_part(source: &Source, urdf: &Source, keys: &PartKeys) -> Resu
         true => urdf_joints(urdf.text()).map_err(|error| urdf_error(urdf, &error))?,
         false => Vec::new(),
     };
-    load_part_of(source, urdf, &joints, keys.used.as_ref(), &keys.locked_joints, keys.enforce_mimic)
+    let inertias = inertias(source, &keys.link)?;
+    let part = PartOf { joints: &joints, used: keys.used.as_ref(), locked: &keys.locked_joints };
+    load_part_of(source, urdf, &part, keys.enforce_mimic, inertias).map_err(|error| match &error {
+        UrdfOrFile::Urdf(urdf_error) => match urdf_error.kind() {
+            UrdfErrorKind::UnknownInertia { link, known } => {
+                let help = choices(link, known.iter().map(String::as_str));
+                let message = format!("the URDF has no link '{link}'");
+                FileError::at_key(source, ["link", link.as_str()], message, Some(help))
+            }
+            _ => error.of_urdf(urdf),
+        },
+        UrdfOrFile::File(_) => error.of_urdf(urdf),
+    })
 }
 
-/// Returns the model of the part of a URDF with these joints that moves. Mistakes in the choice are reported in `source`.
+/// Part of a URDF.
+pub(crate) struct PartOf<'a> {
+    /// All joints of the URDF; not needed if all of it is used, and nothing is locked.
+    pub joints: &'a [UrdfJoint],
+    pub used: Option<&'a UsedPart>,
+    pub locked: &'a BTreeMap<String, f64>,
+}
+
+/// Error in a URDF, or in the file that chooses a part of it.
+pub(crate) enum UrdfOrFile {
+    Urdf(UrdfError),
+    File(FileError),
+}
+
+impl UrdfOrFile {
+    /// Error in the URDF at its line, or in the file.
+    pub fn of_urdf(self, urdf: &Source) -> FileError {
+        match self {
+            Self::Urdf(error) => urdf_error(urdf, &error),
+            Self::File(error) => error,
+        }
+    }
+}
+
+/// Returns the model of the part of a URDF that moves; it may have joints that move no mass. `inertias` replace those of links.
+/// Mistakes in the choice are reported in `source`.
 ///
 /// # Errors
 /// As [`load_part`].
 pub(crate) fn load_part_of(
     source: &Source,
     urdf: &Source,
-    joints: &[UrdfJoint],
-    used: Option<&UsedPart>,
-    locked: &BTreeMap<String, f64>,
+    part: &PartOf<'_>,
     enforce_mimic: bool,
-) -> Result<ParsedUrdf, FileError> {
-    let options = UrdfOptions { enforce_mimic, ..UrdfOptions::default() };
-    let locked = locked_joints(source, joints, used, locked, enforce_mimic)?;
-    Model::from_urdf_locked(urdf.text(), options, &locked).map_err(|error| urdf_error(urdf, &error))
+    inertias: Vec<(String, Inertia)>,
+) -> Result<ParsedUrdf, UrdfOrFile> {
+    let options = UrdfOptions { enforce_mimic, allow_massless: true, ..UrdfOptions::default() };
+    let locked = locked_joints(source, part.joints, part.used, part.locked, enforce_mimic)
+        .map_err(UrdfOrFile::File)?;
+    Model::from_urdf_changed(urdf.text(), options, &UrdfChanges { locked, inertias })
+        .map_err(UrdfOrFile::Urdf)
 }
 
 /// Error in a URDF, at its line.

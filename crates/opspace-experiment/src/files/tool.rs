@@ -1,10 +1,11 @@
 //! Tools and loads mounted on a robot: mass properties and the frame at the tip.
 
+use crate::files::body::{BodyNumbers, check_body, check_numbers};
 use crate::files::source::{FileError, Source};
 use crate::suggest::choices;
 use nalgebra::{Matrix3, Vector3};
 use opspace_backend::quantity::{NonNegative, exactly};
-use opspace_model::{Inertia, Model, Placement, principal_moments};
+use opspace_model::{Inertia, Model, Placement};
 #[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::Deserialize;
@@ -34,12 +35,6 @@ pub struct ToolFile {
     #[serde(default, deserialize_with = "exactly")]
     pub inertia_kg_m2: [f64; 6],
 }
-
-/// Largest magnitude of a number of a tool: that of a URDF's numbers.
-const MAX_NUMBER: f64 = 1e9;
-
-/// Tolerance for comparisons of principal moments, relative to the largest; data sheets give few digits.
-const INERTIA_TOLERANCE: f64 = 1e-3;
 
 impl ToolFile {
     /// Inertia in the axes of the link.
@@ -79,37 +74,10 @@ pub(crate) fn mount(
                 Some("give it another name".to_owned()),
             ));
         }
-        let numbers: [(&str, &[f64]); 5] = [
-            ("xyz_m", &tool.xyz_m),
-            ("rpy_rad", &tool.rpy_rad),
-            ("mass_kg", &[tool.mass_kg.get()]),
-            ("com_m", &tool.com_m),
-            ("inertia_kg_m2", &tool.inertia_kg_m2),
-        ];
-        for (key, numbers) in numbers {
-            if let Some(number) = numbers.iter().find(|number| number.abs() > MAX_NUMBER) {
-                let help = Some(format!("give numbers from -{MAX_NUMBER:e} to {MAX_NUMBER:e}"));
-                return refuse(key, format!("{number:e} is too large"), help);
-            }
-        }
-        let moments = principal_moments(&tool.inertia().rotational);
-        let tolerance = INERTIA_TOLERANCE * moments[2].abs().max(moments[0].abs());
-        if moments[0] < -tolerance || moments[0] + moments[1] < moments[2] - tolerance {
-            let message = format!(
-                "no body has the principal moments {:.3e}, {:.3e}, {:.3e} kg m²: they must not be negative, and the sum of \
-                 any two must not be less than the third",
-                moments[0], moments[1], moments[2]
-            );
-            let help = "the order is xx, xy, xz, yy, yz, zz, about the centre of mass".to_owned();
-            return refuse("inertia_kg_m2", message, Some(help));
-        }
-        if tool.mass_kg.get() == 0.0 && moments[2] > 0.0 {
-            return refuse(
-                "inertia_kg_m2",
-                "a tool without mass has no inertia".to_owned(),
-                Some("give mass_kg".to_owned()),
-            );
-        }
+        let path = ["tool", name.as_str()];
+        check_numbers(source, path, &[("xyz_m", &tool.xyz_m), ("rpy_rad", &tool.rpy_rad)])?;
+        let ToolFile { com_m, inertia_kg_m2, .. } = *tool;
+        check_body(source, path, &BodyNumbers { mass_kg: tool.mass_kg.get(), com_m, inertia_kg_m2 })?;
         let offset = Placement::from_rpy(tool.rpy_rad, tool.xyz_m);
         let frame = model.add_frame_on(name, parent, offset);
         model.set_payload(frame, offset.inverse().act_inertia(&tool.inertia()));

@@ -182,12 +182,13 @@ impl Experiment {
             allowed: Vec::new(),
         };
         experiment.check_choice()?;
+        experiment.check_masses()?;
         experiment.check_friction_observer()?;
         expectations::check(&experiment.task, &experiment.robot)?;
         experiment.start()?;
         experiment.bound_paths()?;
         experiment.controller()?;
-        if experiment.robot.file.simulated.is_some() {
+        if experiment.robot.file.simulated.is_some() && experiment.robot.massless.is_empty() {
             experiment.simulated_arm()?;
         }
         Ok(experiment)
@@ -627,6 +628,15 @@ impl Experiment {
             kp_per_s: gains.iter().map(ServoGains::position_loop).collect(),
             stiffness_nm_per_rad: gains.iter().map(|servo| servo.stiffness).collect(),
         })
+    }
+
+    /// Checks that the robot has the masses that its control and its simulation need: inverse kinematics of a real arm needs none.
+    fn check_masses(&self) -> Result<(), FileError> {
+        let is_simulated = self.robot.file.driver.is_none();
+        if self.options.controller == ControllerKind::Osc || is_simulated {
+            self.robot.require_masses()?;
+        }
+        Ok(())
     }
 
     fn check_choice(&self) -> Result<(), FileError> {

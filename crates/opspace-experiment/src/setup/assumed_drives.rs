@@ -1,10 +1,16 @@
 //! Assumed drives of a robot of which only the URDF is known.
 //!
-//! Each value follows from masses and inertias of the links, and from the efforts of the URDF. The *size* of a drive is its
-//! torque limit or, if that is less, ten times the torque that the joint needs for weight, acceleration and the friction of
-//! the URDF: many URDFs state efforts that no such drive has.
+//! Each value follows from the *need* of a joint: the torque for weight and acceleration with a payload at the tip, and for the
+//! friction of the URDF. No joint needs less than a share of what the joint before it needs: a last joint whose axis passes
+//! through its centre of mass would otherwise get the motor of a watch. The torque limit is the effort of the URDF if that is
+//! plausible, and otherwise follows from the need: many URDFs state efforts that no such drive has. It is the *size* of the drive,
+//! from which rotor and friction follow.
 
-use opspace_model::{Data, JointDynamics, JointKind, Model, Postures, crba, forward_kinematics, gravity};
+use crate::setup::tip::{arms, tip};
+use nalgebra::{Matrix3, Vector3};
+use opspace_model::{
+    Data, Inertia, JointDynamics, JointKind, Model, Postures, crba, forward_kinematics, gravity,
+};
 use std::f64::consts::TAU;
 
 /// Number of postures from which weight and inertia of a joint are the largest.
@@ -13,10 +19,16 @@ const POSTURES: usize = 100;
 pub const ACCELERATION: f64 = 10.0;
 /// Speed that a drive is sized for, rad/s (m/s).
 const FRICTION_SPEED: f64 = 1.0;
-/// Largest size of a drive over the torque that its joint needs.
-const LARGEST_SIZE: f64 = 10.0;
-/// Torque limit, where the URDF has none, over the torque of weight and acceleration.
-pub const LIMIT_OVER_NEED: f64 = 3.0;
+/// Payload that drives are sized for, over the mass that moves.
+pub const PAYLOAD_SHARE: f64 = 0.1;
+/// Distance of the centre of the payload from the tip over the reach: along the last axis, and across it.
+const PAYLOAD_OFFSET: f64 = 0.06;
+/// Least need of a joint over that of the joint before it.
+pub const NEIGHBOUR_SHARE: f64 = 0.3;
+/// Efforts of a URDF over the need that a drive can have.
+pub const PLAUSIBLE_EFFORT: std::ops::RangeInclusive<f64> = 1.0..=30.0;
+/// Torque limit, where the URDF has no plausible one, over the need.
+pub const LIMIT_OVER_NEED: f64 = 2.0;
 /// Speed limit of a rotating joint, rad/s, where the URDF has none.
 pub const SPEED_RAD_PER_S: f64 = 2.0;
 /// Speed limit of a sliding joint, m/s, where the URDF has none.
@@ -42,8 +54,10 @@ pub const KP_PER_S: f64 = 40.0;
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct AssumedDrive {
-    /// Torque limit (Nm, N), if the URDF has none.
+    /// Torque limit (Nm, N), if the URDF has no plausible one.
     pub torque_limit: Option<f64>,
+    /// Torque that the joint needs with a payload, Nm (N).
+    pub need: f64,
     /// Speed limit (rad/s, m/s), if the URDF has none.
     pub velocity_limit: Option<f64>,
     /// Size of the drive, Nm (N).
@@ -74,35 +88,29 @@ pub fn rounded(value: f64) -> f64 {
     format!("{value:.2e}").parse().unwrap_or(value)
 }
 
-/// Returns the assumed drives of a robot (n). `dynamics` is the friction that the URDF states (n).
+/// Returns the assumed drives of a robot (n). `dynamics` is the friction that the URDF states (n); `payload_kg` is the payload of
+/// each arm, or a share of the mass that moves.
 #[must_use]
-pub fn assumed_drives(model: &Model, dynamics: &[JointDynamics]) -> Vec<AssumedDrive> {
-    let n = model.n();
-    let (mut weight, mut inertia) = (vec![0.0_f64; n], vec![0.0_f64; n]);
-    let (mut data, postures) = (Data::new(model), Postures::new(model, 1.0));
-    for number in 0..POSTURES {
-        forward_kinematics(model, &mut data, &postures.posture(number));
-        gravity(model, &mut data);
-        crba(model, &mut data);
-        for i in 0..n {
-            weight[i] = weight[i].max(data.gravity[i].abs());
-            inertia[i] = inertia[i].max(data.mass_matrix[(i, i)]);
-        }
-    }
+pub fn assumed_drives(
+    model: &Model,
+    dynamics: &[JointDynamics],
+    payload_kg: Option<f64>,
+) -> Vec<AssumedDrive> {
+    let needs = needs(model, dynamics, payload_kg.unwrap_or(PAYLOAD_SHARE * model.total_mass()));
     let drive = |(i, joint): (usize, &opspace_model::Joint)| {
         let slides = joint.kind == JointKind::Prismatic;
-        let friction =
-            dynamics[i].friction.unwrap_or(0.0) + FRICTION_SPEED * dynamics[i].damping.unwrap_or(0.0);
-        let need = weight[i] + ACCELERATION * inertia[i] + friction;
+        let need = needs[i];
         let (effort, speed) = (joint.limits.effort, joint.limits.velocity);
-        let torque_limit = (!is_limit(effort)).then(|| rounded(LIMIT_OVER_NEED * need));
+        let is_plausible = is_limit(effort) && PLAUSIBLE_EFFORT.contains(&(effort / need));
+        let torque_limit = (!is_plausible).then(|| rounded(LIMIT_OVER_NEED * need));
         let default_speed = if slides { SPEED_M_PER_S } else { SPEED_RAD_PER_S };
         let velocity_limit = (!is_limit(speed)).then_some(default_speed);
-        let size = torque_limit.unwrap_or(effort).min(LARGEST_SIZE * need);
+        let size = torque_limit.unwrap_or(effort);
         let gear_ratio = if slides { GEAR_RAD_PER_M } else { GEAR_RATIO };
         let reflected = size * if slides { ROTOR_KG_PER_N } else { ROTOR_KG_M2_PER_NM };
         AssumedDrive {
             torque_limit,
+            need,
             velocity_limit,
             size,
             rotor_kg_m2: rounded(reflected / (gear_ratio * gear_ratio)),
@@ -113,6 +121,59 @@ pub fn assumed_drives(model: &Model, dynamics: &[JointDynamics]) -> Vec<AssumedD
         }
     };
     model.joints().iter().enumerate().map(drive).collect()
+}
+
+/// Torques that the joints need with this payload on each arm (n; Nm, N).
+fn needs(model: &Model, dynamics: &[JointDynamics], payload_kg: f64) -> Vec<f64> {
+    let n = model.n();
+    let loaded = with_payloads(model, payload_kg);
+    let (mut weight, mut inertia) = (vec![0.0_f64; n], vec![0.0_f64; n]);
+    let (mut data, postures) = (Data::new(&loaded), Postures::new(&loaded, 1.0));
+    for number in 0..POSTURES {
+        forward_kinematics(&loaded, &mut data, &postures.posture(number));
+        gravity(&loaded, &mut data);
+        crba(&loaded, &mut data);
+        for i in 0..n {
+            weight[i] = weight[i].max(data.gravity[i].abs());
+            inertia[i] = inertia[i].max(data.mass_matrix[(i, i)]);
+        }
+    }
+    let friction =
+        |i: usize| dynamics[i].friction.unwrap_or(0.0) + FRICTION_SPEED * dynamics[i].damping.unwrap_or(0.0);
+    let mut needs: Vec<f64> = (0..n).map(|i| weight[i] + ACCELERATION * inertia[i] + friction(i)).collect();
+    for body in model.bodies().iter().filter(|body| !body.follows) {
+        let Some(before) = body.parent.map(|parent| model.bodies()[parent].joint) else { continue };
+        let is_same_kind = |a: usize, b: usize| {
+            let slides = |joint: usize| model.joints()[joint].kind == JointKind::Prismatic;
+            slides(a) == slides(b)
+        };
+        if is_same_kind(body.joint, before) {
+            needs[body.joint] = needs[body.joint].max(NEIGHBOUR_SHARE * needs[before]);
+        }
+    }
+    // A joint that moves along no weight and no inertia still has a drive.
+    needs.into_iter().map(|need| need.max(1e-6)).collect()
+}
+
+/// Returns the robot with a payload at the tip of each arm.
+fn with_payloads(model: &Model, payload_kg: f64) -> Model {
+    let mut loaded = model.clone();
+    let of_arms = arms(model).into_iter().filter_map(|arm| model.frame_id(&arm.to).ok());
+    let mut bodies = Vec::new();
+    for frame in tip(model).into_iter().chain(of_arms) {
+        let at = model.frame(frame);
+        let Some(body) = at.body.filter(|body| !bodies.contains(body)) else { continue };
+        bodies.push(body);
+        let reach_m: f64 =
+            model.ancestors(frame).map(|body| model.bodies()[body].origin.translation.norm()).sum();
+        let offset_m = PAYLOAD_OFFSET * (reach_m + at.placement.translation.norm());
+        // The axis of the joint is z of its body.
+        let centre = at.placement.translation + Vector3::new(offset_m, 0.0, offset_m);
+        let own = loaded.add_frame_on("assumed payload", frame, at.placement.inverse());
+        let sphere = Matrix3::identity() * (0.4 * payload_kg * offset_m * offset_m);
+        loaded.set_payload(own, Inertia { mass: payload_kg, com: centre, rotational: sphere });
+    }
+    loaded
 }
 
 /// True for a limit of a URDF that is one: zero and huge values stand for no limit.

@@ -1,20 +1,22 @@
 //! Files of a new robot from its URDF.
 
-use crate::files::collision::generated_capsules;
+use crate::files::collision::{generated_capsules, link_inertias};
 use crate::files::joint_layers::urdf_values;
 use crate::files::robot::RobotDefinition;
-use crate::files::robot_part::{UsedPart, load_part_of, urdf_error};
+use crate::files::robot_part::{PartOf, UsedPart, load_part_of, urdf_error};
 use crate::files::source::{FileError, Source};
 use crate::setup::arm_template::ArmTemplate;
-use crate::setup::assumed_drives::{assumed_drives, servo_gains, velocity_gains};
+use crate::setup::assumed_bodies::{AssumedBody, BodySource, assumed_bodies, floored_bodies, numbers};
+use crate::setup::assumed_drives::{PAYLOAD_SHARE, assumed_drives, servo_gains, velocity_gains};
 use crate::setup::first_motion::{Clearance, ControlledAxes, FirstMotion, first_motion};
 use crate::setup::first_task::first_task_toml;
 use crate::setup::robot_template::{NewRobot, assumed_robot_toml, robot_toml};
 use crate::setup::tip::{arms, joints_beyond};
 use crate::suggest::choices;
+use nalgebra::{Matrix3, Vector3};
 use opspace_backend::CommandKind;
 use opspace_model::collision::CapsuleWarning;
-use opspace_model::{JointDynamics, Limits, Model, ParsedUrdf, UrdfJoint, UrdfWarning, urdf_joints};
+use opspace_model::{Inertia, JointDynamics, Limits, Model, ParsedUrdf, UrdfJoint, UrdfWarning, urdf_joints};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Chain of links of a new robot that is used; all of it if both are `None`.
@@ -26,13 +28,22 @@ pub struct Part<'a> {
     pub to: Option<&'a str>,
 }
 
+/// Masses of a robot that are known beside its URDF.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct KnownMasses {
+    /// Mass of the whole arm with its base, kg, if the URDF does not state it.
+    pub arm_kg: Option<f64>,
+    /// Payload that the drives can carry, kg; a tenth of the mass that moves if absent.
+    pub payload_kg: Option<f64>,
+}
+
 /// Source of the values that the URDF does not state.
 #[derive(Clone, Copy, Debug)]
 pub enum DriveValues<'a> {
     /// None: the user writes them.
     Missing,
     /// Values that are computed from the URDF, and marked as assumed.
-    Assumed,
+    Assumed(KnownMasses),
     /// Values of a common arm.
     Template(&'a ArmTemplate),
 }
@@ -66,6 +77,8 @@ struct SelectedPart<'a> {
     locked_joints: BTreeMap<String, f64>,
     enforce_mimic: bool,
     parsed: ParsedUrdf,
+    /// Masses and inertias that are assumed.
+    bodies: Vec<AssumedBody>,
 }
 
 /// Returns the files of a new robot. `urdf_name` is the name of the URDF beside robot.toml; `values` says where the values come
@@ -79,15 +92,20 @@ pub fn new_files(
     part: Part<'_>,
     values: DriveValues<'_>,
 ) -> Result<NewFiles, FileError> {
-    let loaded = load(urdf, urdf_name, part)?;
     match values {
-        DriveValues::Template(template) => like_template(loaded, template),
-        DriveValues::Missing => computed(loaded, false),
-        DriveValues::Assumed => computed(loaded, true),
+        DriveValues::Template(template) => like_template(load(urdf, urdf_name, part, None)?, template),
+        DriveValues::Missing => computed(load(urdf, urdf_name, part, None)?, None),
+        DriveValues::Assumed(known) => computed(load(urdf, urdf_name, part, Some(known))?, Some(known)),
     }
 }
 
-fn load<'a>(urdf: &'a Source, urdf_name: &'a str, part: Part<'_>) -> Result<SelectedPart<'a>, FileError> {
+/// Loads the part of a URDF. `known` has the masses that are known of a robot whose other ones are assumed.
+fn load<'a>(
+    urdf: &'a Source,
+    urdf_name: &'a str,
+    part: Part<'_>,
+    known: Option<KnownMasses>,
+) -> Result<SelectedPart<'a>, FileError> {
     let joints = urdf_joints(urdf.text()).map_err(|error| urdf_error(urdf, &error))?;
     let used = used_part(urdf, &joints, part)?;
     // A joint whose limits are equal cannot move; a robot of such joints alone has mistakes in its URDF.
@@ -99,11 +117,41 @@ fn load<'a>(urdf: &'a Source, urdf_name: &'a str, part: Part<'_>) -> Result<Sele
         locked.clear();
     }
     let enforce_mimic = joints.iter().any(|joint| joint.mimics.is_some());
-    let parsed = load_part_of(urdf, urdf, &joints, used.as_ref(), &locked, enforce_mimic)?;
+    let load = |bodies: &[AssumedBody]| {
+        let part = PartOf { joints: &joints, used: used.as_ref(), locked: &locked };
+        let inertias = bodies.iter().map(|body| (body.link.clone(), written(&body.inertia))).collect();
+        load_part_of(urdf, urdf, &part, enforce_mimic, inertias).map_err(|error| error.of_urdf(urdf))
+    };
+    let mut bodies = match known {
+        Some(_) => floored_bodies(&link_inertias(urdf)?),
+        None => Vec::new(),
+    };
+    let mut parsed = load(&bodies)?;
     if parsed.model.n() == 0 {
         return Err(FileError::of_file(urdf.name(), "the robot has no joints that can move", None));
     }
-    Ok(SelectedPart { urdf, urdf_name, used, locked_joints: locked, enforce_mimic, parsed })
+    let moves =
+        |link: &str| parsed.model.frames().iter().any(|frame| frame.name == link && frame.body.is_some());
+    bodies.retain(|body| moves(&body.link));
+    if let Some(known) = known {
+        if parsed.massless.is_empty()
+            && let Some(arm_kg) = known.arm_kg
+        {
+            let message =
+                format!("the URDF states the masses of all links: {arm_kg} kg cannot be divided among them");
+            return Err(FileError::of_file(urdf.name(), message, Some("leave --mass out".to_owned())));
+        }
+        bodies.extend(assumed_bodies(&parsed.model, urdf, &parsed.massless, known.arm_kg)?);
+        parsed = load(&bodies)?;
+    }
+    Ok(SelectedPart { urdf, urdf_name, used, locked_joints: locked, enforce_mimic, parsed, bodies })
+}
+
+/// Inertia as a file states it: with a few digits.
+fn written(inertia: &Inertia) -> Inertia {
+    let (mass, com, [xx, xy, xz, yy, yz, zz]) = numbers(inertia);
+    let rotational = Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz);
+    Inertia { mass, com: Vector3::from(com), rotational }
 }
 
 /// Returns a first motion; `torque_limits` (n; Nm, N) are infinite where they are unknown.
@@ -118,9 +166,11 @@ fn motion_of(
 }
 
 /// Files of a robot whose values are assumed, or missing.
-fn computed(loaded: SelectedPart<'_>, assume: bool) -> Result<NewFiles, FileError> {
+fn computed(loaded: SelectedPart<'_>, assumed: Option<KnownMasses>) -> Result<NewFiles, FileError> {
     let (model, dynamics) = (&loaded.parsed.model, &loaded.parsed.dynamics);
-    let drives = assumed_drives(model, dynamics);
+    let assume = assumed.is_some();
+    let payload_kg = assumed.and_then(|known| known.payload_kg).unwrap_or(PAYLOAD_SHARE * model.total_mass());
+    let drives = assumed_drives(model, dynamics, Some(payload_kg));
     let limits: Vec<f64> = (model.joints().iter().zip(&drives))
         .map(|(joint, drive)| {
             let unknown = if assume { drive.torque_limit.unwrap_or(f64::INFINITY) } else { f64::INFINITY };
@@ -153,9 +203,14 @@ fn computed(loaded: SelectedPart<'_>, assume: bool) -> Result<NewFiles, FileErro
         locked_joints: &locked,
         model,
         stated: &stated,
+        bodies: &loaded.bodies,
     };
+    notes.extend(note_of_bodies(&loaded.bodies));
     let robot_toml = match assume {
-        true => assumed_robot_toml(&robot, &drives, &velocity_gains(model, &drives, &motion.start)),
+        true => {
+            let kv = velocity_gains(model, &drives, &motion.start);
+            assumed_robot_toml(&robot, &drives, &kv, payload_kg)
+        }
         false => robot_toml(&robot),
     };
     Ok(NewFiles {
@@ -167,6 +222,23 @@ fn computed(loaded: SelectedPart<'_>, assume: bool) -> Result<NewFiles, FileErro
         notes,
         warnings: loaded.parsed.warnings,
     })
+}
+
+/// Names the links whose masses or inertias are assumed.
+fn note_of_bodies(bodies: &[AssumedBody]) -> Option<String> {
+    if bodies.is_empty() {
+        return None;
+    }
+    let body = |body: &AssumedBody| match body.source {
+        BodySource::Floor => format!("{} (inertia only)", body.link),
+        _ => format!("{} {:.3} kg", body.link, body.inertia.mass),
+    };
+    let listed: Vec<String> = bodies.iter().map(body).collect();
+    Some(format!(
+        "masses and inertias that the URDF does not state, or that no body has, are assumed: {}. If you know the mass of the arm \
+         from its data sheet, add `--mass` with it in kg; [link.NAME] of robot.toml has the values",
+        listed.join(", ")
+    ))
 }
 
 /// True if all values of friction and damping in a URDF are zero, as exporters write them.
@@ -217,6 +289,7 @@ fn like_template(mut loaded: SelectedPart<'_>, template: &ArmTemplate) -> Result
         locked_joints: &locked,
         model: &loaded.parsed.model,
         stated: &[],
+        bodies: &[],
     }
     .head();
     // The gains of the servos follow from the inertia at the start, which follows from the other values.

@@ -3,9 +3,10 @@
 use crate::files::joint_layers::UrdfValue;
 use crate::files::required_keys::{self, Required};
 use crate::files::robot_part::UsedPart;
+use crate::setup::assumed_bodies::{AssumedBody, BodySource, DENSITY_KG_PER_M3, numbers};
 use crate::setup::assumed_drives::{
-    ACCELERATION, AssumedDrive, COULOMB_SHARE, GEAR_RAD_PER_M, KP_PER_S, LIMIT_OVER_NEED, ROTOR_KG_M2_PER_NM,
-    ROTOR_KG_PER_N, VELOCITY_LOOP_HZ, VISCOUS_SHARE,
+    ACCELERATION, AssumedDrive, COULOMB_SHARE, GEAR_RAD_PER_M, KP_PER_S, LIMIT_OVER_NEED, NEIGHBOUR_SHARE,
+    ROTOR_KG_M2_PER_NM, ROTOR_KG_PER_N, VELOCITY_LOOP_HZ, VISCOUS_SHARE,
 };
 use opspace_model::{Joint, JointKind, Model};
 use std::fmt::Write as _;
@@ -26,6 +27,8 @@ pub struct NewRobot<'a> {
     pub model: &'a Model,
     /// Values of the drives that the URDF states.
     pub stated: &'a [UrdfValue],
+    /// Masses and inertias that are assumed.
+    pub bodies: &'a [AssumedBody],
 }
 
 impl NewRobot<'_> {
@@ -178,8 +181,18 @@ fn required_line(key: &str) -> String {
 /// Returns a robot.toml in which all values that the URDF does not state are assumed, and marked as such. `kv` has the gains
 /// of the velocity loops (n; Nms/rad, Ns/m).
 #[must_use]
-pub fn assumed_robot_toml(robot: &NewRobot<'_>, drives: &[AssumedDrive], kv: &[f64]) -> String {
+pub fn assumed_robot_toml(
+    robot: &NewRobot<'_>,
+    drives: &[AssumedDrive],
+    kv: &[f64],
+    payload_kg: f64,
+) -> String {
     let mut assumed = vec![vec!["interface".to_owned()]];
+    assumed.extend(robot.bodies.iter().map(|body| {
+        let link = Key::new(&body.link);
+        let key = if body.source == BodySource::Floor { ".inertia_kg_m2" } else { "" };
+        vec![format!("link.{link}{key}")]
+    }));
     let mut tables = String::new();
     for (joint, drive) in robot.model.joints().iter().zip(drives) {
         let (table, keys) = assumed_joint(robot, joint, drive);
@@ -215,8 +228,9 @@ gears = "elastic"             # "rigid" only if they are known to be
 gravity_compensated_by = "controller"
 measured = ["position"]       # or ["position", "motor-current"]
 
-# Drives of the joints. The size of a drive is its torque limit or, if that is less, ten times the torque that its joint needs
-# for its weight, for {acceleration} rad/s² (m/s²), and for the friction of the URDF.
+{bodies}# Drives of the joints. A joint needs the torque for its weight and for {acceleration} rad/s² (m/s²) with a payload of {payload:.3} kg
+# at the tip, and for the friction of the URDF; not less than {neighbour} of what the joint before it needs. The torque limit is the
+# effort of the URDF if that is 1 to 30 times the need. Rotor and friction follow from the torque limit.
 {notes}{tables}
 # [A] a servo at 5 kHz that gets a setpoint every fifth tick.
 [profile.default]
@@ -242,10 +256,40 @@ current_loop_hz = 1000.0
         name = one_line(robot.model.name()),
         head = robot.head(),
         acceleration = ACCELERATION,
+        neighbour = NEIGHBOUR_SHARE,
+        bodies = link_tables(robot.bodies),
         notes = robot.notes(),
         loop_hz = VELOCITY_LOOP_HZ,
         kp = KP_PER_S,
+        payload = payload_kg,
     )
+}
+
+/// Tables of the links with assumed masses and inertias.
+fn link_tables(bodies: &[AssumedBody]) -> String {
+    if bodies.is_empty() {
+        return String::new();
+    }
+    let mut text = format!(
+        "# Masses and inertias of links that the URDF does not state, or that no body has. Shapes are filled with {DENSITY_KG_PER_M3}\n\
+         # kg/m³; links without shapes are those of a chain of cylinders that tapers.\n"
+    );
+    for AssumedBody { link, inertia, source } in bodies {
+        let (mass_kg, com_m, inertia_kg_m2) = numbers(inertia);
+        let about = match source {
+            BodySource::Shapes => "from the shapes of the link",
+            BodySource::Chain => "from the length of the link",
+            BodySource::Floor => {
+                "the URDF's mass, and its inertia raised to that of a possible body of this mass"
+            }
+        };
+        let _ = writeln!(
+            text,
+            "[link.{}]   # [A] {about}\nmass_kg = {mass_kg:?}\ncom_m = {com_m:?}\ninertia_kg_m2 = {inertia_kg_m2:?}",
+            Key::new(link)
+        );
+    }
+    text + "\n"
 }
 
 /// Returns the table of a joint with assumed values, and the keys of these values.
@@ -256,9 +300,16 @@ fn assumed_joint(robot: &NewRobot<'_>, joint: &Joint, drive: &AssumedDrive) -> (
     let mut text = format!("\n[joint.{name}]\n");
     let mut keys = Vec::new();
     if let Some(limit) = drive.torque_limit {
+        let effort = joint.limits.effort;
+        let instead = match effort.is_finite() && effort > 0.0 {
+            true => {
+                format!("; the effort of the URDF, {effort}, is {:.2} times the need", effort / drive.need)
+            }
+            false => String::new(),
+        };
         let _ = writeln!(
             text,
-            "torque_limit_nm = {limit:?}   # [A] {LIMIT_OVER_NEED} times the torque that the joint needs, {torque}"
+            "torque_limit_nm = {limit:?}   # [A] {LIMIT_OVER_NEED} times the torque that the joint needs, {torque}{instead}"
         );
         keys.push(format!("joint.{name}.torque_limit_nm"));
     }

@@ -60,6 +60,31 @@ pub(super) fn read_mesh(
     Ok(vertices)
 }
 
+/// Reads the triangles of a file and scales them; m.
+pub(super) fn read_triangles(
+    path: &Path,
+    format: MeshFormat,
+    scale: &[f64; 3],
+) -> Result<Vec<[Vector3<f64>; 3]>, MeshErrorKind> {
+    let scale = Vector3::from(*scale);
+    let triangles = mesh_triangles(&read_bytes(path)?, format)?;
+    let scaled = triangles.into_iter().map(|corners| corners.map(|corner| corner.component_mul(&scale)));
+    Ok(scaled.collect())
+}
+
+/// Returns the triangles of a mesh file with these contents, in the units of the file. Faces with more corners are divided from
+/// their first corner.
+///
+/// # Errors
+/// As [`mesh_vertices`].
+pub fn mesh_triangles(bytes: &[u8], format: MeshFormat) -> Result<Vec<[Vector3<f64>; 3]>, MeshErrorKind> {
+    let vertices = mesh_vertices(bytes, format)?;
+    Ok(match format {
+        MeshFormat::Stl => vertices.as_chunks::<3>().0.to_vec(),
+        MeshFormat::Obj => obj::triangles(bytes, &vertices),
+    })
+}
+
 /// Returns the path of a mesh that is named in a URDF; `None` if there is no such file.
 ///
 /// A relative name is relative to the folder of the URDF. `package://NAME/...` is relative to the closest folder above

@@ -1,6 +1,7 @@
 //! URDF elements that concern the dynamics, before any check. All readers produce this form, and `check` accepts or
 //! refuses it.
 
+use super::error::UrdfWarning;
 use crate::model::JointKind;
 
 /// Line of an element, from 1; `None` if the robot was not read from text.
@@ -11,6 +12,8 @@ pub(super) struct RobotElement {
     pub name: String,
     pub links: Vec<LinkElement>,
     pub joints: Vec<JointElement>,
+    /// Warnings of the reader.
+    pub warnings: Vec<UrdfWarning>,
 }
 
 pub(super) struct LinkElement {

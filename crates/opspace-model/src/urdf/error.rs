@@ -262,6 +262,14 @@ pub enum UrdfErrorKind {
         /// Smallest principal moment, kg m².
         smallest: f64,
     },
+    /// Inertia for a link that does not exist.
+    #[error("there is no link '{link}' to give an inertia; the links are: {}", listed(known))]
+    UnknownInertia {
+        /// Given name.
+        link: String,
+        /// Names of the existing links.
+        known: Vec<String>,
+    },
     /// Joint that moves no mass.
     #[error(
         "joint '{joint}' moves link '{link}', which has no mass, and neither has any link fixed to it: \
@@ -381,6 +389,20 @@ pub enum UrdfWarningKind {
         /// Value of both limits, rad or m.
         value: f64,
     },
+    /// Joint with a velocity limit below zero.
+    #[error("joint '{joint}': the velocity limit {value} is below zero: it is read as no limit")]
+    NegativeVelocity {
+        /// Name of the joint.
+        joint: String,
+        /// Value of the limit, rad/s or m/s.
+        value: f64,
+    },
+    /// Prefix of a tag or attribute that the file does not declare.
+    #[error("the XML prefix '{prefix}' is not declared, as XML requires: what it marks is ignored")]
+    UndeclaredPrefix {
+        /// The prefix.
+        prefix: String,
+    },
     /// Joint with a velocity or effort limit of zero.
     #[error("joint '{joint}': {limit} limit is 0: no {limit} is allowed; omit the attribute for no limit")]
     ZeroLimit {
@@ -401,19 +423,28 @@ pub enum UrdfWarningKind {
 
 impl UrdfWarningKind {
     /// Codes of all kinds.
-    pub const CODES: [&'static str; 5] =
-        ["impossible-inertia", "fixed-link-inertia", "equal-limits", "zero-limit", "ignored-mimic"];
+    pub const CODES: [&'static str; 7] = [
+        "impossible-inertia",
+        "fixed-link-inertia",
+        "equal-limits",
+        "zero-limit",
+        "ignored-mimic",
+        "negative-velocity",
+        "undeclared-prefix",
+    ];
 
     /// Returns the code of the kind, which remains the same when its text changes.
     #[must_use]
     pub fn code(&self) -> &'static str {
-        let [impossible, fixed, equal, zero, mimic] = Self::CODES;
+        let [impossible, fixed, equal, zero, mimic, velocity, prefix] = Self::CODES;
         match self {
             Self::ImpossibleInertia { .. } => impossible,
             Self::StandingInertia { .. } => fixed,
             Self::EqualLimits { .. } => equal,
             Self::ZeroLimit { .. } => zero,
             Self::Mimic { .. } => mimic,
+            Self::NegativeVelocity { .. } => velocity,
+            Self::UndeclaredPrefix { .. } => prefix,
         }
     }
 }

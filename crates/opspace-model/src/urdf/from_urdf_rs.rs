@@ -14,7 +14,7 @@ use urdf_rs::{Inertial, Joint, JointLimit, JointType, Link, Pose, Robot};
 pub(super) fn elements(robot: &Robot) -> Result<RobotElement, UrdfError> {
     let links = robot.links.iter().map(link).collect();
     let joints = robot.joints.iter().map(joint).collect::<Result<_, _>>()?;
-    Ok(RobotElement { line: None, name: robot.name.clone(), links, joints })
+    Ok(RobotElement { line: None, name: robot.name.clone(), links, joints, warnings: Vec::new() })
 }
 
 fn link(link: &Link) -> LinkElement {

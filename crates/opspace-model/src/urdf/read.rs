@@ -5,9 +5,10 @@ use super::elements::{
     AxisElement, DynamicsElement, InertialElement, JointElement, LimitElement, Line, LinkElement,
     MimicElement, OriginElement, RobotElement,
 };
-use super::error::{UrdfError, UrdfErrorKind};
+use super::error::{UrdfError, UrdfErrorKind, UrdfWarning, UrdfWarningKind};
 use crate::model::{JointKind, Limits};
 use roxmltree::Document;
+use std::borrow::Cow;
 
 /// Largest file size, bytes; the files of the largest robots have some hundred kilobytes.
 const MAX_BYTES: usize = 16 << 20;
@@ -27,7 +28,9 @@ pub(super) fn read_with<S>(
     of_link: impl Fn(&Element<'_>) -> Result<S, UrdfError>,
 ) -> Result<(RobotElement, Vec<S>), UrdfError> {
     guard(text)?;
-    let document = Document::parse(text).map_err(|e| malformed(&e))?;
+    let (declared, prefixes) = with_declared_prefixes(text);
+    let document = Document::parse(&declared).map_err(|e| malformed(&e))?;
+    let text = declared.as_ref();
     let robot = document.root_element();
     let lines = Lines::of(text);
     expect_urdf(robot, &lines)?;
@@ -36,7 +39,27 @@ pub(super) fn read_with<S>(
     let of_links =
         children(robot, "link", &lines).map(|element| of_link(&element)).collect::<Result<_, _>>()?;
     let name = robot.attribute("name").unwrap_or_default().to_owned();
-    Ok((RobotElement { line: Some(lines.line(robot)), name, links, joints }, of_links))
+    let line = Some(lines.line(robot));
+    let undeclared = |prefix| UrdfWarning::at(line, UrdfWarningKind::UndeclaredPrefix { prefix });
+    let warnings = prefixes.into_iter().map(undeclared).collect();
+    Ok((RobotElement { line, name, links, joints, warnings }, of_links))
+}
+
+/// Returns the text with the prefixes declared that it does not declare itself, but for that of xacro, and these prefixes. Lines
+/// stay the same.
+fn with_declared_prefixes(text: &str) -> (Cow<'_, str>, Vec<String>) {
+    const MOST_PREFIXES: usize = 16;
+    let (mut declared, mut prefixes) = (Cow::Borrowed(text), Vec::new());
+    while prefixes.len() < MOST_PREFIXES {
+        let Err(roxmltree::Error::UnknownNamespace(prefix, _)) = Document::parse(&declared) else { break };
+        let root = declared.find("<robot").map(|at| at + "<robot".len());
+        let Some(at) = root.filter(|_| prefix != "xacro" && !prefixes.contains(&prefix)) else { break };
+        let mut text = declared.into_owned();
+        text.insert_str(at, &format!(" xmlns:{prefix}=\"undeclared:{prefix}\""));
+        declared = Cow::Owned(text);
+        prefixes.push(prefix);
+    }
+    (declared, prefixes)
 }
 
 /// Refuses texts that are unsafe for an XML reader, in one pass without recursion.

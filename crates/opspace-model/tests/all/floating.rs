@@ -332,7 +332,8 @@ const HOPPER: &str = r#"<robot name="hopper">
   <joint name="hip" type="continuous"><parent link="trunk"/><child link="leg"/><axis xyz="0 1 0"/></joint>
 </robot>"#;
 
-const FLOATING: UrdfOptions = UrdfOptions { floating_base: true, enforce_mimic: false };
+const FLOATING: UrdfOptions =
+    UrdfOptions { floating_base: true, enforce_mimic: false, allow_massless: false };
 
 /// Compared: the root body of a URDF with all links fixed to it, and its expected inertia. Its mass counts on a
 /// floating base, but not on a fixed base.

@@ -643,10 +643,13 @@ const GRIPPER: &str = r#"<robot name="gripper">
 /// the mimic rules.
 #[test]
 fn urdf_mimic_joints_are_enforced() -> Result<(), TestCaseError> {
-    let fold = |floating_base| UrdfOptions { floating_base, enforce_mimic: true };
+    let fold = |floating_base| UrdfOptions { floating_base, enforce_mimic: true, ..UrdfOptions::default() };
     for floating_base in [false, true] {
-        let free =
-            Model::from_urdf_with(GRIPPER, UrdfOptions { floating_base, enforce_mimic: false }).unwrap();
+        let free = Model::from_urdf_with(
+            GRIPPER,
+            UrdfOptions { floating_base, enforce_mimic: false, ..UrdfOptions::default() },
+        )
+        .unwrap();
         let folded = Model::from_urdf_with(GRIPPER, fold(floating_base)).unwrap();
         let mimics = |w: &&opspace_model::UrdfWarning| matches!(w.kind(), UrdfWarningKind::Mimic { .. });
         assert_eq!(free.warnings.iter().filter(mimics).count(), 2);

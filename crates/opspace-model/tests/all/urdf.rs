@@ -516,8 +516,12 @@ fn locked_joint_needs_no_limits() {
     let joints = opspace_model::urdf_joints(&text).unwrap();
     assert!(joints.iter().any(|joint| joint.name == "axle" && joint.limits == Limits::NONE));
     let locked = |name: &str| {
-        Model::from_urdf_locked(&text, UrdfOptions::default(), &[(name.to_owned(), 0.0)])
-            .map(|urdf| urdf.model.n())
+        Model::from_urdf_changed(
+            &text,
+            UrdfOptions::default(),
+            &UrdfChanges { locked: vec![(name.to_owned(), 0.0)], ..UrdfChanges::default() },
+        )
+        .map(|urdf| urdf.model.n())
     };
     assert_eq!(locked("axle").unwrap(), 2);
     assert!(locked("elbow").unwrap_err().to_string().contains("joint 'axle'"));

@@ -54,7 +54,8 @@ fn sound_robots_have_no_warnings() {
     for path in ours.iter().chain(&theirs) {
         for floating_base in [false, true] {
             for enforce_mimic in [false, true] {
-                let model = robot(path, UrdfOptions { floating_base, enforce_mimic });
+                let model =
+                    robot(path, UrdfOptions { floating_base, enforce_mimic, ..UrdfOptions::default() });
                 assert_eq!(texts(&model), [""; 0], "{path}");
             }
         }

@@ -37,7 +37,9 @@ fn urdf() {
         let text = apply_to_text(&seeds, *seed, edits);
         target.check(text.as_bytes(), edits.is_empty(), || {
             let read = [(false, false), (true, false), (false, true), (true, true)].map(
-                |(floating_base, enforce_mimic)| reads(&text, UrdfOptions { floating_base, enforce_mimic }),
+                |(floating_base, enforce_mimic)| {
+                    reads(&text, UrdfOptions { floating_base, enforce_mimic, ..UrdfOptions::default() })
+                },
             );
             read[0]
         });

@@ -41,3 +41,29 @@ pub(super) fn vertices(bytes: &[u8]) -> Result<Vec<Vector3<f64>>, MeshErrorKind>
     }
     Ok(vertices)
 }
+
+/// Returns the triangles of the faces between vertices, which [`vertices`] has read from the same file. Numbers below zero count
+/// from the last vertex; corners that do not exist are left out.
+pub(super) fn triangles(bytes: &[u8], vertices: &[Vector3<f64>]) -> Vec<[Vector3<f64>; 3]> {
+    let text = String::from_utf8_lossy(bytes);
+    let (mut triangles, mut known) = (Vec::new(), 0);
+    for content in text.lines() {
+        let mut words = content.split_ascii_whitespace();
+        match words.next() {
+            Some("v") => known += 1,
+            Some("f") => {
+                let corner = |word: &str| {
+                    let number: i64 = word.split('/').next()?.parse().ok()?;
+                    let index = if number < 0 { known + number } else { number - 1 };
+                    vertices.get(usize::try_from(index).ok()?).copied()
+                };
+                let corners: Vec<Vector3<f64>> = words.filter_map(corner).collect();
+                if let Some((first, rest)) = corners.split_first() {
+                    triangles.extend(rest.windows(2).map(|pair| [*first, pair[0], pair[1]]));
+                }
+            }
+            _ => {}
+        }
+    }
+    triangles
+}

@@ -14,7 +14,11 @@ pub struct Oracle {
 pub fn oracle(file: &str) -> Oracle {
     let oracle::Oracle { meta, samples, urdf, .. } = oracle::Oracle::read(file);
     let flag = |key: &str| meta[key].as_bool().unwrap_or(false);
-    let options = UrdfOptions { floating_base: flag("floating"), enforce_mimic: flag("fold_mimics") };
+    let options = UrdfOptions {
+        floating_base: flag("floating"),
+        enforce_mimic: flag("fold_mimics"),
+        ..UrdfOptions::default()
+    };
     let model = Model::from_urdf_with(&urdf, options).expect(file).model;
     Oracle { meta, samples, model }
 }

@@ -92,7 +92,8 @@ pub fn random_arm(seed: u64) -> ArmConfig {
     let (stiffness_nm_per_rad, damping_nms_per_rad) = spring(draw, strength, 1.0);
     config.simulated.end_stop = Some(EndStopParameters { stiffness_nm_per_rad, damping_nms_per_rad });
     let holding_torque_ratio = draw.positive(-0.3, 1.0);
-    let (stiffness_nm_per_rad, damping_nms_per_rad) = spring(draw, strength * holding_torque_ratio.get(), 1.0);
+    let (stiffness_nm_per_rad, damping_nms_per_rad) =
+        spring(draw, strength * holding_torque_ratio.get(), 1.0);
     config.simulated.brake =
         Some(BrakeParameters { holding_torque_ratio, stiffness_nm_per_rad, damping_nms_per_rad });
     let friction = strength * draw.decades(-4.0, 0.0);
@@ -119,7 +120,11 @@ pub fn random_arm(seed: u64) -> ArmConfig {
             let gear = GearParameters {
                 stiffness_nm_per_rad: Some(stiffness),
                 damping_nms_per_rad,
-                backlash_rad: if draw.happens(0.05) { draw.non_negative(-4.0, -1.7) } else { NonNegative::default() },
+                backlash_rad: if draw.happens(0.05) {
+                    draw.non_negative(-4.0, -1.7)
+                } else {
+                    NonNegative::default()
+                },
             };
             config.simulated.gear.insert(names[i].clone(), gear);
         }
