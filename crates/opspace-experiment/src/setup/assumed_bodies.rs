@@ -120,11 +120,9 @@ pub fn assumed_bodies(
     };
     let mut bodies: Vec<(usize, &MasslessJoint, Inertia, BodySource)> = Vec::new();
     for joint in massless {
-        let Some(body) =
-            model.bodies().iter().position(|body| model.joints()[body.joint].name == joint.joint)
-        else {
-            continue;
-        };
+        // A joint that mimics another is none of the model, so that the link tells the body.
+        let frame = model.frames().iter().find(|frame| frame.name == joint.link);
+        let Some(body) = frame.and_then(|frame| frame.body) else { continue };
         let shapes = of_body(body);
         let found = match shapes.is_empty() {
             false => (shapes.into_iter().fold(Inertia::zero(), |sum, shape| sum + shape), BodySource::Shapes),

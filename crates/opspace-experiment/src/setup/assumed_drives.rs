@@ -15,6 +15,8 @@ use std::f64::consts::TAU;
 
 /// Number of postures from which weight and inertia of a joint are the largest.
 const POSTURES: usize = 100;
+/// Largest position of a joint in these postures, rad (m): a platform that can drive anywhere carries the same weight there.
+const LARGEST_POSITION: f64 = 10.0;
 /// Acceleration that a drive is sized for, rad/s² (m/s²).
 pub const ACCELERATION: f64 = 10.0;
 /// Speed that a drive is sized for, rad/s (m/s).
@@ -130,7 +132,9 @@ fn needs(model: &Model, dynamics: &[JointDynamics], payload_kg: f64) -> Vec<f64>
     let (mut weight, mut inertia) = (vec![0.0_f64; n], vec![0.0_f64; n]);
     let (mut data, postures) = (Data::new(&loaded), Postures::new(&loaded, 1.0));
     for number in 0..POSTURES {
-        forward_kinematics(&loaded, &mut data, &postures.posture(number));
+        let mut q = postures.posture(number);
+        q.iter_mut().for_each(|q| *q = q.clamp(-LARGEST_POSITION, LARGEST_POSITION));
+        forward_kinematics(&loaded, &mut data, &q);
         gravity(&loaded, &mut data);
         crba(&loaded, &mut data);
         for i in 0..n {

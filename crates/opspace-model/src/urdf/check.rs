@@ -298,14 +298,10 @@ impl Element<'_> {
     ) -> Result<f64, UrdfError> {
         let Some(value) = value else { return Ok(f64::INFINITY) };
         self.finite(&format!("<limit {limit}>"), line, &[value])?;
-        if value < 0.0 && limit == "velocity" {
-            let joint = self.name.to_owned();
-            warnings.push(UrdfWarning::at(line, UrdfWarningKind::NegativeVelocity { joint, value }));
-            return Ok(f64::INFINITY);
-        }
         if value < 0.0 {
-            let element = self.words.clone();
-            return Err(UrdfError::at(line, UrdfErrorKind::NegativeLimit { element, limit, value }));
+            let joint = self.name.to_owned();
+            warnings.push(UrdfWarning::at(line, UrdfWarningKind::NegativeLimit { joint, limit, value }));
+            return Ok(f64::INFINITY);
         }
         if value == 0.0 {
             let joint = self.name.to_owned();

@@ -215,16 +215,6 @@ pub enum UrdfErrorKind {
         /// Upper limit, rad or m.
         upper: f64,
     },
-    /// Negative velocity or effort limit.
-    #[error("{element}: {limit} limit {value} is negative; give its magnitude, or omit it for no limit")]
-    NegativeLimit {
-        /// Element that the limit belongs to.
-        element: String,
-        /// Name of the limit: `velocity` or `effort`.
-        limit: &'static str,
-        /// Given value.
-        value: f64,
-    },
     /// Friction below zero.
     #[error("{element}: <dynamics {limit}> is {value}; it must not be negative")]
     NegativeFriction {
@@ -389,12 +379,14 @@ pub enum UrdfWarningKind {
         /// Value of both limits, rad or m.
         value: f64,
     },
-    /// Joint with a velocity limit below zero.
-    #[error("joint '{joint}': the velocity limit {value} is below zero: it is read as no limit")]
-    NegativeVelocity {
+    /// Joint with a velocity or effort limit below zero.
+    #[error("joint '{joint}': {limit} limit {value} is below zero: it is read as no limit")]
+    NegativeLimit {
         /// Name of the joint.
         joint: String,
-        /// Value of the limit, rad/s or m/s.
+        /// Name of the limit: `velocity` or `effort`.
+        limit: &'static str,
+        /// Value of the limit, rad/s or m/s, Nm or N.
         value: f64,
     },
     /// Prefix of a tag or attribute that the file does not declare.
@@ -429,21 +421,21 @@ impl UrdfWarningKind {
         "equal-limits",
         "zero-limit",
         "ignored-mimic",
-        "negative-velocity",
+        "negative-limit",
         "undeclared-prefix",
     ];
 
     /// Returns the code of the kind, which remains the same when its text changes.
     #[must_use]
     pub fn code(&self) -> &'static str {
-        let [impossible, fixed, equal, zero, mimic, velocity, prefix] = Self::CODES;
+        let [impossible, fixed, equal, zero, mimic, negative, prefix] = Self::CODES;
         match self {
             Self::ImpossibleInertia { .. } => impossible,
             Self::StandingInertia { .. } => fixed,
             Self::EqualLimits { .. } => equal,
             Self::ZeroLimit { .. } => zero,
             Self::Mimic { .. } => mimic,
-            Self::NegativeVelocity { .. } => velocity,
+            Self::NegativeLimit { .. } => negative,
             Self::UndeclaredPrefix { .. } => prefix,
         }
     }

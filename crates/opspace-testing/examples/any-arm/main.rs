@@ -1,0 +1,140 @@
+//! What happens with URDFs of arms of which nothing else is known: for each, `opspace new --assume`, `check`, and `run` of the first
+//! task as a position robot and as a torque robot; then both runs with a payload that the model does not know.
+//!
+//! ```text
+//! cargo run --release -p opspace-testing --example any-arm -- FOLDER [--least N] [--least-loaded N] [--program PROGRAM]
+//!     [--plant PLANT] [--drawn N --seed SEED] [--keep FOLDER]
+//! ```
+//!
+//! `FOLDER` has the URDFs. Alternatively `--generate N --seed SEED` draws N URDFs: see [`generate`]. A line for each tells what
+//! failed. The program fails if fewer than `--least` arms pass all four commands and end within 10 mm of the goal, or if fewer than
+//! `--least-loaded` do so with the payload: neither run is stopped, both end within 2 mm of each other, and no further from the goal
+//! than 1.5 times the payload's weight over the stiffness of the task.
+
+#![expect(clippy::print_stdout, clippy::print_stderr, reason = "a program for the terminal")]
+
+mod arm;
+mod generate;
+
+use arm::{Judge, Outcome};
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::{env, fs, thread};
+
+/// Number of arms that are tried at once.
+const THREADS: usize = 2;
+
+#[derive(Default)]
+struct Options {
+    folder: Option<PathBuf>,
+    generate: usize,
+    seed: u64,
+    drawn: Option<usize>,
+    least: usize,
+    least_loaded: usize,
+    program: Option<PathBuf>,
+    plant: Option<String>,
+    keep: Option<PathBuf>,
+}
+
+fn options() -> Result<Options, String> {
+    let mut options = Options { seed: 1, ..Options::default() };
+    let mut arguments = env::args().skip(1);
+    while let Some(argument) = arguments.next() {
+        let mut value = || arguments.next().ok_or(format!("{argument} needs a value"));
+        let number = |text: String| text.parse::<usize>().map_err(|_| format!("'{text}' is no number"));
+        match argument.as_str() {
+            "--generate" => options.generate = number(value()?)?,
+            "--seed" => options.seed = number(value()?)? as u64,
+            "--drawn" => options.drawn = Some(number(value()?)?),
+            "--least" => options.least = number(value()?)?,
+            "--least-loaded" => options.least_loaded = number(value()?)?,
+            "--program" => options.program = Some(value()?.into()),
+            "--plant" => options.plant = Some(value()?),
+            "--keep" => options.keep = Some(value()?.into()),
+            _ if argument.starts_with('-') => return Err(format!("unknown option '{argument}'")),
+            folder => options.folder = Some(folder.into()),
+        }
+    }
+    Ok(options)
+}
+
+/// URDFs of a folder, or generated ones in a folder of their own.
+fn urdfs(options: &Options, work: &Path) -> Result<Vec<PathBuf>, String> {
+    let explain = |path: &Path, error: std::io::Error| format!("{}: {error}", path.display());
+    let Some(folder) = &options.folder else {
+        let folder = work.join("generated");
+        fs::create_dir_all(&folder).map_err(|error| explain(&folder, error))?;
+        return (0..options.generate)
+            .map(|number| {
+                let path = folder.join(format!("{number:03}-{}.urdf", generate::kind(number)));
+                fs::write(&path, generate::urdf(number, options.seed))
+                    .map_err(|error| explain(&path, error))?;
+                Ok(path)
+            })
+            .collect();
+    };
+    let entries = fs::read_dir(folder).map_err(|error| explain(folder, error))?;
+    let mut found: Vec<PathBuf> = entries.filter_map(|entry| Some(entry.ok()?.path())).collect();
+    found.retain(|path| path.extension().is_some_and(|extension| extension == "urdf"));
+    found.sort();
+    if let Some(count) = options.drawn {
+        let mut random = generate::Random(options.seed);
+        while found.len() > count {
+            found.remove(random.below(found.len()));
+        }
+    }
+    Ok(found)
+}
+
+fn judge(options: &Options) -> Result<bool, String> {
+    let work = options
+        .keep
+        .clone()
+        .unwrap_or_else(|| env::temp_dir().join(format!("any-arm-{}", std::process::id())));
+    let urdfs = urdfs(options, &work)?;
+    let beside = env::current_exe().ok().and_then(|path| Some(path.parent()?.parent()?.join("opspace")));
+    let program = options.program.clone().or(beside).unwrap_or_else(|| "opspace".into());
+    let judge = Judge { program, plant: options.plant.clone() };
+    let (next, outcomes) = (AtomicUsize::new(0), Mutex::new(Vec::new()));
+    thread::scope(|scope| {
+        for _ in 0..THREADS {
+            scope.spawn(|| {
+                while let Some(urdf) = urdfs.get(next.fetch_add(1, Ordering::Relaxed)) {
+                    let name = urdf.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+                    let outcome = judge.try_arm(urdf, &work.join(&name));
+                    println!("{}", outcome.line(&name));
+                    if let Ok(mut outcomes) = outcomes.lock() {
+                        outcomes.push(outcome);
+                    }
+                }
+            });
+        }
+    });
+    if options.keep.is_none() {
+        // What cannot be removed is in the folder for temporary files.
+        drop(fs::remove_dir_all(&work));
+    }
+    let outcomes = outcomes.into_inner().map_err(|error| error.to_string())?;
+    let passed = outcomes.iter().filter(|outcome| outcome.passed()).count();
+    let loaded = outcomes.iter().filter(|outcome| outcome.passed_loaded()).count();
+    println!("{passed} of {} pass, {loaded} also with an unknown payload", outcomes.len());
+    for step in Outcome::STEPS {
+        let failed = outcomes.iter().filter(|outcome| outcome.failed_at(step)).count();
+        println!("{failed:4}  {step}");
+    }
+    Ok(!outcomes.is_empty() && passed >= options.least && loaded >= options.least_loaded)
+}
+
+fn main() -> ExitCode {
+    match options().and_then(|options| judge(&options)) {
+        Ok(true) => ExitCode::SUCCESS,
+        Ok(false) => ExitCode::FAILURE,
+        Err(message) => {
+            eprintln!("{message}");
+            ExitCode::from(2)
+        }
+    }
+}
