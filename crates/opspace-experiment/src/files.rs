@@ -9,6 +9,7 @@ pub mod interface;
 pub mod joint_layers;
 pub(crate) mod layered_path;
 pub(crate) mod missing;
+pub mod mount;
 pub mod origin;
 pub mod overrides;
 pub(crate) mod renamed;

@@ -5,6 +5,7 @@ use crate::files::interface::InterfaceParameters;
 use crate::files::joint_layers::{Groups, UrdfValue, check_layers, expand, groups, urdf_layer, urdf_values};
 use crate::files::layered_path::{inner, stated_path};
 use crate::files::missing::{Purpose, check_complete};
+use crate::files::mount::MountFile;
 use crate::files::origin::{Files, Kind, beside};
 use crate::files::overrides;
 use crate::files::robot_part::{PartKeys, UsedPart, load_part, urdf_error};
@@ -47,6 +48,9 @@ pub struct RobotFile {
     /// Name of the default profile.
     #[cfg_attr(feature = "schema", schemars(with = "Option<String>", extend("x-default" = "the only profile")))]
     pub default_profile: String,
+    /// Placement of the base in the world: for an arm on a wall, a ceiling or a slope, or beside another one. If absent, the base
+    /// is at the origin, upright.
+    pub mount: Option<MountFile>,
     /// Joints of the URDF that do not move, each with its position, rad (m).
     #[serde(default)]
     pub locked_joints: BTreeMap<String, f64>,
@@ -238,6 +242,14 @@ impl RobotDefinition {
         let mut sensors = force_sensors(&source, &model, &file.force_sensor)?;
         sensors.extend(estimated_forces(&source, &model, &file)?);
         let model = model.with_rotor_inertia(&rotors);
+        let model = match &file.mount {
+            Some(mount) => {
+                mount.check(&source)?;
+                let base = mount.placement() * model.base();
+                model.with_base(base)
+            }
+            None => model,
+        };
         let capsules = match &file.collision {
             Some(collision) => Some(robot_capsules(&source, &model, collision, &urdf, generated)?),
             None => None,

@@ -2,6 +2,7 @@
 
 use crate::files::collision::generated_capsules;
 use crate::files::joint_layers::urdf_values;
+use crate::files::mount::MountFile;
 use crate::files::robot::RobotDefinition;
 use crate::files::robot_part::{UsedPart, load_part_of, urdf_error};
 use crate::files::source::{FileError, Source};
@@ -17,13 +18,15 @@ use opspace_model::collision::CapsuleWarning;
 use opspace_model::{JointDynamics, Limits, Model, ParsedUrdf, UrdfJoint, UrdfWarning, urdf_joints};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Chain of links of a new robot that is used; all of it if both are `None`.
+/// Chain of links of a new robot that is used, all of it if both are `None`; and the mounting of the robot.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Part<'a> {
     /// First link; the root of the robot if absent.
     pub from: Option<&'a str>,
     /// Last link.
     pub to: Option<&'a str>,
+    /// Placement of the base in the world; upright at the origin if absent.
+    pub mount: Option<MountFile>,
 }
 
 /// Source of the values that the URDF does not state.
@@ -62,6 +65,7 @@ struct SelectedPart<'a> {
     urdf: &'a Source,
     urdf_name: &'a str,
     used: Option<UsedPart>,
+    mount: Option<MountFile>,
     /// Joints that are locked, each at a position (rad, m).
     locked_joints: BTreeMap<String, f64>,
     enforce_mimic: bool,
@@ -99,11 +103,22 @@ fn load<'a>(urdf: &'a Source, urdf_name: &'a str, part: Part<'_>) -> Result<Sele
         locked.clear();
     }
     let enforce_mimic = joints.iter().any(|joint| joint.mimics.is_some());
-    let parsed = load_part_of(urdf, urdf, &joints, used.as_ref(), &locked, enforce_mimic)?;
+    let mut parsed = load_part_of(urdf, urdf, &joints, used.as_ref(), &locked, enforce_mimic)?;
+    if let Some(mount) = &part.mount {
+        parsed.model = parsed.model.with_base(mount.placement());
+    }
     if parsed.model.n() == 0 {
         return Err(FileError::of_file(urdf.name(), "the robot has no joints that can move", None));
     }
-    Ok(SelectedPart { urdf, urdf_name, used, locked_joints: locked, enforce_mimic, parsed })
+    Ok(SelectedPart {
+        urdf,
+        urdf_name,
+        used,
+        mount: part.mount,
+        locked_joints: locked,
+        enforce_mimic,
+        parsed,
+    })
 }
 
 /// Returns a first motion; `torque_limits` (n; Nm, N) are infinite where they are unknown.
@@ -149,6 +164,7 @@ fn computed(loaded: SelectedPart<'_>, assume: bool) -> Result<NewFiles, FileErro
     let robot = NewRobot {
         urdf: loaded.urdf_name,
         used: loaded.used.as_ref(),
+        mount: loaded.mount.as_ref(),
         enforce_mimic: loaded.enforce_mimic,
         locked_joints: &locked,
         model,
@@ -213,6 +229,7 @@ fn like_template(mut loaded: SelectedPart<'_>, template: &ArmTemplate) -> Result
     let head = NewRobot {
         urdf: loaded.urdf_name,
         used: loaded.used.as_ref(),
+        mount: loaded.mount.as_ref(),
         enforce_mimic: loaded.enforce_mimic,
         locked_joints: &locked,
         model: &loaded.parsed.model,

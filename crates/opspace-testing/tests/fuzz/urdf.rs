@@ -65,6 +65,7 @@ fn reads(text: &str, options: UrdfOptions) -> bool {
         let robot = NewRobot {
             urdf: "robot.urdf",
             used: None,
+            mount: None,
             enforce_mimic: false,
             locked_joints: &[],
             model,
