@@ -24,6 +24,7 @@ mod identified;
 mod identified_without_current;
 mod logs;
 mod model_samples;
+mod mounting;
 mod new_robot;
 mod open;
 mod plants;

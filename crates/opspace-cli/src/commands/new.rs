@@ -120,7 +120,8 @@ fn mount(pose: &[f64]) -> Result<Option<MountFile>, Failure> {
         [x, y, z] => MountFile::new([x, y, z], [0.0; 3]),
         [x, y, z, roll, pitch, yaw] => MountFile::new([x, y, z], [roll, pitch, yaw]),
         _ => {
-            let text = format!("--mount has {} values: give x,y,z, or x,y,z,roll,pitch,yaw (m, rad)", pose.len());
+            let text =
+                format!("--mount has {} values: give x,y,z, or x,y,z,roll,pitch,yaw (m, rad)", pose.len());
             return Err(Failure::Other(text, Exit::Bad));
         }
     };

@@ -31,11 +31,7 @@ impl Member {
     ///
     /// # Errors
     /// A robot whose rate is not a whole number of hertz.
-    pub(super) fn new(
-        name: &str,
-        experiment: Experiment,
-        source: &Source,
-    ) -> Result<Self, FileError> {
+    pub(super) fn new(name: &str, experiment: Experiment, source: &Source) -> Result<Self, FileError> {
         let rate_hz = rate_hz(&experiment)
             .ok_or_else(|| FileError::at_key(source, ["robots", name], NOT_WHOLE, None))?;
         Ok(Self { name: name.to_owned(), experiment, rate_hz })

@@ -158,7 +158,8 @@ impl Scenario {
         let mut members = Vec::new();
         for (number, (name, robot)) in file.robots.iter().enumerate() {
             let base = stated_base(&source, name, robot)?;
-            let mut set: Vec<String> = base.iter().map(|(_, mount)| format!("{MOUNT}={}", mount.toml())).collect();
+            let mut set: Vec<String> =
+                base.iter().map(|(_, mount)| format!("{MOUNT}={}", mount.toml())).collect();
             set.extend_from_slice(&robot.set);
             set.push(format!("settle_s={}", file.settle_s.get()));
             for coupling in &couplings {
@@ -341,10 +342,7 @@ impl Scenario {
             return self.experiments().map(Experiment::simulated_arm).collect();
         }
         let names: Vec<String> = self.members.iter().map(|member| member.name.clone()).collect();
-        let arms = self
-            .members
-            .iter()
-            .map(|member| member.experiment.arm_config());
+        let arms = self.members.iter().map(|member| member.experiment.arm_config());
         let objects = self.objects.iter().map(|(name, object)| HeldObjectConfig {
             name: name.clone(),
             arms: names.clone(),
@@ -463,7 +461,9 @@ fn refuse_second_mount(
     let robot = &experiment.robot().source;
     let document = checked(&Source::new(robot.name(), std::sync::Arc::clone(&robot.base)))
         .map(|document| depth_of(document.get_ref(), &["mount".to_owned()]) == 1);
-    let is_mount = |set: &&String| set.trim_start().strip_prefix(MOUNT).is_some_and(|rest| rest.trim_start().starts_with(['.', '=']));
+    let is_mount = |set: &&String| {
+        set.trim_start().strip_prefix(MOUNT).is_some_and(|rest| rest.trim_start().starts_with(['.', '=']))
+    };
     let other = match set.iter().find(is_mount) {
         Some(setting) => format!("`{setting}`"),
         None if document.unwrap_or(false) => format!("[mount] of {}", robot.name()),

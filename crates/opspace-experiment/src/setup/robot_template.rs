@@ -40,7 +40,11 @@ impl NewRobot<'_> {
             let _ = writeln!(text, "use = {{ from = {from}, to = {to} }}   # the other joints do not move");
         }
         if let Some(mount) = self.mount {
-            let _ = writeln!(text, "mount = {}   # of the base in the world: gravity is along -z of the world", mount.toml());
+            let _ = writeln!(
+                text,
+                "mount = {}   # of the base in the world: gravity is along -z of the world",
+                mount.toml()
+            );
         }
         if !self.locked_joints.is_empty() {
             let joints = self.locked_joints.iter().map(|(name, at)| format!("{} = {at:?}", Key::new(name)));
