@@ -36,6 +36,7 @@ mod robot_layers;
 mod robots;
 mod safety;
 mod samples;
+mod sensor_loads;
 mod singular_start;
 mod suites;
 

@@ -347,3 +347,64 @@ fn mujoco_simulates_the_mounted_arm() {
     let error = last(&own).iter().zip(last(&here)).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
     assert!(error < 1e-3, "{error}");
 }
+
+/// Checks that a robot whose base is placed twice, or at angles in degrees, is refused with both keys.
+#[test]
+fn contradicting_placements_are_refused() {
+    let folder = scratch();
+    let experiment = project("experiments/two-arms-carry.toml");
+    let check = |settings: &[&str]| {
+        let mut arguments = vec!["check", experiment.as_str()];
+        arguments.extend(settings.iter().flat_map(|setting| ["--set", setting]));
+        opspace(folder.path(), &arguments)
+    };
+    check(&[]).exits(0);
+    check(&["left.robot.mount.xyz_m=[0.0, 0.0, 1.0]"]).exits(2).says(&[
+        "`base_m`",
+        "robot.mount.xyz_m",
+        "robot 'left'",
+    ]);
+    check(&["robots.right.base_rpy_rad=[0.0, 90.0, 0.0]"])
+        .exits(2)
+        .says(&["base_rpy_rad", "more than a turn"]);
+    check(&["right.robot.mount.rpy_rad=[0.0, 90.0, 0.0]"]).exits(2).says(&["more than a turn", "1.570796"]);
+    // The same with [mount] in the file of the robot.
+    let robot = folder.path().join("arm");
+    std::fs::create_dir(&robot).expect("a folder");
+    for name in ["robot.toml", "asimo-arm.urdf"] {
+        let text = std::fs::read_to_string(project(&format!("robots/asimo-arm/{name}"))).expect("a file");
+        let mount = if name == "robot.toml" { "mount = { xyz_m = [0.0, 0.0, 1.0] }\n" } else { "" };
+        std::fs::write(robot.join(name), format!("{mount}{text}")).expect("it is written");
+    }
+    let setting = format!("robots.left.robot=\"{}\"", robot.display());
+    check(&[&setting]).exits(2).says(&["`base_m`", "[mount] of", "robot.toml", "robot 'left'"]);
+    opspace(folder.path(), &["check", "arm"]).exits(0);
+    let said = opspace(folder.path(), &["model", "arm"]).exits(0).stdout;
+    assert!(said.contains("mounted with its base at [0, 0, 1] m"), "{said}");
+}
+
+/// Compared: the file that `opspace new --mount` writes, and its argument; and the tip of the first task, and a check of it. The arm
+/// hangs, so that its first posture is below its base.
+#[test]
+fn new_robot_is_mounted() {
+    let folder = scratch();
+    let urdf = project("robots/ur5e/ur5e.urdf");
+    let new = ["new", "arm", "--urdf", &urdf, "--assume", "--mount", "0,0,2.0,3.141592653589793,0,0"];
+    let said = opspace(folder.path(), &new).exits(0).stdout;
+    let text = std::fs::read_to_string(folder.path().join("arm/robot.toml")).expect("robot.toml");
+    assert!(
+        text.contains("\nmount = { xyz_m = [0.0, 0.0, 2.0], rpy_rad = [3.141592653589793, 0.0, 0.0] }"),
+        "{text}"
+    );
+    let height = said.split("z = ").nth(1).and_then(|rest| rest.split(' ').next()).expect("the tip");
+    assert!(height.parse::<f64>().expect("a number") < 2.0, "{said}");
+    opspace(folder.path(), &["check", "arm/first-task.toml"]).exits(0);
+    opspace(folder.path(), &["run", "arm/first-task.toml", "--duration-s", "1", "--set", "settle_s=0.1"])
+        .exits(0);
+    opspace(folder.path(), &["new", "b", "--urdf", &urdf, "--mount", "0,0"])
+        .exits(2)
+        .says(&["--mount has 2 values"]);
+    opspace(folder.path(), &["new", "b", "--urdf", &urdf, "--mount", "0,0,0,90,0,0"])
+        .exits(2)
+        .says(&["more than a turn"]);
+}

@@ -16,6 +16,7 @@ pub(crate) mod renamed;
 pub(crate) mod required_keys;
 pub mod robot;
 pub mod robot_part;
+pub(crate) mod sensor_loads;
 pub mod source;
 pub(crate) mod strict;
 pub mod task;

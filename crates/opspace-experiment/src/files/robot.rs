@@ -9,6 +9,7 @@ use crate::files::mount::MountFile;
 use crate::files::origin::{Files, Kind, beside};
 use crate::files::overrides;
 use crate::files::robot_part::{PartKeys, UsedPart, load_part, urdf_error};
+use crate::files::sensor_loads::set_loads;
 use crate::files::source::{FileError, KeyPath, Source, checked, explain, parse};
 use crate::files::strict::Strict;
 use crate::files::toml_path::{depth_of, dotted, keys_at, value_at};
@@ -122,7 +123,9 @@ struct JointGroup {
 pub struct ForceSensorFile {
     /// URDF link whose origin and axes are those of the measurements.
     pub frame: String,
-    /// Load beyond the sensor, whose weight is taken off the readings; none if absent.
+    /// Load beyond the sensor, whose weight is taken off the readings. By default that of the links and tools beyond the frame: it
+    /// is stated only if they do not have it.
+    #[cfg_attr(feature = "schema", schemars(extend("x-default" = "that of the links and tools beyond")))]
     pub load: Option<SensorLoadParameters>,
     /// Bias of the readings without load; by default the mean reading at rest before control begins, when nothing
     /// may touch.
@@ -153,6 +156,8 @@ pub struct RobotDefinition {
     pub warnings: Vec<UrdfWarning>,
     /// Force sensors, sorted by name, and after them the estimated forces, sorted by name.
     pub sensors: Vec<(String, FrameId)>,
+    /// Force sensors without a stated load, with the links and tools beyond them, some of which joints move.
+    pub(crate) unknown_loads: BTreeMap<String, Vec<String>>,
     /// Capsules of the links, if the robot file has `[collision]`.
     pub(crate) capsules: Option<RobotCapsules>,
 }
@@ -211,7 +216,7 @@ impl RobotDefinition {
     ) -> Result<Self, FileError> {
         let loaded = load_part(&source, &urdf, &parse(&source)?)?;
         let mut model = loaded.model;
-        let (file, urdf_values) = read(&source, &model, &loaded.dynamics, purpose)?;
+        let (mut file, urdf_values) = read(&source, &model, &loaded.dynamics, purpose)?;
         check_assumed(&source, &file.assumed)?;
         let mut rotors = Vec::new();
         for (i, joint) in joints_of(&source, &model, &file.joint, &["joint"])?.into_iter().enumerate() {
@@ -241,6 +246,7 @@ impl RobotDefinition {
         tool::mount(&source, &mut model, &file.tool)?;
         let mut sensors = force_sensors(&source, &model, &file.force_sensor)?;
         sensors.extend(estimated_forces(&source, &model, &file)?);
+        let unknown_loads = set_loads((&source, &urdf), &model, &loaded.link_inertias, &mut file)?;
         let model = model.with_rotor_inertia(&rotors);
         let model = match &file.mount {
             Some(mount) => {
@@ -263,6 +269,7 @@ impl RobotDefinition {
             urdf_values,
             warnings: loaded.warnings,
             sensors,
+            unknown_loads,
             capsules,
         };
         robot.profile(None)?;

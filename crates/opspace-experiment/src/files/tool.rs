@@ -43,7 +43,7 @@ const INERTIA_TOLERANCE: f64 = 1e-3;
 
 impl ToolFile {
     /// Inertia in the axes of the link.
-    fn inertia(&self) -> Inertia {
+    pub(crate) fn inertia(&self) -> Inertia {
         let [xx, xy, xz, yy, yz, zz] = self.inertia_kg_m2;
         Inertia {
             mass: self.mass_kg.get(),
