@@ -273,18 +273,20 @@ fn gravity_turns_with_the_mounting() {
 /// Runs the teleoperation for 1.5 s with both arms in this mounting, with settings for each of them, and returns their logs.
 fn teleoperate(mount: &Mount, in_robot_file: bool, settings: &[String]) -> [Recording; 2] {
     let folder = scratch();
-    let yaw = mount.1[2];
+    let by = mount.direction([0.0, 0.0, -0.06]);
     let mut all = vec![
         "settle_s=0.1".to_owned(),
         "expect={}".to_owned(),
-        "leader.environment.operator.spring.motion={ scripted = { reach = [{ at_s = 0.3, duration_s = 0.7, by_m = [0.0, 0.0, -0.06] }] } }".to_owned(),
+        format!(
+            "leader.environment.operator.spring.motion={{ scripted = {{ reach = [{{ at_s = 0.3, duration_s = 0.7, by_m = {by} }}] }} }}"
+        ),
         format!("follower.environment.table.wall.point_m={}", mount.point([0.36, 0.0, -0.187])),
         format!("follower.environment.table.wall.normal={}", mount.direction([0.0, 0.0, 1.0])),
     ];
     for robot in ["leader", "follower"] {
         all.push(format!("{robot}.robot.simulated.encoder_quantisation=false"));
         all.extend(settings.iter().map(|setting| format!("{robot}.{setting}")));
-        all.push(format!("{robot}.task.hand.coupled.axes_rpy_rad=[0.0, 0.0, {yaw:?}]"));
+        all.push(format!("{robot}.task.hand.coupled.axes_rpy_rad={:?}", mount.1));
         if in_robot_file {
             all.push(format!("{robot}.{}", mount.setting()));
         } else {
@@ -312,6 +314,20 @@ fn teleoperation_is_the_same_in_other_places() {
     for (number, upright) in upright.iter().enumerate() {
         assert_equal(upright, &turned[number], "turned", is_of_world);
         assert_equal(&turned[number], &placed[number], "placed", |_| false);
+    }
+}
+
+/// Compared: the teleoperation of two arms that compensate their own weight, on a wall, a ceiling and a slope with their task, and
+/// upright.
+#[test]
+fn teleoperation_without_weight_is_the_same_in_all_mountings() {
+    let weightless = ["robot.interface.gravity_compensated_by=robot".to_owned()];
+    let [upright, others @ ..] =
+        [UPRIGHT, WALL, CEILING, SLOPE].map(|mount| teleoperate(&mount, false, &weightless));
+    for other in others {
+        for (upright, other) in upright.iter().zip(&other) {
+            assert_equal(upright, other, "teleoperation", is_of_world);
+        }
     }
 }
 
