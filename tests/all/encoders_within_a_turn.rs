@@ -118,3 +118,32 @@ fn run_goes_on_beyond_the_turn() {
         assert!(report.differing == 0 && report.compared > 3000, "{backend:?}: {report:?}");
     }
 }
+
+/// Compared: diagnostics of goals that are half a turn away at the start, or from the waypoint before, and of others.
+#[test]
+fn goal_half_a_turn_away_is_named() {
+    let folder = crate::cli_common::scratch();
+    let task = |start: f64, goals: &str| {
+        let text = format!(
+            "robot = \"{}\"\nduration_s = 4.0\npriority = [\"arm\"]\nstart_rad = {{ shoulder = {start:?} }}\n\
+             [task.arm.joint-tracking]\ngains = {{ frequency_rad_per_s = 15.0, damping_ratio = 1.0 }}\n\
+             reference = {{ waypoints = [{goals}] }}\n",
+            project("robots/planar-2-link")
+        );
+        std::fs::write(folder.path().join("task.toml"), text).expect("it is written");
+        crate::cli_common::opspace(folder.path(), &["check", "task.toml"]).exits(0).stdout
+    };
+    let to = |time_s: f64, q: f64| {
+        format!("{{ time_s = {time_s:?}, goal = {{ absolute_rad = {{ shoulder = {q:?} }} }} }}")
+    };
+    for (start, goals, is_named) in [
+        (0.0, to(3.0, PI), true),
+        (3.0, to(3.0, 3.0 - PI), true),
+        (0.5, to(3.0, PI), false),
+        (0.0, format!("{}, {}", to(2.0, 1.0), to(4.0, 1.0 + PI)), true),
+        (0.0, format!("{}, {}", to(2.0, 1.0), to(4.0, PI)), false),
+    ] {
+        let said = task(start, &goals);
+        assert_eq!(said.contains("[half-turn]"), is_named, "{start} {goals}: {said}");
+    }
+}

@@ -222,7 +222,7 @@ fn arm_without_weight_moves_alike_in_all_mountings() {
     for name in ["press-wall", "compliant-x"] {
         for backend in BACKENDS {
             let [upright, others @ ..] = [UPRIGHT, WALL, CEILING, SLOPE].map(|mount| {
-                let settings = [&[weightless.clone()], &mount.task(name)[..]].concat();
+                let settings = [std::slice::from_ref(&weightless), &mount.task(name)].concat();
                 run_mounted(name, backend, mount, false, &settings)
             });
             for other in others {

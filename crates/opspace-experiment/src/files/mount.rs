@@ -74,11 +74,12 @@ impl MountFile {
     /// Key of a number that is not finite or indicates a mistake in a unit, with a message and a remedy.
     #[must_use]
     pub fn mistake(&self) -> Option<(&'static str, String, &'static str)> {
-        if let Some(angle) = self.rpy_rad.iter().find(|angle| !(angle.abs() <= TAU)) {
+        if let Some(angle) = self.rpy_rad.iter().find(|angle| !(-TAU..=TAU).contains(*angle)) {
             let message = format!("an angle of {angle} rad is more than a turn");
             return Some(("rpy_rad", message, "give angles in rad: 90 degrees are 1.570796"));
         }
-        let coordinate = self.xyz_m.iter().find(|coordinate| !(coordinate.abs() <= MAX_COORDINATE_M))?;
+        let range = -MAX_COORDINATE_M..=MAX_COORDINATE_M;
+        let coordinate = self.xyz_m.iter().find(|coordinate| !range.contains(*coordinate))?;
         let message = format!("{coordinate:e} m is too far from the origin of the world");
         Some(("xyz_m", message, "give metres"))
     }

@@ -18,11 +18,15 @@ pub(crate) fn of_goals(case: &PreflightCase<'_>) -> Vec<Finding> {
     first.priority.iter().filter_map(|name| of_task(case, name, first.task.get(name)?)).collect()
 }
 
-fn of_task(case: &PreflightCase<'_>, name: &str, task: &TaskParameters) -> Option<Finding> {
-    let positions = |goal| match goal {
-        &JointGoal::Absolute(ref positions) => Some(positions),
+/// Absolute positions of a goal.
+fn positions(goal: &JointGoal) -> Option<&BTreeMap<String, f64>> {
+    match goal {
+        JointGoal::Absolute(positions) => Some(positions),
         JointGoal::Offset(_) => None,
-    };
+    }
+}
+
+fn of_task(case: &PreflightCase<'_>, name: &str, task: &TaskParameters) -> Option<Finding> {
     // Positions one after the other; `None` for offsets, after which the way is not followed.
     let goals: Vec<Option<&BTreeMap<String, f64>>> = match (task, task.reference()) {
         (TaskParameters::JointPosture(posture), _) => vec![Some(&posture.posture_rad)],
