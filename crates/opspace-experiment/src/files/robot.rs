@@ -9,7 +9,7 @@ use crate::files::mount::MountFile;
 use crate::files::origin::{Files, Kind, beside};
 use crate::files::overrides;
 use crate::files::robot_part::{PartKeys, UsedPart, load_part, urdf_error};
-use crate::files::sensor_loads::set_loads;
+use crate::files::sensor_loads::{Sensor, sensor_loads};
 use crate::files::source::{FileError, KeyPath, Source, checked, explain, parse};
 use crate::files::strict::Strict;
 use crate::files::toml_path::{depth_of, dotted, keys_at, value_at};
@@ -23,8 +23,9 @@ use opspace_loop::{
     SensorBiasParameters, SensorEstimateParameters, SensorLoadParameters,
 };
 use opspace_model::collision::{CapsuleWarning, LinkCapsule};
-use opspace_model::{FrameId, JointDynamics, Limits, Model, ParsedUrdf, UrdfOptions, UrdfWarning};
+use opspace_model::{FrameId, Inertia, JointDynamics, Limits, Model, ParsedUrdf, UrdfOptions, UrdfWarning};
 use opspace_sim::SimulatedParameters;
+use opspace_sim::parameters::SensorLoadParameters as TrueLoad;
 use opspace_transformer::{
     ClosedLoopModel, Gears, JointParameters, ProfileParameters, ServoLaw, ServoParameters,
 };
@@ -246,7 +247,7 @@ impl RobotDefinition {
         tool::mount(&source, &mut model, &file.tool)?;
         let mut sensors = force_sensors(&source, &model, &file.force_sensor)?;
         sensors.extend(estimated_forces(&source, &model, &file)?);
-        let unknown_loads = set_loads((&source, &urdf), &model, &loaded.link_inertias, &mut file)?;
+        let unknown_loads = set_loads((&source, &urdf), (&model, &loaded.link_inertias), &mut file)?;
         let model = model.with_rotor_inertia(&rotors);
         let model = match &file.mount {
             Some(mount) => {
@@ -778,6 +779,31 @@ fn joints_of<'a, T>(
         values.push(value);
     }
     Ok(values)
+}
+
+/// Sets the loads of force sensors that a robot file does not state: those of what is beyond them, also of the simulated ones.
+/// Returns the links and tools beyond sensors whose load does not follow.
+fn set_loads(
+    files: (&Source, &Source),
+    (model, link_inertias): (&Model, &[Inertia]),
+    file: &mut RobotFile,
+) -> Result<BTreeMap<String, Vec<String>>, FileError> {
+    let sensors = file.force_sensor.iter();
+    let sensors = sensors.map(|(name, sensor)| Sensor { name, frame: &sensor.frame, stated: sensor.load });
+    let loads = sensor_loads(files, (model, link_inertias), &file.tool, &sensors.collect::<Vec<_>>())?;
+    for (name, load) in loads.known {
+        if let Some(simulated) = &mut file.simulated
+            && let Some(sensor) = simulated.force_sensor.get_mut(&name)
+            && let Ok(mass_kg) =
+                Positive::try_from(load.mass_kg.get() * simulated.true_over_nominal.inertia.get())
+        {
+            sensor.load.get_or_insert(TrueLoad { mass_kg, centre_m: load.centre_m });
+        }
+        if let Some(sensor) = file.force_sensor.get_mut(&name) {
+            sensor.load.get_or_insert(load);
+        }
+    }
+    Ok(loads.unknown)
 }
 
 fn estimated_forces(

@@ -3,16 +3,15 @@
 //! Beyond a sensor are the links below its frame in the URDF, the tools on them, and the tools on the frame itself: a gripper
 //! on the flange at which the sensor measures. The link of the frame is on the side of the arm.
 
-use crate::files::robot::RobotFile;
 use crate::files::robot_part::urdf_error;
 use crate::files::source::{FileError, Source};
+use crate::files::tool::ToolFile;
 use crate::suggest::list;
 use crate::text::format_short;
 use nalgebra::Vector3;
-use opspace_backend::quantity::{NonNegative, Positive};
+use opspace_backend::quantity::NonNegative;
 use opspace_loop::SensorLoadParameters;
 use opspace_model::{FrameId, Inertia, Model, Placement, UrdfJoint, urdf_joints};
-use opspace_sim::parameters::SensorLoadParameters as TrueLoad;
 use std::collections::BTreeMap;
 
 /// Differences up to which two loads are the same: files state few digits.
@@ -21,55 +20,60 @@ const CENTRE_TOLERANCE_M: f64 = 1e-4;
 
 /// Links and tools with mass beyond a sensor.
 struct Beyond {
-    /// What they are, for messages.
+    /// Descriptions for messages.
     names: Vec<String>,
     /// Their mass and centre; `None` if a joint moves some of them.
     load: Option<(f64, Vector3<f64>)>,
 }
 
-/// Sets the loads that the file of a robot does not state: those of what is beyond the sensors, also of the simulated ones.
-/// Returns, for each sensor without a stated load whose load does not follow, what joints move beyond it.
+/// Force sensor of a robot file.
+pub(crate) struct Sensor<'a> {
+    pub(crate) name: &'a str,
+    pub(crate) frame: &'a str,
+    pub(crate) stated: Option<SensorLoadParameters>,
+}
+
+/// Loads of links and tools beyond force sensors, by the names of the sensors.
+#[derive(Default)]
+pub(crate) struct SensorLoads {
+    /// Mass (kg) above zero and centre in the axes of the sensor (m).
+    pub(crate) known: BTreeMap<String, SensorLoadParameters>,
+    /// Links and tools beyond sensors without a stated load, some of which joints move.
+    pub(crate) unknown: BTreeMap<String, Vec<String>>,
+}
+
+/// Finds what is beyond the sensors of a robot.
 ///
 /// # Errors
 /// A stated load that is not that of the links and tools beyond the sensor.
-pub(crate) fn set_loads(
+pub(crate) fn sensor_loads(
     (source, urdf): (&Source, &Source),
-    model: &Model,
-    link_inertias: &[Inertia],
-    file: &mut RobotFile,
-) -> Result<BTreeMap<String, Vec<String>>, FileError> {
-    let mut unknown = BTreeMap::new();
-    if file.force_sensor.is_empty() {
-        return Ok(unknown);
+    (model, link_inertias): (&Model, &[Inertia]),
+    tools: &BTreeMap<String, ToolFile>,
+    sensors: &[Sensor<'_>],
+) -> Result<SensorLoads, FileError> {
+    let mut loads = SensorLoads::default();
+    if sensors.is_empty() {
+        return Ok(loads);
     }
     let joints = urdf_joints(urdf.text()).map_err(|error| urdf_error(urdf, &error))?;
-    let names: Vec<String> = file.force_sensor.keys().cloned().collect();
-    for name in names {
-        let beyond = beyond(model, link_inertias, &joints, file, &file.force_sensor[&name].frame);
-        let stated = file.force_sensor[&name].load;
+    for Sensor { name, frame, stated } in sensors {
+        let beyond = beyond((model, link_inertias), &joints, tools, frame);
         let Some((mass, centre)) = beyond.load else {
             if stated.is_none() {
-                unknown.insert(name, beyond.names);
+                loads.unknown.insert((*name).to_owned(), beyond.names);
             }
             continue;
         };
-        let (Ok(mass_kg), Ok(positive)) = (NonNegative::try_from(mass), Positive::try_from(mass)) else {
+        let Some(mass_kg) = NonNegative::try_from(mass).ok().filter(|mass| mass.get() > 0.0) else {
             continue;
         };
-        match stated {
-            Some(stated) => check_stated(source, &name, &stated, (mass, &centre), &beyond.names)?,
-            None => {
-                let load = SensorLoadParameters { mass_kg, centre_m: centre.into() };
-                file.force_sensor.entry(name.clone()).and_modify(|sensor| sensor.load = Some(load));
-            }
+        if let Some(stated) = stated {
+            check_stated(source, name, stated, (mass, &centre), &beyond.names)?;
         }
-        let Some(simulated) = &mut file.simulated else { continue };
-        let true_kg = Positive::try_from(positive.get() * simulated.true_over_nominal.inertia.get());
-        if let (Some(sensor), Ok(mass_kg)) = (simulated.force_sensor.get_mut(&name), true_kg) {
-            sensor.load.get_or_insert(TrueLoad { mass_kg, centre_m: centre.into() });
-        }
+        loads.known.insert((*name).to_owned(), SensorLoadParameters { mass_kg, centre_m: centre.into() });
     }
-    Ok(unknown)
+    Ok(loads)
 }
 
 /// Refuses a stated load that differs from that of the links and tools beyond the sensor.
@@ -102,10 +106,9 @@ fn check_stated(
 
 /// Finds the links and tools with mass beyond the frame of a sensor.
 fn beyond(
-    model: &Model,
-    link_inertias: &[Inertia],
+    (model, link_inertias): (&Model, &[Inertia]),
     joints: &[UrdfJoint],
-    file: &RobotFile,
+    tools: &BTreeMap<String, ToolFile>,
     sensor: &str,
 ) -> Beyond {
     let mut found = Beyond { names: Vec::new(), load: Some((0.0, Vector3::zeros())) };
@@ -116,13 +119,13 @@ fn beyond(
     while let Some(&parent) = below.get(next) {
         next += 1;
         let links = joints.iter().filter(|joint| joint.parent == parent).map(|joint| joint.child.as_str());
-        let tools = file.tool.iter().filter(|(_, tool)| tool.on == parent);
+        let on_it = tools.iter().filter(|(_, tool)| tool.on == parent);
         // Tools have the inertia of a payload in the axes of the link on which they are.
-        let tools =
-            tools.map(|(name, tool)| (name.as_str(), parent, tool.inertia(), format!("tool '{name}'")));
+        let on_it =
+            on_it.map(|(name, tool)| (name.as_str(), parent, tool.inertia(), format!("tool '{name}'")));
         let links = links
             .map(|link| (link, link, link_inertia(model, link_inertias, link), format!("link '{link}'")));
-        for (name, frame, inertia, description) in links.chain(tools) {
+        for (name, frame, inertia, description) in links.chain(on_it) {
             below.push(name);
             let Ok(frame) = model.frame_id(frame) else { continue };
             if inertia.mass == 0.0 {
