@@ -13,22 +13,22 @@ use opspace::backend::{Backend, GroundTruth, TICK};
 use opspace::control_loop::{ChannelParameters, Driven, Link, Run, Timeline, drive_together};
 use opspace::experiment::{Experiment, Files, Progress, RunError, RunOptions};
 use opspace::log::Recording;
-use opspace::model::Placement;
-use opspace::sim::{ArmConfig, CouplingConfig, Simulation, SimulationConfig};
+use opspace::sim::{CouplingConfig, Simulation, SimulationConfig};
 
 /// Distance between the bases of the two arms, m.
 const APART_M: f64 = 0.6;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let load = |task: &str| {
+    let load = |task: &str, settings: &[String]| {
         let options = RunOptions { duration_s: Some(4.0), ..RunOptions::default() };
-        Experiment::load(Files::Disk, task.as_ref(), None, options, &[])
+        Experiment::load(Files::Disk, task.as_ref(), None, options, settings)
     };
-    let leader = load("tasks/joint-tracking.toml")?;
-    let follower = load("examples/tasks/follower.toml")?;
+    // Both arms are mounted side by side.
+    let beside = format!("robot.mount.xyz_m=[0.0, {APART_M:?}, 0.0]");
+    let leader = load("tasks/joint-tracking.toml", &[])?;
+    let follower = load("examples/tasks/follower.toml", &[beside])?;
 
-    // One plant with both arms side by side, and a band from hand to hand.
-    let placement = Placement::from_rpy([0.0; 3], [0.0, APART_M, 0.0]);
+    // One plant with both arms, and a band from hand to hand.
     let band = CouplingConfig {
         name: "band".to_owned(),
         first: (0, "hand".to_owned()),
@@ -36,7 +36,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         stiffness_n_per_m: NonNegative::literal(100.0),
         damping_ns_per_m: NonNegative::literal(2.0),
     };
-    let arms = vec![leader.arm_config()?, ArmConfig { placement, ..follower.arm_config()? }];
+    let arms = vec![leader.arm_config()?, follower.arm_config()?];
     let mut arms =
         Simulation::new(SimulationConfig { arms, couplings: vec![band], ..SimulationConfig::default() })?
             .into_arms();

@@ -9,7 +9,7 @@ use crate::capabilities::Capabilities;
 pub struct Sample {
     /// Time on the robot's monotonic clock, s. Its zero is arbitrary.
     pub time_s: f64,
-    /// Joint positions, rad or m (n).
+    /// Joint positions, rad or m (n). Those of joints without limits may be within one turn.
     pub q: Vec<f64>,
     /// Joint velocities, rad/s or m/s (n).
     pub dq: Option<Vec<f64>>,

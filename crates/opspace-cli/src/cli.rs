@@ -721,6 +721,11 @@ pub struct NewArgs {
     /// Last link of the chain that is used: the tip of the first task.
     #[arg(long, value_name = "LINK")]
     pub to: Option<String>,
+
+    /// Place of the base in the world: x, y, z (m), or x, y, z, roll, pitch, yaw (m, rad): 0,0,0,3.141593,0,0 hangs the arm from a
+    /// ceiling, 0,0,0,0,1.570796,0 mounts it on a wall, with its z axis along x of the world.
+    #[arg(long, value_name = "POSE", value_delimiter = ',', allow_hyphen_values = true, requires = "dir")]
+    pub mount: Vec<f64>,
 }
 
 /// Print the JSON Schema of a kind of file, for editors, or a page with all its keys.

@@ -84,6 +84,7 @@ codes! {
     MovesDuringRamp "moves-during-ramp" Effect::Reported,
     ReferenceTooFast "reference-too-fast" Effect::Reported,
     UnfinishedReference "unfinished-reference" Effect::Reported,
+    HalfTurn "half-turn" Effect::Reported,
     LateEvent "late-event" Effect::Reported,
     EarlyStatistics "early-statistics" Effect::Reported,
     // Freedom.
@@ -110,6 +111,7 @@ codes! {
     ContactImpact "contact-impact" Effect::Reported,
     UnstableAdmittance "unstable-admittance" Effect::Reported,
     UnknownContact "unknown-contact" Effect::Reported,
+    UnknownSensorLoad "unknown-sensor-load" Effect::Reported,
     // Stability.
     GainsTooHigh "gains-too-high" Effect::Reported,
     UnknownGains "unknown-gains" Effect::Reported,

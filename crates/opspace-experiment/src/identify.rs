@@ -18,7 +18,7 @@ use opspace_backend::{Backend, CommandKind};
 use opspace_identify::response::Point;
 use opspace_identify::session::{AbortReason, ExcitationSession};
 use opspace_identify::{ExcitationPlan, Identification, KnownParameters, TorqueScale, identify};
-use opspace_model::{Data, Placement, crba, kinematics};
+use opspace_model::{Data, crba, kinematics};
 use opspace_sim::{ArmConfig, SimulatedArm};
 use opspace_transformer::{CascadedServo, IdentifiedKeys, ProfileParameters, ServoParameters};
 use serde::Serialize;
@@ -208,7 +208,6 @@ impl IdentificationJob {
             profile: self.profile.clone(),
             capabilities: robot.capabilities(CommandKind::Position, self.profile.period_s()).simulated(),
             simulated,
-            placement: Placement::identity(),
             environment: Vec::new(),
             capsules: Vec::new(),
             external_forces: false,

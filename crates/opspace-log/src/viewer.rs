@@ -368,7 +368,7 @@ impl Bodies {
         let model = &self.model;
         let fixed = |(k, frame): (usize, &opspace_model::Frame)| {
             let (parent, placement) = match (frame.body, link(model, k)) {
-                (None, link) if link == k => (world, frame.placement),
+                (None, link) if link == k => (world, model.base() * frame.placement),
                 (Some(_), link) if link == k => return None,
                 (_, link) => {
                     let link = &model.frames()[link];

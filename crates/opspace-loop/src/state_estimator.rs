@@ -12,7 +12,8 @@ use opspace_backend::signal_names::{
 use opspace_backend::{Capabilities, Observable, Sample, SignalRecorder};
 use opspace_control::Measurement;
 use opspace_model::{
-    Data, Force, FrameId, JointUnits, Model, Motion, UnknownFrame, frame_placement, frame_velocity, update,
+    Data, Force, FrameId, JointKind, JointUnits, Model, Motion, UnknownFrame, frame_placement,
+    frame_velocity, update,
 };
 use opspace_transformer::{EstimatorParameters, Transformer, VelocityEstimator, VelocitySource};
 
@@ -25,6 +26,8 @@ pub(crate) struct StateEstimator {
     /// True if the transformer's estimate of the velocities is not used.
     uses_filter: bool,
     supervisor: Supervisor,
+    /// Joints without limits, whose encoders may count within one turn.
+    continuous: Vec<usize>,
     sample: Sample,
     measurement: Measurement,
     /// Compensation of each sensor.
@@ -63,6 +66,7 @@ impl StateEstimator {
             uses_filter: estimator.velocity == Some(VelocitySource::Filter),
             velocity: VelocityEstimator::new(n, estimator, capabilities.period_s),
             supervisor: Supervisor::new(model, safety, capabilities.period_s),
+            continuous: (0..n).filter(|&i| model.joints()[i].kind == JointKind::Continuous).collect(),
             sample: Sample::new(capabilities),
             measurement,
             sensors: compensation,
@@ -125,6 +129,18 @@ impl StateEstimator {
         self.measurement.time_s = 0.0;
     }
 
+    /// Adds whole turns to positions of continuous joints, so that they continue the last ones. Returns true if it added any.
+    fn unwrap(&mut self) -> bool {
+        let mut wraps = false;
+        for &joint in &self.continuous {
+            let q = &mut self.sample.q[joint];
+            let continued = JointKind::Continuous.nearest_turn(*q, self.measurement.q[joint]);
+            wraps |= (continued - *q).abs() > 0.0;
+            *q = continued;
+        }
+        wraps
+    }
+
     /// Computes the measurement from a sample and updates `data`. Joint velocities are those of the transformer if it
     /// estimates them and the filter is not asked for, otherwise the measured ones, otherwise filtered differences of positions. While the robot is
     /// `held`, the transformer's estimate is not used.
@@ -140,6 +156,7 @@ impl StateEstimator {
         held: bool,
     ) -> Result<(), Fault> {
         self.sample.copy_from(sample);
+        let sample = if self.unwrap() { &self.sample } else { sample };
         let measurement = &mut self.measurement;
         self.current = false;
         self.gap = self.supervisor.check_clock(sample)?;
@@ -183,7 +200,7 @@ impl StateEstimator {
 }
 
 impl Observable for StateEstimator {
-    /// Records the raw sample, then the measurement.
+    /// Records the sample, with positions of continuous joints that do not wrap, then the measurement.
     fn record(&self, out: &mut SignalRecorder<'_>) {
         let Self { capabilities, units, sample, measurement, .. } = self;
         let (joints, sensors) = (&capabilities.joints, &capabilities.force_sensors);

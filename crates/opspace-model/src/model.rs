@@ -16,7 +16,7 @@
 use crate::real::Real;
 use crate::spatial::{Inertia, Placement};
 use nalgebra::{Matrix3, Unit, Vector3};
-use std::f64::consts::PI;
+use std::f64::consts::{PI, TAU};
 use thiserror::Error;
 
 /// Type of the joint between a body and its parent. The joint axis is the z axis of the body frame: see [`Model`].
@@ -30,6 +30,21 @@ pub enum JointKind {
     Prismatic,
     /// One of the six coordinates of a floating base: see [`Model::floating`].
     Floating,
+}
+
+impl JointKind {
+    /// Returns the position that a joint of this kind cannot tell from `position` and that is nearest to `near` (rad). It
+    /// differs from `position` by whole turns of a continuous joint; where it is no more than half a turn away, and for other
+    /// joints, it is `position`.
+    #[must_use]
+    pub fn nearest_turn(self, position: f64, near: f64) -> f64 {
+        let away = position - near;
+        if self == Self::Continuous && away.abs() > PI {
+            position - TAU * (away / TAU).round()
+        } else {
+            position
+        }
+    }
 }
 
 /// SI units of the quantities of all joints (n each): rad, rad/s, rad/s^2 and Nm for revolute joints; m, m/s, m/s^2 and

@@ -55,6 +55,8 @@ pub struct ParsedUrdf {
     pub model: Model,
     /// Mass of the links that cannot move, kg. They are not part of the model.
     pub standing_kg: f64,
+    /// Inertia of each link in its own axes, in the order of the model's frames; zero for a link without one.
+    pub link_inertias: Vec<Inertia>,
     /// Friction of the joints according to their `<dynamics>`, in the model's joint order. It is no part of the model.
     pub dynamics: Vec<JointDynamics>,
     /// Joints that move no mass; empty unless [`UrdfOptions::allow_massless`] is set.
@@ -235,7 +237,9 @@ fn load(
         }
     };
     let dynamics = model.joints().iter().map(dynamics_of).collect();
-    Ok(ParsedUrdf { model, standing_kg, dynamics, massless, warnings })
+    let inertia_of = |step: &tree::Step| description.links[step.link].inertia.unwrap_or_else(Inertia::zero);
+    let link_inertias = order.iter().map(inertia_of).collect();
+    Ok(ParsedUrdf { model, standing_kg, link_inertias, dynamics, massless, warnings })
 }
 
 /// Fixes the locked joints at their positions and, if mimic joints are enforced, those that mimic them.

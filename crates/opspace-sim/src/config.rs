@@ -30,7 +30,7 @@ const MAX_TORQUE_DELAY: u32 = 10_000;
 /// Configuration of a simulated arm.
 #[derive(Clone, Debug)]
 pub struct ArmConfig {
-    /// Nominal rigid bodies, including rotors.
+    /// Nominal rigid bodies, including rotors. Their base is placed in the world of the simulation.
     pub model: Model,
     /// Nominal drives (n).
     pub joints: Vec<JointParameters>,
@@ -42,9 +42,6 @@ pub struct ArmConfig {
     pub capabilities: Capabilities,
     /// Differences of the plant from the nominal values.
     pub simulated: SimulatedParameters,
-    /// Placement of the model's world frame in the world of the simulation. Gravity is expressed in the axes of the
-    /// simulation.
-    pub placement: Placement,
     /// Environment objects that act on the arm, by name; positions and directions are in the world of the simulation.
     pub environment: Vec<(String, EnvironmentObjectParameters)>,
     /// Collision geometry of the links, for physics engines that simulate contacts of bodies.
@@ -456,13 +453,6 @@ impl ArmConfig {
         let rotor = |(joint, &inertia)| if self.gear(joint).is_some() { 0.0 } else { inertia };
         let rotors: Vec<f64> = model.rotor_inertia().iter().enumerate().map(rotor).collect();
         let model = self.with_payloads(model.with_rotor_inertia(&rotors));
-        let model = match self.placement == Placement::identity() {
-            true => model,
-            false => {
-                let base = self.placement * model.base();
-                model.with_base(base)
-            }
-        };
         match self.capabilities.gravity_compensated_by {
             GravityCompensation::Controller => model,
             // A robot that compensates its weight is simulated without gravity.

@@ -7,7 +7,7 @@ use crate::parameters::{
 };
 use opspace_backend::quantity::{Count, NonNegative, Positive};
 use opspace_backend::{Capabilities, CommandKind};
-use opspace_model::{Model, Placement, neutral};
+use opspace_model::{Model, neutral};
 use opspace_transformer::{
     CascadedServo, EstimatorParameters, FrictionParameters, JointParameters, ProfileParameters,
     RotorParameters, ServoParameters,
@@ -59,7 +59,6 @@ impl ArmConfig {
             start: neutral(&model),
             model,
             capabilities,
-            placement: Placement::identity(),
             environment: Vec::new(),
             capsules: Vec::new(),
             external_forces: false,

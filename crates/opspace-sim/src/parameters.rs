@@ -341,8 +341,9 @@ pub struct ForceSensorParameters {
     /// Largest rate at which the error of each moment component grows, Nm/s.
     #[serde(default)]
     pub drift_nm_per_s: NonNegative,
-    /// Part of the arm beyond the sensor, whose weight and inertia it reads; none if absent. The part is one that the
-    /// model or a payload has there: this table adds no mass to the arm.
+    /// Part of the arm beyond the sensor, whose weight and inertia it reads; by default the links and tools beyond it. The part is
+    /// one that the model or a payload has there: this table adds no mass to the arm.
+    #[cfg_attr(feature = "schema", schemars(extend("x-default" = "that of the links and tools beyond")))]
     pub load: Option<SensorLoadParameters>,
 }
 

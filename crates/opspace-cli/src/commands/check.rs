@@ -357,7 +357,9 @@ fn check_one(
 
 /// Lists the values of a robot that are those of the URDF, and those that are assumed.
 pub(super) fn values_text(robot: &RobotDefinition) -> String {
-    let mut text = urdf_values_text(&robot.urdf_values);
+    let mount = robot.file.mount.as_ref();
+    let mut text = mount.map_or_else(String::new, |mount| format!("  {}\n", mount.description()));
+    text += &urdf_values_text(&robot.urdf_values);
     if !robot.file.assumed.is_empty() {
         text += &format!("  assumed, results rest on them: {}\n", assumed_text(&robot.file.assumed));
     }

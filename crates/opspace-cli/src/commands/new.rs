@@ -5,6 +5,7 @@ use crate::commands::schema::text as schema_text;
 use crate::console::{Console, Exit, Failure, Outcome, print};
 use crate::output::write;
 use opspace_backend::CommandKind;
+use opspace_experiment::files::mount::MountFile;
 use opspace_experiment::setup::arm_template::ArmTemplate;
 use opspace_experiment::setup::new_robot::{DriveValues, KnownMasses, NewFiles, Part, new_files};
 use opspace_experiment::{Extensions, Source};
@@ -45,7 +46,7 @@ fn create(
     let source = Source::read(file)?;
     let robot = dir.join("robot.toml");
     let urdf = file.file_name().unwrap_or_default().to_string_lossy().into_owned();
-    let part = Part { from: args.from.as_deref(), to: args.to.as_deref() };
+    let part = Part { from: args.from.as_deref(), to: args.to.as_deref(), mount: mount(&args.mount)? };
     let values = match (template, args.assume) {
         (Some(template), _) => DriveValues::Template(template),
         (None, true) => DriveValues::Assumed(KnownMasses { arm_kg: args.mass, payload_kg: args.payload }),
@@ -110,6 +111,24 @@ fn create(
         copy.display(),
     ))?;
     Ok(Exit::Done)
+}
+
+/// Mounting of the base at the pose of --mount, if it is given.
+fn mount(pose: &[f64]) -> Result<Option<MountFile>, Failure> {
+    let mount = match *pose {
+        [] => return Ok(None),
+        [x, y, z] => MountFile::new([x, y, z], [0.0; 3]),
+        [x, y, z, roll, pitch, yaw] => MountFile::new([x, y, z], [roll, pitch, yaw]),
+        _ => {
+            let text =
+                format!("--mount has {} values: give x,y,z, or x,y,z,roll,pitch,yaw (m, rad)", pose.len());
+            return Err(Failure::Other(text, Exit::Bad));
+        }
+    };
+    match mount.mistake() {
+        Some((_, message, help)) => Err(Failure::Other(format!("--mount: {message}; {help}"), Exit::Bad)),
+        None => Ok(Some(mount)),
+    }
 }
 
 /// Says what to do if a folder already has a robot.toml, for example from an earlier `new` with other options.

@@ -13,7 +13,7 @@ use crate::references::wave;
 use crate::references::wave::{AngularWave, Wave, default_ramp_s};
 use nalgebra::DVector;
 use opspace_backend::quantity::{NonNegative, Positive};
-use opspace_model::Model;
+use opspace_model::{JointKind, Model};
 #[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::Deserialize;
@@ -79,7 +79,8 @@ pub struct JointOnlineGoal {
     pub jerk_rad_per_s3: PerJoint<Positive>,
 }
 
-/// Goal posture, by joint names.
+/// Goal posture, by joint names. A continuous joint takes the shortest way to an absolute position: that of 3.0 rad to -3.0 rad has
+/// 0.28 rad.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 pub enum JointGoal {
@@ -145,6 +146,7 @@ struct Leg {
 #[derive(Clone, Copy, Debug)]
 struct Goal {
     joint: usize,
+    kind: JointKind,
     value: f64,
     from_home: bool,
 }
@@ -208,7 +210,7 @@ impl JointTrajectory {
                     leg.from.copy_from(before.last().map_or(&self.from, |before| &before.to));
                     leg.to.copy_from(&leg.from);
                     for goal in &leg.goal {
-                        leg.to[goal.joint] = goal.position(home);
+                        leg.to[goal.joint] = goal.position(home, leg.from[goal.joint]);
                     }
                 }
             }
@@ -217,7 +219,7 @@ impl JointTrajectory {
                 for (joint, (motion, limits)) in motions.iter_mut().zip(limits).enumerate() {
                     let goal = goals.iter().find(|goal| goal.joint == joint);
                     let state = [from.position[joint], from.velocity[joint], from.acceleration[joint]];
-                    let to = goal.map_or(state[0], |goal| goal.position(home));
+                    let to = goal.map_or(state[0], |goal| goal.position(home, state[0]));
                     *motion = OnlineMotion::new(state, to, limits);
                 }
             }
@@ -271,8 +273,12 @@ impl JointTrajectory {
 }
 
 impl Goal {
-    fn position(&self, home: &[f64]) -> f64 {
-        if self.from_home { home[self.joint] + self.value } else { self.value }
+    /// Position of the goal, for a joint that moves there from `from`.
+    fn position(&self, home: &[f64], from: f64) -> f64 {
+        match self.from_home {
+            true => home[self.joint] + self.value,
+            false => self.kind.nearest_turn(self.value, from),
+        }
     }
 }
 
@@ -288,7 +294,8 @@ fn goals(goal: &JointGoal, model: &Model, key: &str) -> Result<Vec<Goal>, Contro
         JointGoal::Offset(map) => (map, true, "offset_rad"),
     };
     let named = indices(model, &format!("{key}.{kind}"), map)?;
-    Ok(named.into_iter().map(|(joint, &value)| Goal { joint, value, from_home }).collect())
+    let kind = |joint: usize| model.joints()[joint].kind;
+    Ok(named.into_iter().map(|(joint, &value)| Goal { joint, kind: kind(joint), value, from_home }).collect())
 }
 
 fn limits(goal: &JointOnlineGoal, model: &Model, key: &str) -> Result<Vec<MotionLimits>, ControlError> {
@@ -318,6 +325,7 @@ pub(crate) fn check_times(times: impl Iterator<Item = f64>, key: &str) -> Result
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::f64::consts::TAU;
 
     const TWO_JOINTS: &str = r#"<robot name="two"><link name="base"/>
         <link name="upper"><inertial><origin xyz="0 0 -0.2"/><mass value="1"/><inertia ixx="0.01" ixy="0" ixz="0"
@@ -390,6 +398,40 @@ mod tests {
                     "{reference}: {last:?}"
                 );
             }
+        }
+    }
+
+    /// Compared: the path of a continuous joint to absolute positions, and the shortest one by hand: 0.28 rad from 3.0 to -3.0,
+    /// not 6, and from there on to the next waypoint. Goals within half a turn, and offsets, are taken as they are.
+    #[test]
+    fn continuous_joint_takes_the_shortest_way() {
+        let from = [[3.0, -0.4], [0.0; 2], [0.0; 2]];
+        let goal = "posture = { absolute_rad = { shoulder = -3.0 } }, velocity_rad_per_s = 1.0, acceleration_rad_per_s2 = 2.0, \
+                    jerk_rad_per_s3 = 20.0";
+        for (reference, end) in [
+            (
+                "reference.point-to-point = { goal = { absolute_rad = { shoulder = -3.0 } }, duration_s = 1.0 }",
+                TAU - 3.0,
+            ),
+            (
+                "reference.point-to-point = { goal = { absolute_rad = { shoulder = 1.0 } }, duration_s = 1.0 }",
+                1.0,
+            ),
+            (
+                "reference.point-to-point = { goal = { offset_rad = { shoulder = -6.0 } }, duration_s = 1.0 }",
+                -3.0,
+            ),
+            (&format!("reference.goal = {{ {goal} }}"), TAU - 3.0),
+            (
+                "reference.waypoints = [{ time_s = 1, goal = { absolute_rad = { shoulder = -3.0 } } }, \
+                 { time_s = 2, goal = { absolute_rad = { shoulder = -1.0 } } }, \
+                 { time_s = 3, goal = { absolute_rad = { shoulder = 2.0 } } }]",
+                TAU + 2.0,
+            ),
+        ] {
+            let trajectory = begun(reference, &from[0], from);
+            let [first, last] = [0.0, 9.0].map(|time_s| trajectory.reference_at(0, time_s)[0]);
+            assert!((first - 3.0).abs() < 1e-15 && (last - end).abs() < 1e-14, "{reference}: {first} {last}");
         }
     }
 }

@@ -15,14 +15,14 @@ use crate::tasks::joint_task::JointTask;
 use crate::tasks::task::{RowGains, TaskInput};
 use crate::tasks::when_limited::joint_weights;
 use nalgebra::DVector;
-use opspace_model::{Data, Model};
+use opspace_model::{Data, JointKind, Model};
 use std::any::Any;
 
 /// Joint posture task: see [`JointPostureParameters`].
 #[derive(Clone, Debug)]
 pub struct Posture {
     name: String,
-    fixed: Vec<(usize, f64)>,
+    fixed: Vec<(usize, JointKind, f64)>,
     gains: JointFeedback,
     weights: Option<Vec<f64>>,
     start: DVector<f64>,
@@ -40,7 +40,10 @@ impl Posture {
         let fixed = indices(model, &format!("{key}.posture_rad"), &parameters.posture_rad)?;
         Ok(Self {
             name: name.to_owned(),
-            fixed: fixed.into_iter().map(|(joint, &value)| (joint, value)).collect(),
+            fixed: fixed
+                .into_iter()
+                .map(|(joint, &value)| (joint, model.joints()[joint].kind, value))
+                .collect(),
             gains: JointFeedback::new(
                 &parameters.frequency_rad_per_s,
                 &parameters.damping_ratio,
@@ -67,8 +70,8 @@ impl Posture {
     }
 
     fn name_posture(&mut self) {
-        for &(joint, value) in &self.fixed {
-            self.posture[joint] = value;
+        for &(joint, kind, value) in &self.fixed {
+            self.posture[joint] = kind.nearest_turn(value, self.start[joint]);
         }
     }
 

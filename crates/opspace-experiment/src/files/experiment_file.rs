@@ -74,10 +74,10 @@ pub struct ExperimentRobot {
     /// Settings as on the command line: those that begin with `robot.` change the robot file, all others the task file.
     #[serde(default)]
     pub set: Vec<String>,
-    /// Position of the robot's base in the world that the robots share, m.
+    /// Position of the robot's base in the world that the robots share, m, in place of `mount` in robot.toml.
     #[serde(default, deserialize_with = "exactly")]
     pub base_m: [f64; 3],
-    /// Orientation of the base: roll, pitch and yaw (fixed axes, in that order), rad.
+    /// Orientation of the base in that world: roll, pitch and yaw (fixed axes, in that order), rad.
     #[serde(default, deserialize_with = "exactly")]
     pub base_rpy_rad: [f64; 3],
 }

@@ -6,9 +6,11 @@ use crate::files::joint_layers::{Groups, UrdfValue, check_layers, expand, groups
 use crate::files::layered_path::{inner, stated_path};
 use crate::files::link::LinkFile;
 use crate::files::missing::{Purpose, check_complete};
+use crate::files::mount::MountFile;
 use crate::files::origin::{Files, Kind, beside};
 use crate::files::overrides;
 use crate::files::robot_part::{PartKeys, UsedPart, load_part, urdf_error};
+use crate::files::sensor_loads::{Sensor, sensor_loads};
 use crate::files::source::{FileError, KeyPath, Source, checked, explain, parse};
 use crate::files::strict::Strict;
 use crate::files::toml_path::{depth_of, dotted, keys_at, value_at};
@@ -23,9 +25,10 @@ use opspace_loop::{
 };
 use opspace_model::collision::{CapsuleWarning, LinkCapsule};
 use opspace_model::{
-    FrameId, JointDynamics, Limits, MasslessJoint, Model, ParsedUrdf, UrdfOptions, UrdfWarning,
+    FrameId, Inertia, JointDynamics, Limits, MasslessJoint, Model, ParsedUrdf, UrdfOptions, UrdfWarning,
 };
 use opspace_sim::SimulatedParameters;
+use opspace_sim::parameters::SensorLoadParameters as TrueLoad;
 use opspace_transformer::{
     ClosedLoopModel, Gears, JointParameters, ProfileParameters, ServoLaw, ServoParameters,
 };
@@ -50,6 +53,9 @@ pub struct RobotFile {
     /// Name of the default profile.
     #[cfg_attr(feature = "schema", schemars(with = "Option<String>", extend("x-default" = "the only profile")))]
     pub default_profile: String,
+    /// Placement of the base in the world: for an arm on a wall, a ceiling or a slope, or beside another one. If absent, the base
+    /// is at the origin, upright.
+    pub mount: Option<MountFile>,
     /// Masses and inertias of links of the URDF, by name, in place of those that it states, or for links for which it states none.
     #[serde(default)]
     pub link: BTreeMap<String, LinkFile>,
@@ -124,7 +130,9 @@ struct JointGroup {
 pub struct ForceSensorFile {
     /// URDF link whose origin and axes are those of the measurements.
     pub frame: String,
-    /// Load beyond the sensor, whose weight is taken off the readings; none if absent.
+    /// Load beyond the sensor, whose weight is taken off the readings. By default that of the links and tools beyond the frame: it
+    /// is stated only if they do not have it.
+    #[cfg_attr(feature = "schema", schemars(extend("x-default" = "that of the links and tools beyond")))]
     pub load: Option<SensorLoadParameters>,
     /// Bias of the readings without load; by default the mean reading at rest before control begins, when nothing
     /// may touch.
@@ -157,6 +165,8 @@ pub struct RobotDefinition {
     pub warnings: Vec<UrdfWarning>,
     /// Force sensors, sorted by name, and after them the estimated forces, sorted by name.
     pub sensors: Vec<(String, FrameId)>,
+    /// Force sensors without a stated load, with the links and tools beyond them, some of which joints move.
+    pub(crate) unknown_loads: BTreeMap<String, Vec<String>>,
     /// Capsules of the links, if the robot file has `[collision]`.
     pub(crate) capsules: Option<RobotCapsules>,
 }
@@ -215,7 +225,7 @@ impl RobotDefinition {
     ) -> Result<Self, FileError> {
         let loaded = load_part(&source, &urdf, &parse(&source)?)?;
         let mut model = loaded.model;
-        let (file, urdf_values) = read(&source, &model, &loaded.dynamics, purpose)?;
+        let (mut file, urdf_values) = read(&source, &model, &loaded.dynamics, purpose)?;
         check_assumed(&source, &file.assumed)?;
         let mut rotors = Vec::new();
         for (i, joint) in joints_of(&source, &model, &file.joint, &["joint"])?.into_iter().enumerate() {
@@ -245,7 +255,16 @@ impl RobotDefinition {
         tool::mount(&source, &mut model, &file.tool)?;
         let mut sensors = force_sensors(&source, &model, &file.force_sensor)?;
         sensors.extend(estimated_forces(&source, &model, &file)?);
+        let unknown_loads = set_loads((&source, &urdf), (&model, &loaded.link_inertias), &mut file)?;
         let model = model.with_rotor_inertia(&rotors);
+        let model = match &file.mount {
+            Some(mount) => {
+                mount.check(&source)?;
+                let base = mount.placement() * model.base();
+                model.with_base(base)
+            }
+            None => model,
+        };
         let capsules = match &file.collision {
             Some(collision) => Some(robot_capsules(&source, &model, collision, &urdf, generated)?),
             None => None,
@@ -260,6 +279,7 @@ impl RobotDefinition {
             massless: loaded.massless,
             warnings: loaded.warnings,
             sensors,
+            unknown_loads,
             capsules,
         };
         robot.profile(None)?;
@@ -776,6 +796,31 @@ fn joints_of<'a, T>(
         values.push(value);
     }
     Ok(values)
+}
+
+/// Sets the loads of force sensors that a robot file does not state: those of what is beyond them, also of the simulated ones.
+/// Returns the links and tools beyond sensors whose load does not follow.
+fn set_loads(
+    files: (&Source, &Source),
+    (model, link_inertias): (&Model, &[Inertia]),
+    file: &mut RobotFile,
+) -> Result<BTreeMap<String, Vec<String>>, FileError> {
+    let sensors = file.force_sensor.iter();
+    let sensors = sensors.map(|(name, sensor)| Sensor { name, frame: &sensor.frame, stated: sensor.load });
+    let loads = sensor_loads(files, (model, link_inertias), &file.tool, &sensors.collect::<Vec<_>>())?;
+    for (name, load) in loads.known {
+        if let Some(simulated) = &mut file.simulated
+            && let Some(sensor) = simulated.force_sensor.get_mut(&name)
+            && let Ok(mass_kg) =
+                Positive::try_from(load.mass_kg.get() * simulated.true_over_nominal.inertia.get())
+        {
+            sensor.load.get_or_insert(TrueLoad { mass_kg, centre_m: load.centre_m });
+        }
+        if let Some(sensor) = file.force_sensor.get_mut(&name) {
+            sensor.load.get_or_insert(load);
+        }
+    }
+    Ok(loads.unknown)
 }
 
 fn estimated_forces(

@@ -38,7 +38,7 @@ pub struct ToolFile {
 
 impl ToolFile {
     /// Inertia in the axes of the link.
-    fn inertia(&self) -> Inertia {
+    pub(crate) fn inertia(&self) -> Inertia {
         let [xx, xy, xz, yy, yz, zz] = self.inertia_kg_m2;
         Inertia {
             mass: self.mass_kg.get(),

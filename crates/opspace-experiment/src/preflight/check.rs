@@ -2,8 +2,8 @@
 
 use super::case::PreflightCase;
 use super::{
-    accelerations, admittance, collisions, contact, freedom, goals, ignored_compliance, limits, objects,
-    position_limits, ramp, speeds, stability, times, torque_floor,
+    accelerations, admittance, collisions, contact, freedom, goals, half_turns, ignored_compliance, limits,
+    objects, position_limits, ramp, sensor_loads, speeds, stability, times, torque_floor,
 };
 use crate::codes::Code;
 use crate::extensions::Entry;
@@ -104,7 +104,7 @@ impl Condition {
 }
 
 /// The built-in checks, in the order of their diagnostics.
-static BUILT_IN: [Check; 21] = [
+static BUILT_IN: [Check; 23] = [
     Check::start(
         "limits",
         "limits that contradict each other, the start posture or the arm's weight",
@@ -116,6 +116,18 @@ static BUILT_IN: [Check; 21] = [
         "a start inside an object of the environment; objects out of reach",
         Condition::Always,
         objects::misplaced,
+    ),
+    Check::start(
+        "sensor-loads",
+        "force sensors whose load is unknown, because joints move what is beyond them",
+        Condition::Always,
+        sensor_loads::unknown,
+    ),
+    Check::start(
+        "half-turns",
+        "continuous joints that are half a turn away from their goal",
+        Condition::Always,
+        half_turns::of_goals,
     ),
     Check::start("singular-start", "a start at a singularity", Condition::Always, freedom::singular_start),
     Check::start("collision-at-start", "a start in collision", Condition::Torque, |case| {

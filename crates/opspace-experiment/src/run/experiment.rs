@@ -29,7 +29,7 @@ use opspace_control::{
 use opspace_loop::{
     CollisionDetector, ControlLoop, EstimatedForce, LoopConfig, LoopError, SensorCompensation,
 };
-use opspace_model::{Data, Model, Placement};
+use opspace_model::{Data, Model};
 use opspace_sim::{
     ArmConfig, Key, PhysicsEngine, PlantError, Scene, SimulatedArm, Simulation, SimulationConfig,
     SimulationError,
@@ -530,7 +530,6 @@ impl Experiment {
             profile: self.profile.clone(),
             simulated,
             capabilities: self.capabilities().simulated(),
-            placement: Placement::identity(),
             capsules: self.robot.capsules().to_vec(),
             external_forces: false,
             environment: self.task.file.environment.clone().into_iter().collect(),

@@ -3,7 +3,6 @@
 use crate::files::source::{FileError, Source};
 use crate::run::experiment::Experiment;
 use opspace_backend::quantity::Positive;
-use opspace_model::Placement;
 
 /// Distance of a rate from a whole number of hertz that is rounding, relative.
 const ROUNDING: f64 = 1e-9;
@@ -18,8 +17,6 @@ pub struct Member {
     pub name: String,
     /// Task on the robot.
     pub experiment: Experiment,
-    /// Position of the robot's base in the world that the robots share.
-    pub(super) placement: Placement,
     /// Rate at which the clock of all robots orders its cycles, Hz.
     pub(super) rate_hz: u32,
 }
@@ -27,22 +24,17 @@ pub struct Member {
 impl Member {
     /// Returns a robot that is alone. A clock of one robot orders nothing, so that its rate is any.
     pub(super) fn alone(experiment: Experiment) -> Self {
-        Self { name: experiment.robot().name(), experiment, placement: Placement::identity(), rate_hz: 1 }
+        Self { name: experiment.robot().name(), experiment, rate_hz: 1 }
     }
 
     /// Returns one of several robots of the scenario in `source`.
     ///
     /// # Errors
     /// A robot whose rate is not a whole number of hertz.
-    pub(super) fn new(
-        name: &str,
-        experiment: Experiment,
-        placement: Placement,
-        source: &Source,
-    ) -> Result<Self, FileError> {
+    pub(super) fn new(name: &str, experiment: Experiment, source: &Source) -> Result<Self, FileError> {
         let rate_hz = rate_hz(&experiment)
             .ok_or_else(|| FileError::at_key(source, ["robots", name], NOT_WHOLE, None))?;
-        Ok(Self { name: name.to_owned(), experiment, placement, rate_hz })
+        Ok(Self { name: name.to_owned(), experiment, rate_hz })
     }
 }
 

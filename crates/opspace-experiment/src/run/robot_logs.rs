@@ -9,7 +9,7 @@ use crate::run::experiment::Experiment;
 use crate::run::member::Member;
 use crate::run::membership::Membership;
 use crate::run::result_files::LOG;
-use crate::run::scenario::{Scenario, placement};
+use crate::run::scenario::Scenario;
 use opspace_log::{LogFile, Recording};
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -53,14 +53,14 @@ impl Scenario {
         }
         let file: ExperimentFile = parse(&source)?;
         let mut members = Vec::new();
-        for (name, robot) in &file.robots {
+        for name in file.robots.keys() {
             let of_robot: Vec<_> = found.iter().filter(|(membership, _)| membership.robot == *name).collect();
             let [(_, log)] = of_robot.as_slice() else {
                 let message = format!("{} logs of robot '{name}' are given, instead of one", of_robot.len());
                 return Err(FileError::of_file(source.name(), message, None).into());
             };
             let experiment = Experiment::of_log_with(extensions, log)?;
-            members.push(Member::new(name, experiment, placement(robot), &source)?);
+            members.push(Member::new(name, experiment, &source)?);
         }
         let couplings = couplings(&file, &source)?;
         Ok(Self::of_robots(source, file, members, couplings, settings))

@@ -9,10 +9,11 @@ use crate::extensions::Extensions;
 use crate::files::controller_kind::ControllerKind;
 use crate::files::expectation::Expectation;
 use crate::files::experiment_file::{ExperimentFile, ExperimentRobot};
+use crate::files::mount::MountFile;
 use crate::files::origin::{Files, Kind, beside};
 use crate::files::overrides;
-use crate::files::source::{FileError, Source, parse};
-use crate::files::toml_path::dotted;
+use crate::files::source::{FileError, Source, checked, parse};
+use crate::files::toml_path::{depth_of, dotted};
 use crate::run::coupling_expectations::check_expectations;
 use crate::run::couplings::{Coupling, SEEDS_OF_A_SCENARIO, couplings, links, task_settings};
 use crate::run::error::RunError;
@@ -23,9 +24,8 @@ use crate::run::membership::Membership;
 use crate::transformers::check_name;
 use opspace_backend::{Backend, Capabilities, CommandKind, GroundTruth, Sink, TruthLayouts};
 use opspace_loop::{ControlLoop, Driven, Run, RunOutcome, Timeline, TimelineError, drive_together};
-use opspace_model::Placement;
 use opspace_sim::{
-    ArmConfig, HeldObjectConfig, HeldObjectParameters, Key, PhysicsEngine, SimulatedArm, SimulationConfig,
+    HeldObjectConfig, HeldObjectParameters, Key, PhysicsEngine, SimulatedArm, SimulationConfig,
     SimulationError,
 };
 use std::collections::BTreeMap;
@@ -157,7 +157,10 @@ impl Scenario {
         let kept: Vec<String> = settings.iter().filter(|set| !is_seed(set)).cloned().collect();
         let mut members = Vec::new();
         for (number, (name, robot)) in file.robots.iter().enumerate() {
-            let mut set = robot.set.clone();
+            let base = stated_base(&source, name, robot)?;
+            let mut set: Vec<String> =
+                base.iter().map(|(_, mount)| format!("{MOUNT}={}", mount.toml())).collect();
+            set.extend_from_slice(&robot.set);
             set.push(format!("settle_s={}", file.settle_s.get()));
             for coupling in &couplings {
                 set.extend(task_settings(&source, coupling, number));
@@ -169,9 +172,12 @@ impl Scenario {
             let options = (seed_of(&file, number), allow);
             let mut experiment = member(extensions, files, path, robot, &set, options, &file)
                 .map_err(|error| placed(error, &source, &couplings, (number, name), &robot.set))?;
+            if let Some((key, _)) = base {
+                refuse_second_mount(&source, (name, key), &experiment, &set[1..])?;
+            }
             experiment.membership =
                 Some(Membership { robot: name.clone(), experiment: source.clone(), settings: kept.clone() });
-            members.push(Member::new(name, experiment, placement(robot), &source)?);
+            members.push(Member::new(name, experiment, &source)?);
         }
         let mut new = Self::of_robots(source, file, members, couplings, kept);
         for coupling in &new.couplings {
@@ -336,10 +342,7 @@ impl Scenario {
             return self.experiments().map(Experiment::simulated_arm).collect();
         }
         let names: Vec<String> = self.members.iter().map(|member| member.name.clone()).collect();
-        let arms = self
-            .members
-            .iter()
-            .map(|member| Ok(ArmConfig { placement: member.placement, ..member.experiment.arm_config()? }));
+        let arms = self.members.iter().map(|member| member.experiment.arm_config());
         let objects = self.objects.iter().map(|(name, object)| HeldObjectConfig {
             name: name.clone(),
             arms: names.clone(),
@@ -425,9 +428,50 @@ fn member(
     of_task(extensions, files, (&task, folder.as_deref()), robot.backend, options, set)
 }
 
-/// Position of a robot's base in the world that the robots share.
-pub(super) fn placement(robot: &ExperimentRobot) -> Placement {
-    Placement::from_rpy(robot.base_rpy_rad, robot.base_m)
+/// Setting that places a robot of an experiment in the world that the robots share.
+const MOUNT: &str = "robot.mount";
+
+/// Placement of a robot's base that the file of an experiment states, with its key there.
+fn stated_base(
+    source: &Source,
+    name: &str,
+    robot: &ExperimentRobot,
+) -> Result<Option<(&'static str, MountFile)>, FileError> {
+    let document = checked(source)?;
+    let is_stated = |key: &&str| {
+        let path = ["robots", name, key].map(str::to_owned);
+        depth_of(document.get_ref(), &path) == path.len()
+    };
+    let Some(key) = ["base_m", "base_rpy_rad"].into_iter().find(is_stated) else { return Ok(None) };
+    let mount = MountFile::new(robot.base_m, robot.base_rpy_rad);
+    if let Some((part, message, help)) = mount.mistake() {
+        let key = if part == "xyz_m" { "base_m" } else { "base_rpy_rad" };
+        return Err(FileError::at_key(source, ["robots", name, key], message, Some(help.to_owned())));
+    }
+    Ok(Some((key, mount)))
+}
+
+/// Refuses a robot that its own file, or one of its settings, places in the world too.
+fn refuse_second_mount(
+    source: &Source,
+    (name, key): (&str, &str),
+    experiment: &Experiment,
+    set: &[String],
+) -> Result<(), FileError> {
+    let robot = &experiment.robot().source;
+    let document = checked(&Source::new(robot.name(), std::sync::Arc::clone(&robot.base)))
+        .map(|document| depth_of(document.get_ref(), &["mount".to_owned()]) == 1);
+    let is_mount = |set: &&String| {
+        set.trim_start().strip_prefix(MOUNT).is_some_and(|rest| rest.trim_start().starts_with(['.', '=']))
+    };
+    let other = match set.iter().find(is_mount) {
+        Some(setting) => format!("`{setting}`"),
+        None if document.unwrap_or(false) => format!("[mount] of {}", robot.name()),
+        None => return Ok(()),
+    };
+    let message = format!("both `{key}` and {other} place the base of robot '{name}' in the world");
+    let help = Some(format!("remove one of them: `{key}` here is for a robot whose file has no [mount]"));
+    Err(FileError::at_key(source, ["robots", name, key], message, help))
 }
 
 /// Places an error about a setting that a coupling or a robot (its number and name) wrote at the entry in the experiment's file.

@@ -2,6 +2,7 @@
 
 use crate::files::collision::{generated_capsules, link_inertias};
 use crate::files::joint_layers::urdf_values;
+use crate::files::mount::MountFile;
 use crate::files::robot::RobotDefinition;
 use crate::files::robot_part::{PartOf, UsedPart, load_part_of, urdf_error};
 use crate::files::source::{FileError, Source};
@@ -19,13 +20,15 @@ use opspace_model::collision::CapsuleWarning;
 use opspace_model::{Inertia, JointDynamics, Limits, Model, ParsedUrdf, UrdfJoint, UrdfWarning, urdf_joints};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Chain of links of a new robot that is used; all of it if both are `None`.
+/// Chain of links of a new robot that is used, all of it if both are `None`; and the mounting of the robot.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Part<'a> {
     /// First link; the root of the robot if absent.
     pub from: Option<&'a str>,
     /// Last link.
     pub to: Option<&'a str>,
+    /// Placement of the base in the world; upright at the origin if absent.
+    pub mount: Option<MountFile>,
 }
 
 /// Masses of a robot that are known beside its URDF.
@@ -73,6 +76,7 @@ struct SelectedPart<'a> {
     urdf: &'a Source,
     urdf_name: &'a str,
     used: Option<UsedPart>,
+    mount: Option<MountFile>,
     /// Joints that are locked, each at a position (rad, m).
     locked_joints: BTreeMap<String, f64>,
     enforce_mimic: bool,
@@ -144,7 +148,11 @@ fn load<'a>(
         bodies.extend(assumed_bodies(&parsed.model, urdf, &parsed.massless, known.arm_kg)?);
         parsed = load(&bodies)?;
     }
-    Ok(SelectedPart { urdf, urdf_name, used, locked_joints: locked, enforce_mimic, parsed, bodies })
+    if let Some(mount) = &part.mount {
+        parsed.model = parsed.model.with_base(mount.placement());
+    }
+    let mount = part.mount;
+    Ok(SelectedPart { urdf, urdf_name, used, mount, locked_joints: locked, enforce_mimic, parsed, bodies })
 }
 
 /// Inertia as a file states it: with a few digits.
@@ -199,6 +207,7 @@ fn computed(loaded: SelectedPart<'_>, assumed: Option<KnownMasses>) -> Result<Ne
     let robot = NewRobot {
         urdf: loaded.urdf_name,
         used: loaded.used.as_ref(),
+        mount: loaded.mount.as_ref(),
         enforce_mimic: loaded.enforce_mimic,
         locked_joints: &locked,
         model,
@@ -285,6 +294,7 @@ fn like_template(mut loaded: SelectedPart<'_>, template: &ArmTemplate) -> Result
     let head = NewRobot {
         urdf: loaded.urdf_name,
         used: loaded.used.as_ref(),
+        mount: loaded.mount.as_ref(),
         enforce_mimic: loaded.enforce_mimic,
         locked_joints: &locked,
         model: &loaded.parsed.model,

@@ -1,5 +1,5 @@
 //! Distances of a robot from itself and from the floor, for the choice of a posture. They need no `[collision]` in robot.toml,
-//! but keep its margin if there is one.
+//! but keep its margin if there is one. The floor of an arm on a wall or a ceiling is this surface.
 //!
 //! Links without a capsule, often the base, which has neither a readable shape nor an inertia, get one along their *skeleton*:
 //! from their joint towards the next ones.
@@ -12,7 +12,7 @@ use opspace_model::collision::{
     CapsuleSource, CollisionData, CollisionModel, CollisionShape, HalfSpace, LinkCapsule, PairSampling,
     collision_distances,
 };
-use opspace_model::{Data, Frame, JointKind, Model, forward_kinematics};
+use opspace_model::{Data, Frame, JointKind, Model, Placement, forward_kinematics};
 
 /// Radius of a skeleton over the length of the arm: that of UR5e and Panda is 0.05 to 0.07.
 const SKELETON_RADIUS: f64 = 0.05;
@@ -94,8 +94,9 @@ impl OwnBody {
         capsules.extend(skeletons(model, &capsules, reach_m));
         let mut collision = CollisionModel::new(model, &capsules).ok()?;
         if stands(model, reach_m) {
-            let offset_m = model.base().translation.z;
-            let floor = CollisionShape::HalfSpace(HalfSpace { normal: Vector3::z(), offset_m });
+            let Placement { rotation, translation } = model.base();
+            let normal = rotation.column(2).into_owned();
+            let floor = CollisionShape::HalfSpace(HalfSpace { normal, offset_m: normal.dot(&translation) });
             collision.add_obstacle(FLOOR, floor).ok()?;
         }
         for [first, second] in dropped {
@@ -138,11 +139,7 @@ impl OwnBody {
 /// base may hang.
 fn stands(model: &Model, reach_m: f64) -> bool {
     let first = model.bodies().first().filter(|body| body.kind != JointKind::Floating);
-    let base = model.base();
-    first.is_some_and(|body| {
-        let joint = base.act_point(&body.origin.translation);
-        joint.z - base.translation.z > STANDING_HEIGHT * reach_m
-    })
+    first.is_some_and(|body| body.origin.translation.z > STANDING_HEIGHT * reach_m)
 }
 
 /// Capsules along the bodies, and the base, that have none: from their joint to each joint that they hold, or

@@ -244,7 +244,7 @@ mod tests {
     use super::{Quality, REACHED_M, posture_at, room};
     use crate::files::source::Source;
     use crate::setup::own_body::OwnBody;
-    use opspace_model::Model;
+    use opspace_model::{Model, Placement};
 
     /// Two links of 1 m whose joints turn about y, on a column of 0.5 m without inertia. The elbow turns further to one side.
     const ARM: &str = r#"<robot name="arm"><link name="base"/>
@@ -315,15 +315,18 @@ mod tests {
         assert_eq!(beside.contact, None, "{beside:?}");
     }
 
-    /// Checks that an arm on a column has a floor under its base.
+    /// Checks that an arm on a column has a floor under its base: on a wall and on a ceiling it is the surface that carries the base.
     #[test]
     fn link_below_the_base_touches_the_floor() {
-        let model = Model::from_urdf(ARM).expect("a URDF").model;
-        let urdf = Source::new("arm.urdf", ARM.to_owned());
-        let mut own_body = OwnBody::new(&model, &urdf, None, 2.0, 0.0).expect("links that can touch");
-        let mut data = opspace_model::Data::new(&model);
-        let mut contacts = |q: [f64; 2]| own_body.contacts(&model, &mut data, &q, 0.0);
-        assert_eq!(contacts([1.57, 1.0]).with_floor.as_deref(), Some("fore"));
-        assert_eq!(contacts([0.5, 0.5]), super::super::own_body::Contacts::default());
+        for rpy in [[0.0; 3], [0.0, 1.5, 0.0], [3.0, 0.0, 0.7]] {
+            let base = Placement::from_rpy(rpy, [0.3, -0.5, 1.2]);
+            let model = Model::from_urdf(ARM).expect("a URDF").model.with_base(base);
+            let urdf = Source::new("arm.urdf", ARM.to_owned());
+            let mut own_body = OwnBody::new(&model, &urdf, None, 2.0, 0.0).expect("links that can touch");
+            let mut data = opspace_model::Data::new(&model);
+            let mut contacts = |q: [f64; 2]| own_body.contacts(&model, &mut data, &q, 0.0);
+            assert_eq!(contacts([1.57, 1.0]).with_floor.as_deref(), Some("fore"), "{rpy:?}");
+            assert_eq!(contacts([0.5, 0.5]), super::super::own_body::Contacts::default(), "{rpy:?}");
+        }
     }
 }

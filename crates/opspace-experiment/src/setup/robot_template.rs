@@ -1,6 +1,7 @@
 //! robot.toml of a new robot: one that lists all required values and guesses none, and one with assumed values.
 
 use crate::files::joint_layers::UrdfValue;
+use crate::files::mount::MountFile;
 use crate::files::required_keys::{self, Required};
 use crate::files::robot_part::UsedPart;
 use crate::setup::assumed_bodies::{AssumedBody, BodySource, DENSITY_KG_PER_M3, numbers};
@@ -19,6 +20,8 @@ pub struct NewRobot<'a> {
     pub urdf: &'a str,
     /// Part of the robot that is used, if not all of it.
     pub used: Option<&'a UsedPart>,
+    /// Placement of the base in the world, if it is stated.
+    pub mount: Option<&'a MountFile>,
     /// True if mimic joints move with the joints that they mimic.
     pub enforce_mimic: bool,
     /// Joints that are locked, each at a position (rad, m).
@@ -38,6 +41,13 @@ impl NewRobot<'_> {
         if let Some(UsedPart { from, to }) = self.used {
             let (from, to) = (Value::from(from.as_str()), Value::from(to.as_str()));
             let _ = writeln!(text, "use = {{ from = {from}, to = {to} }}   # the other joints do not move");
+        }
+        if let Some(mount) = self.mount {
+            let _ = writeln!(
+                text,
+                "mount = {}   # of the base in the world: gravity is along -z of the world",
+                mount.toml()
+            );
         }
         if !self.locked_joints.is_empty() {
             let joints = self.locked_joints.iter().map(|(name, at)| format!("{} = {at:?}", Key::new(name)));

@@ -9,7 +9,7 @@ use opspace_log::{
     Channel, ForceArrow, Header, LOG, LogError, Pace, Recording, Scene, SceneCapsule, TIME_ZERO_NS, Wall,
     record,
 };
-use opspace_model::{Data, Model, frame_placement, kinematics};
+use opspace_model::{Data, Model, Placement, frame_placement, kinematics};
 use prost::Message;
 use prost_types::FileDescriptorSet;
 use std::io::Cursor;
@@ -135,10 +135,11 @@ const ARM: &str = r#"<robot name="arm">
 </robot>"#;
 
 /// Compared: `/joint_states` and the rows, `/tf` with `/tf_static` and the model's kinematics, at no more than 50 Hz; fixed
-/// frames are written once.
+/// frames are written once. The arm is mounted on a slope.
 #[test]
 fn viewers_get_joint_states_and_transforms() {
-    let model = Arc::new(Model::from_urdf(ARM).unwrap().model);
+    let base = Placement::from_rpy([0.3, -1.2, 0.4], [0.5, -0.2, 1.5]);
+    let model = Arc::new(Model::from_urdf(ARM).unwrap().model.with_base(base));
     let (_, bytes) = log(Header { model: Some(Arc::clone(&model)), ..Header::default() }, 101);
     let messages: Vec<_> = MessageStream::new(&bytes).unwrap().map(Result::unwrap).collect();
     let of = |topic: &str, schema: &str| {

@@ -5,6 +5,7 @@ mod borrowed;
 mod clock;
 mod collision_detector;
 mod common;
+mod continuous;
 mod device_fault;
 mod dropout;
 mod friction_observer;

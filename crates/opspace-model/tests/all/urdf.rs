@@ -2,7 +2,9 @@
 #![expect(clippy::expect_used, clippy::unwrap_used, reason = "a test")]
 
 use nalgebra::{Matrix3, Vector3};
-use opspace_model::{Data, JointKind, Limits, Model, UrdfError, UrdfOptions, frame_placement, kinematics};
+use opspace_model::{
+    Data, JointKind, Limits, Model, UrdfChanges, UrdfError, UrdfOptions, frame_placement, kinematics,
+};
 
 /// A base, an arm with two moving links, and a tool fixed to the second link. Each test changes one piece of this text.
 const ARM: &str = r#"<?xml version="1.0"?>

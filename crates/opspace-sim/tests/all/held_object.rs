@@ -383,7 +383,10 @@ fn two_arms(parameters: HeldObjectParameters) -> SimulationConfig {
     let mut left = setup(CommandKind::Position, "a-med");
     let quality = left.simulated.force_sensor.get_mut("wrist").expect("the wrist");
     *quality = parsed("bandwidth_hz = 500.0\nnoise_n = 0.0\nnoise_nm = 0.0\nbias_n = 0.0\nbias_nm = 0.0");
-    let right = ArmConfig { placement: Placement::from_rpy([0.0; 3], [0.0, -0.4, 0.0]), ..left.clone() };
+    let right = ArmConfig {
+        model: left.model.clone().with_base(Placement::from_rpy([0.0; 3], [0.0, -0.4, 0.0])),
+        ..left.clone()
+    };
     let arms = ["left", "right"].map(str::to_owned).to_vec();
     let load = HeldObjectConfig { name: "load".to_owned(), arms, parameters };
     SimulationConfig { arms: vec![left, right], couplings: Vec::new(), objects: vec![load] }

@@ -189,7 +189,7 @@ fn arm_bases_have_their_placements() {
     const STIFFNESS: f64 = 500.0;
     let base = Placement::from_rpy([0.0, 0.0, 2.0], [0.3, 1.0, 0.1]);
     let mut configs = [setup(CommandKind::Position, "a-med"), setup(CommandKind::Position, "a-med")];
-    configs[1].placement = base;
+    configs[1].model = configs[1].model.clone().with_base(base);
     let hands = |arms: &[SimulatedArm]| {
         let model = &setup(CommandKind::Position, "a-med").model;
         [hand(model, &arms[0].true_q()), base.act_point(&hand(model, &arms[1].true_q()))]
@@ -231,7 +231,7 @@ fn coupling_forces_are_equal_and_opposite() {
     const STIFFNESS: f64 = 800.0;
     let base = Placement::from_rpy([0.0, 0.0, 0.0], [0.0, 0.5, 0.0]);
     let mut configs = [setup(CommandKind::Position, "a-med"), setup(CommandKind::Position, "a-med")];
-    configs[1].placement = base;
+    configs[1].model = configs[1].model.clone().with_base(base);
     let model = configs[0].model.clone();
     let coupling = CouplingConfig {
         name: "bar".to_owned(),

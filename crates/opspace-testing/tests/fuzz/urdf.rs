@@ -67,10 +67,12 @@ fn reads(text: &str, options: UrdfOptions) -> bool {
         let robot = NewRobot {
             urdf: "robot.urdf",
             used: None,
+            mount: None,
             enforce_mimic: false,
             locked_joints: &[],
             model,
             stated: &[],
+            bodies: &[],
         };
         let template = robot_toml(&robot);
         assert!(template.parse::<toml::Table>().is_ok(), "the template is not TOML: {template}");

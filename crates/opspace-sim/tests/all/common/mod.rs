@@ -8,7 +8,7 @@ use nalgebra::DVector;
 use opspace_backend::{
     Backend, Capabilities, CommandKind, DeviceFault, GroundTruth, Measured, Sample, TruthRow,
 };
-use opspace_model::{Model, Placement};
+use opspace_model::Model;
 use opspace_sim::{ArmConfig, EnvironmentObjectParameters, SimulatedArm, SimulatedParameters};
 use opspace_transformer::{JointParameters, ProfileParameters, ServoParameters};
 use serde::Deserialize;
@@ -63,7 +63,6 @@ pub fn setup(command: CommandKind, profile: &str) -> ArmConfig {
         profile,
         capabilities,
         simulated,
-        placement: Placement::identity(),
         environment,
         capsules: Vec::new(),
         external_forces: false,
