@@ -362,7 +362,8 @@ impl ArmConfig {
     pub(crate) fn setpoint_steps(&self) -> Vec<f64> {
         let steps = self.joints.iter().map(|joint| joint.setpoint_resolution_rad.map_or(0.0, Positive::get));
         let steps: Vec<f64> = steps.collect();
-        let is_exact = self.capabilities.command != CommandKind::Position || steps.iter().all(|step| *step == 0.0);
+        let is_exact =
+            self.capabilities.command != CommandKind::Position || steps.iter().all(|step| *step == 0.0);
         if is_exact { Vec::new() } else { steps }
     }
 

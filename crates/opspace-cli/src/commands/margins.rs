@@ -76,8 +76,11 @@ impl Strength {
                 let _ = writeln!(text, "    {:<width$}  {:>9}  {:>8}", "joint", "error, Nm", "of limit");
             }
             let share = 100.0 * floor.setpoint_floor_nm / floor.torque_limit_nm;
-            let _ =
-                writeln!(text, "    {:<width$}  {:>9.4}  {share:>6.2} %", floor.joint, floor.setpoint_floor_nm);
+            let _ = writeln!(
+                text,
+                "    {:<width$}  {:>9.4}  {share:>6.2} %",
+                floor.joint, floor.setpoint_floor_nm
+            );
         }
         let limited = self.floors.iter().filter_map(|f| f.within_setpoint_limits_nm.map(|nm| (&f.joint, nm)));
         for (number, (joint, amplitudes)) in limited.enumerate() {

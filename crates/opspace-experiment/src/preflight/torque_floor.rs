@@ -64,7 +64,8 @@ pub fn floors(experiment: &Experiment) -> Option<Vec<JointFloor>> {
                 joint: joint.name.clone(),
                 floor_nm: gains[i].damping * drive.rotor.resolution_rad()
                     / (12.0_f64.sqrt() * profile.period_s()),
-                setpoint_floor_nm: gains[i].stiffness * drive.setpoint_resolution_rad.map_or(0.0, Positive::get)
+                setpoint_floor_nm: gains[i].stiffness
+                    * drive.setpoint_resolution_rad.map_or(0.0, Positive::get)
                     / 12.0_f64.sqrt(),
                 torque_limit_nm: drive.torque_limit_nm.get(),
                 within_setpoint_limits_nm: limits.map(amplitude),

@@ -12,7 +12,7 @@ use crate::files::source::Source;
 use nalgebra::Vector3;
 use opspace_model::urdf::link_shapes;
 use opspace_model::{JointKind, Model, Placement};
-use serde::Deserialize;
+use serde::{Deserialize, Deserializer};
 
 /// Axes at a smaller angle are parallel, rad: calibrated URDFs state axes that are parallel by design with errors of a few mrad.
 const PARALLEL_RAD: f64 = 0.05;
@@ -38,7 +38,8 @@ pub struct ArmShape {
     pub twists_rad: Vec<f64>,
     /// Distances along the axes between their common normals with those before and after, m.
     pub offsets_m: Vec<f64>,
-    /// Angles through which the joints turn, rad; infinite without limits.
+    /// Angles through which the joints turn, rad; infinite without limits ("continuous" in a template).
+    #[serde(deserialize_with = "ranges_rad")]
     pub ranges_rad: Vec<f64>,
     /// Mass of all links from the first joint on, kg; `None` if the URDF does not state the masses of all of them.
     pub mass_kg: Option<f64>,
@@ -52,7 +53,11 @@ impl ArmShape {
         let pairs: Vec<AxisPair> = axes.windows(2).map(|pair| AxisPair::new(&pair[0], &pair[1])).collect();
         let range = |&body: &usize| {
             let limits = &model.joints()[model.bodies()[body].joint].limits;
-            if model.bodies()[body].kind == JointKind::Continuous { f64::INFINITY } else { limits.upper - limits.lower }
+            if model.bodies()[body].kind == JointKind::Continuous {
+                f64::INFINITY
+            } else {
+                limits.upper - limits.lower
+            }
         };
         Self {
             distances_m: pairs.iter().map(|pair| pair.distance_m).collect(),
@@ -74,7 +79,12 @@ impl ArmShape {
     #[must_use]
     pub fn differences(&self, other: &Self, names: &[&str]) -> Vec<String> {
         if other.joints() != self.joints() {
-            return vec![format!("{} joints in a chain ({}), not {}", other.joints(), names.join(", "), self.joints())];
+            return vec![format!(
+                "{} joints in a chain ({}), not {}",
+                other.joints(),
+                names.join(", "),
+                self.joints()
+            )];
         }
         let mut found = Vec::new();
         for (i, pair) in names.windows(2).enumerate() {
@@ -118,6 +128,30 @@ impl ArmShape {
         let ranges = self.ranges_rad.iter().zip(&other.ranges_rad);
         ranges.map(|(a, b)| (a - b).abs()).filter(|difference| difference.is_finite()).sum()
     }
+}
+
+/// Range of a joint in a template.
+#[derive(Deserialize)]
+#[serde(untagged)]
+enum Range {
+    Rad(f64),
+    Unlimited(Unlimited),
+}
+
+#[derive(Deserialize)]
+#[serde(rename_all = "kebab-case")]
+enum Unlimited {
+    Continuous,
+}
+
+fn ranges_rad<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<f64>, D::Error> {
+    let ranges = Vec::<Range>::deserialize(deserializer)?.into_iter();
+    Ok(ranges
+        .map(|range| match range {
+            Range::Rad(rad) => rad,
+            Range::Unlimited(Unlimited::Continuous) => f64::INFINITY,
+        })
+        .collect())
 }
 
 fn is_length(found: f64, expected: f64) -> bool {

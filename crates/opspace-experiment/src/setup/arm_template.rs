@@ -126,8 +126,13 @@ impl ArmTemplate {
             Some(base) => {
                 let text = BASES.iter().find(|(known, _)| *known == base).map_or("", |(_, text)| text);
                 let mut values = document(&Source::new(base, text))?;
-                let names: Vec<String> = values.get("joint").and_then(Item::as_table).into_iter().flatten()
-                    .map(|(name, _)| name.to_owned()).collect();
+                let names: Vec<String> = values
+                    .get("joint")
+                    .and_then(Item::as_table)
+                    .into_iter()
+                    .flatten()
+                    .map(|(name, _)| name.to_owned())
+                    .collect();
                 rename_joints(&mut values, &names, &numbers(names.len()));
                 merge(values.as_table_mut(), own.as_table());
                 values
@@ -380,7 +385,9 @@ fn rename_joints(values: &mut DocumentMut, from: &[String], to: &[String]) {
     if let Some(groups) = values.get_mut("group").and_then(Item::as_table_like_mut) {
         for (_, group) in groups.iter_mut() {
             let Some(list) = group.get_mut("joints").and_then(Item::as_array_mut) else { continue };
-            let name = |value: &Value| value.as_integer().map_or_else(|| value.as_str().map(str::to_owned), |n| Some(n.to_string()));
+            let name = |value: &Value| {
+                value.as_integer().map_or_else(|| value.as_str().map(str::to_owned), |n| Some(n.to_string()))
+            };
             let named = list.iter().filter_map(name).filter_map(|name| renamed(&name).map(String::as_str));
             *list = named.collect::<Array>();
         }

@@ -204,7 +204,8 @@ fn note_of_template(template: &ArmTemplate, others: &[ArmTemplate], model: &Mode
         true => "",
         false => ", though its joints have other names than those of the manufacturer",
     };
-    let others: String = others.iter().map(|other| format!(", or `--like {}` ({})", other.name, other.about)).collect();
+    let others: String =
+        others.iter().map(|other| format!(", or `--like {}` ({})", other.name, other.about)).collect();
     format!(
         "this URDF has the axes, ranges and masses of template '{name}' ({about}){names}: if it is that arm, use `--like {name}`{others}, \
          which fills in its public values"
