@@ -392,8 +392,7 @@ fn rename_joints(values: &mut DocumentMut, from: &[String], to: &[String]) {
             *list = named.collect::<Array>();
         }
     }
-    let rename = |table: Option<&mut Item>| {
-        let Some(table) = table.and_then(Item::as_table_mut) else { return };
+    let rename = |table: &mut Table| {
         let keys: Vec<String> = table.iter().map(|(key, _)| key.to_owned()).collect();
         // All entries are taken out and put back, so that they keep their order.
         for key in keys {
@@ -402,17 +401,22 @@ fn rename_joints(values: &mut DocumentMut, from: &[String], to: &[String]) {
             table.insert_formatted(&key.with_leaf_decor(old.leaf_decor().clone()), item);
         }
     };
-    rename(values.get_mut("joint"));
-    for section in ["servo", "velocity_servo"] {
-        rename(values.get_mut("simulated").and_then(|simulated| simulated.get_mut(section)));
+    let root = values.as_table_mut();
+    for path in [&["joint"][..], &["simulated", "servo"], &["simulated", "velocity_servo"]] {
+        table_at(root, path).into_iter().for_each(rename);
     }
-    let Some(profiles) = values.get_mut("profile").and_then(Item::as_table_like_mut) else { return };
+    let Some(profiles) = table_at(root, &["profile"]) else { return };
     for (_, profile) in profiles.iter_mut() {
-        for section in ["servo", "velocity_servo", "identified"] {
-            rename(profile.get_mut(section));
+        let Some(profile) = profile.as_table_mut() else { continue };
+        for path in [&["servo"][..], &["velocity_servo"], &["identified"], &["setpoint_limits", "joint"]] {
+            table_at(profile, path).into_iter().for_each(rename);
         }
-        rename(profile.get_mut("setpoint_limits").and_then(|limits| limits.get_mut("joint")));
     }
+}
+
+/// Table at a path of tables below another one.
+fn table_at<'a>(table: &'a mut Table, path: &[&str]) -> Option<&'a mut Table> {
+    path.iter().try_fold(table, |table, key| table.get_mut(key)?.as_table_mut())
 }
 
 /// Places the force sensors at a frame: those of the template are at the tip of the arm.
