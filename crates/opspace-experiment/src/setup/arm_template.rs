@@ -367,13 +367,21 @@ fn names<'a>(model: &'a Model, chain: &[usize]) -> Vec<&'a str> {
     chain.iter().map(|&body| joint_name(model, body)).collect()
 }
 
-/// Adds the entries of `own` to a table, in place of those of the same keys; tables are merged.
+/// Adds the entries of `own` to a table, in place of those of the same keys, with their comments; tables are merged.
 fn merge(into: &mut Table, own: &Table) {
     for (key, item) in own {
         match (into.get_mut(key).and_then(Item::as_table_mut), item.as_table()) {
             (Some(into), Some(own)) => merge(into, own),
             _ => {
-                into.insert(key, item.clone());
+                let mut item = item.clone();
+                // Tables are printed in the order of their positions, which are those of another file.
+                if let Some(table) = item.as_table_mut() {
+                    table.set_position(None);
+                }
+                into.insert(key, item);
+                if let (Some(mut to), Some(from)) = (into.key_mut(key), own.key(key)) {
+                    *to.leaf_decor_mut() = from.leaf_decor().clone();
+                }
             }
         }
     }
