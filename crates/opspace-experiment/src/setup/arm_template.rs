@@ -271,7 +271,7 @@ impl ArmTemplate {
             }
             robot.insert("interface", Item::Table(interface));
         }
-        let rates = self.values.get("profile").and_then(|profiles| profiles.get(&self.profile()));
+        let rates = self.values.get("profile").and_then(|profiles| profiles.get(self.profile()));
         let profile = robot.get_mut("profile").and_then(|profiles| profiles.get_mut("default"));
         let Some(profile) = profile.and_then(Item::as_table_mut) else { return robot.to_string() };
         profile.decor_mut().set_prefix(format!("\n# {from}.\n"));
