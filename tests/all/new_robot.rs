@@ -205,15 +205,25 @@ fn robot_with_the_values_of_a_template_runs() {
     }
     fs::write(at("arm.urdf"), urdf + "</robot>").unwrap();
     let wrong = opspace(folder.path(), &["new", "mine", "--urdf", "arm.urdf", "--like", "ur10"]).exits(2);
-    wrong.says(&["1.184 m apart in all", "0.817 m", "template 'ur5' fits"]);
+    wrong.says(&[
+        "axes of 'q2' and 'q3' are 0.425 m apart, not 0.612 m",
+        "template 'ur5' (Universal Robots UR5 (CB3)) fits",
+    ]);
     let listed = opspace(folder.path(), &["new", "--like"]).exits(0).stdout;
-    for name in ["ur3", "ur5", "ur10", "xarm7", "panda", "so101", "j2s6s200"] {
+    for name in
+        ["ur3", "ur5e", "ur10", "xarm7", "panda", "fr3", "gen3", "so101", "so101-12v", "vx300s", "j2s6s200"]
+    {
         assert!(listed.lines().any(|line| line.starts_with(&format!("{name} "))), "{listed}");
     }
     opspace(folder.path(), &["new", "mine", "--urdf", "arm.urdf", "--like", "ur6"])
         .exits(2)
         .says(&["did you mean"]);
     opspace(folder.path(), &["new", "mine", "--like", "ur5"]).exits(2).says(&["--urdf"]);
+    let anyway = ["new", "anyway", "--urdf", "arm.urdf", "--like-anyway", "j2s6s200"];
+    opspace(folder.path(), &anyway).exits(0);
+    let assumed = fs::read_to_string(at("anyway/robot.toml")).unwrap();
+    assert!(assumed.contains("command = \"velocity\"") && !assumed.contains("[P]"), "{assumed}");
+    opspace(folder.path(), &["check", "anyway", "anyway/first-task.toml"]).exits(0);
 
     let said =
         opspace(folder.path(), &["new", "mine", "--urdf", "arm.urdf", "--like", "ur5"]).exits(0).stdout;

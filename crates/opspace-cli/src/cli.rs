@@ -681,7 +681,7 @@ The new robot.toml lists every required value as a comment with its meaning; no 
 centimetres and returns.
 
 A template has the values of a common arm, each with its source; joints that it does not have, those of a gripper for example, \
-are locked. `opspace new --like` lists the templates.
+are locked. It is for a URDF with the axes, ranges and masses of that arm. `opspace new --like` lists the templates.
 
 Examples:
   opspace new my-ur5 --urdf ur5.urdf --like ur5
@@ -700,6 +700,11 @@ pub struct NewArgs {
     /// templates.
     #[arg(long, value_name = "ARM", num_args = 0..=1, conflicts_with = "assume")]
     pub like: Option<Option<String>>,
+
+    /// As --assume, with the interface and the rates of a common arm, for another arm with the same controller. All values are marked as
+    /// assumed.
+    #[arg(long, value_name = "ARM", conflicts_with_all = ["assume", "like"])]
+    pub like_anyway: Option<String>,
 
     /// Fill in assumed values of the drives, computed from the URDF and marked as assumed, and of the masses that it does not state:
     /// the robot can be simulated at once.

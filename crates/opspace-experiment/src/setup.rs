@@ -1,5 +1,6 @@
 //! Files of a new robot: its robot.toml, with the values of a template or assumed ones if requested, and a first task.
 
+pub mod arm_shape;
 pub mod arm_template;
 pub mod assumed_bodies;
 pub mod assumed_drives;

@@ -15,7 +15,7 @@ use crate::sensor_load::SensorLoad;
 use crate::stiffness::{LinkElements, explicit_gear_hz, implicit_joints};
 use crate::timing::{Clock, Timing};
 use nalgebra::{DVector, Vector3};
-use opspace_backend::quantity::NonNegative;
+use opspace_backend::quantity::{NonNegative, Positive};
 use opspace_backend::{Capabilities, CommandKind, GravityCompensation};
 use opspace_model::collision::LinkCapsule;
 use opspace_model::{Data, FrameId, Inertia, Model, Placement, crba, frame_placement, kinematics};
@@ -388,6 +388,15 @@ impl ArmConfig {
     pub(crate) fn torque_limits(&self) -> Option<DVector<f64>> {
         let limits = self.joints.iter().map(|joint| joint.torque_limit_nm.get());
         self.simulated.torque_saturation.then(|| DVector::from_iterator(self.joints.len(), limits))
+    }
+
+    /// Returns the steps of position setpoints (n; rad, m), 0 for exact ones; empty if all are exact.
+    pub(crate) fn setpoint_steps(&self) -> Vec<f64> {
+        let steps = self.joints.iter().map(|joint| joint.setpoint_resolution_rad.map_or(0.0, Positive::get));
+        let steps: Vec<f64> = steps.collect();
+        let is_exact =
+            self.capabilities.command != CommandKind::Position || steps.iter().all(|step| *step == 0.0);
+        if is_exact { Vec::new() } else { steps }
     }
 
     pub(crate) fn true_servos(&self, period_s: f64) -> Result<Vec<ServoLaw>, SimulationError> {

@@ -81,6 +81,7 @@ fn drive(effort: f64) -> JointParameters {
         torque_rate_limit_nm_per_s: None,
         acceleration_limit_rad_per_s2: None,
         velocity_limit_rad_per_s: None,
+        setpoint_resolution_rad: None,
         gear_stiffness_nm_per_rad: None,
         rotor: RotorParameters {
             inertia_kg_m2: NonNegative::default(),

@@ -89,6 +89,7 @@ impl ArmInterface {
                     laws,
                     holding,
                     check,
+                    steps: config.setpoint_steps(),
                 };
                 Drives::Servo(ServoDrives::new(config, &mut motors, q))
             }

@@ -22,6 +22,10 @@ pub(crate) struct ServoDrives {
     active: Active,
     queue: CommandQueue,
     check: Option<SetpointCheck>,
+    /// Steps of the setpoints (n; rad, m), 0 for exact ones; empty if all are exact.
+    steps: Vec<f64>,
+    /// Rounded setpoints (n).
+    rounded: Vec<f64>,
 }
 
 /// Setpoints in effect.
@@ -77,6 +81,8 @@ pub(crate) struct ServoDrivesConfig {
     /// Torques that hold the arm at the start (n; Nm, N).
     pub holding: DVector<f64>,
     pub check: Option<SetpointCheck>,
+    /// Steps of the setpoints (n; rad, m), 0 for exact ones; empty if all are exact.
+    pub steps: Vec<f64>,
 }
 
 impl ServoDrives {
@@ -110,6 +116,8 @@ impl ServoDrives {
             },
             queue: CommandQueue::new(n),
             check: config.check,
+            rounded: vec![0.0; config.steps.len()],
+            steps: config.steps,
         }
     }
 
@@ -136,6 +144,10 @@ impl ServoDrives {
             Some(check) => check.apply(values)?,
             None => values,
         };
+        for ((rounded, &value), &step) in self.rounded.iter_mut().zip(values).zip(&self.steps) {
+            *rounded = if step > 0.0 { (value / step).round() * step } else { value };
+        }
+        let values = if self.steps.is_empty() { values } else { &self.rounded };
         self.queue.command(values, acts_at);
         Ok(())
     }

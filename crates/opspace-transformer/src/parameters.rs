@@ -35,6 +35,9 @@ pub struct JointParameters {
     /// Largest speed, rad/s (m/s).
     #[cfg_attr(feature = "schema", schemars(extend("x-default" = "that of the URDF")))]
     pub velocity_limit_rad_per_s: Option<Positive>,
+    /// Resolution of position setpoints, rad (m): the drive rounds each to a multiple of it, as a servo on a serial bus does.
+    /// Exact if absent.
+    pub setpoint_resolution_rad: Option<Positive>,
     /// Stiffness of the gear between rotor and link, Nm/rad (N/m); rigid, or unknown, if absent. The simulated gear has
     /// it, unless `simulated.gear` has another.
     pub gear_stiffness_nm_per_rad: Option<Positive>,

@@ -20,8 +20,8 @@ pub struct PidServo {
     pub stiffness_nm_per_rad: Positive,
     /// Damping D, Nms/rad (Ns/m).
     pub damping_nms_per_rad: NonNegative,
-    /// Cut-off frequency of the low-pass filter on the finite difference, Hz.
-    pub derivative_filter_hz: Positive,
+    /// Cut-off frequency of the low-pass filter on the finite difference, Hz; required if the damping is not zero.
+    pub derivative_filter_hz: Option<Positive>,
     /// Differentiated quantity.
     #[serde(default)]
     pub derivative_of: DerivativeOf,
@@ -68,8 +68,12 @@ impl ServoStructure for PidServo {
             DerivativeOf::Error => error,
         };
         let change = differentiated - Form::memory(1);
-        let rate = filtered_rate(Form::memory(0), change, self.derivative_filter_hz.get(), period_s);
         let damping = self.damping_nms_per_rad.get();
+        let rate = match self.derivative_filter_hz {
+            Some(filter_hz) => filtered_rate(Form::memory(0), change, filter_hz.get(), period_s),
+            None if damping == 0.0 => Form::default(),
+            None => return Err(ServoError::UnfilteredDerivative),
+        };
         let torque = error * self.stiffness_nm_per_rad.get() + rate * damping;
         let torque = path.add_velocity(torque, damping);
         if gain == 0.0 {
@@ -111,7 +115,7 @@ impl ServoStructure for PidServo {
     }
 
     fn velocity_filter_hz(&mut self) -> Option<&mut Positive> {
-        Some(&mut self.derivative_filter_hz)
+        self.derivative_filter_hz.as_mut()
     }
 
     fn identified(&self) -> Result<IdentifiedKeys, &'static str> {

@@ -52,6 +52,11 @@ pub enum ServoError {
         "derivative_of = \"error\" differentiates the setpoint already: velocity_feed_forward must be 0 or absent"
     )]
     FeedForwardTwice,
+    /// Derivative without a filter.
+    #[error(
+        "damping_nms_per_rad multiplies a filtered finite difference: derivative_filter_hz is required, unless the damping is zero"
+    )]
+    UnfilteredDerivative,
     /// Moving average over more servo ticks than [`MAX_TICKS`].
     #[error("a moving average of the setpoint over {ticks} servo ticks; at most {MAX_TICKS} are supported")]
     Average {

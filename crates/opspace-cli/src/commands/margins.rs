@@ -54,15 +54,32 @@ impl Strength {
             let active = impedance
                 .active_hz
                 .map_or_else(|| "-".to_owned(), |[from, to]| format!("{from:.0} to {to:.0}"));
+            // A servo without damping has no kv.
+            let of_kv = match impedance.kv_nms_per_rad {
+                0.0 => "-".to_owned(),
+                kv => format!("{:.0} %", 100.0 * impedance.least_nms_per_rad / kv),
+            };
             let _ = writeln!(
                 text,
-                "    {:<width$}  {:>16.3}  {:>7.1}  {:>4.0} %  {active:>13}  {:>9.4}  {:>6.2} %",
+                "    {:<width$}  {:>16.3}  {:>7.1}  {of_kv:>6}  {active:>13}  {:>9.4}  {:>6.2} %",
                 impedance.joint,
                 impedance.least_nms_per_rad,
                 impedance.at_hz,
-                100.0 * impedance.least_nms_per_rad / impedance.kv_nms_per_rad,
                 floor.floor_nm,
                 100.0 * floor.floor_nm / floor.torque_limit_nm,
+            );
+        }
+        let rounded = self.floors.iter().filter(|floor| floor.setpoint_floor_nm > 0.0);
+        for (number, floor) in rounded.enumerate() {
+            if number == 0 {
+                let _ = writeln!(text, "  rms torque error by the setpoints' resolution:");
+                let _ = writeln!(text, "    {:<width$}  {:>9}  {:>8}", "joint", "error, Nm", "of limit");
+            }
+            let share = 100.0 * floor.setpoint_floor_nm / floor.torque_limit_nm;
+            let _ = writeln!(
+                text,
+                "    {:<width$}  {:>9.4}  {share:>6.2} %",
+                floor.joint, floor.setpoint_floor_nm
             );
         }
         let limited = self.floors.iter().filter_map(|f| f.within_setpoint_limits_nm.map(|nm| (&f.joint, nm)));
@@ -88,6 +105,7 @@ impl Strength {
                 "viscous_nms_per_rad": impedance.viscous_nms_per_rad,
                 "active_hz": impedance.active_hz,
                 "encoder_floor_nm": floor.floor_nm,
+                "setpoint_floor_nm": floor.setpoint_floor_nm,
                 "torque_limit_nm": floor.torque_limit_nm,
                 "within_setpoint_limits_nm": floor.within_setpoint_limits_nm,
             })

@@ -16,7 +16,7 @@ pub fn new(args: &NewArgs, extensions: &Extensions, console: Console) -> Outcome
     let template = match &args.like {
         Some(None) => return list_templates(),
         Some(Some(name)) => Some(ArmTemplate::named(name)?),
-        None => None,
+        None => args.like_anyway.as_deref().map(ArmTemplate::named).transpose()?,
     };
     let (Some(dir), Some(urdf)) = (&args.dir, &args.urdf) else {
         let text = "a new robot needs a folder and a URDF: opspace new DIR --urdf FILE --like ARM".to_owned();
@@ -48,6 +48,7 @@ fn create(
     let urdf = file.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let part = Part { from: args.from.as_deref(), to: args.to.as_deref(), mount: mount(&args.mount)? };
     let values = match (template, args.assume) {
+        (Some(template), _) if args.like_anyway.is_some() => DriveValues::InterfaceOf(template),
         (Some(template), _) => DriveValues::Template(template),
         (None, true) => DriveValues::Assumed(KnownMasses { arm_kg: args.mass, payload_kg: args.payload }),
         (None, false) => DriveValues::Missing,

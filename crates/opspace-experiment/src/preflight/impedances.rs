@@ -23,7 +23,7 @@ const HIGHEST: f64 = 0.25;
 /// Number of examined frequencies, evenly spaced on a logarithmic scale.
 const FREQUENCIES: u32 = 13;
 
-/// Negative damping beyond the viscous friction that is reported, as a fraction of kv: Coulomb friction and the damping of
+/// Negative damping beyond the viscous friction that is reported, as a fraction of kv (of that friction, if kv is zero): Coulomb friction and the damping of
 /// gears absorb less.
 const REPORTED: f64 = 0.1;
 
@@ -100,8 +100,12 @@ impl JointImpedance {
         if experiment.robot().gears() == Gears::Rigid {
             return None;
         }
-        let relative =
-            |joint: &Self| (joint.least_nms_per_rad + joint.viscous_nms_per_rad) / joint.kv_nms_per_rad;
+        // A servo without damping is compared with the friction that damps its joint.
+        let scale = |joint: &Self| match joint.kv_nms_per_rad {
+            0.0 => joint.viscous_nms_per_rad,
+            kv => kv,
+        };
+        let relative = |joint: &Self| (joint.least_nms_per_rad + joint.viscous_nms_per_rad) / scale(joint);
         let active = impedances.iter().filter(|joint| relative(joint) < -REPORTED);
         let worst = active.min_by(|a, b| relative(a).total_cmp(&relative(b)))?;
         let [from, to] = worst.active_hz?;

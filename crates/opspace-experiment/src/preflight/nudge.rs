@@ -56,7 +56,7 @@ pub(super) struct NudgedArm {
     law: DMatrix<f64>,
     /// Torque of the push, Nm (n).
     push: DVector<f64>,
-    /// Damping of the servos, Nms/rad (n).
+    /// Damping of the servos, Nms/rad (n); their stiffness, Nm/rad, if all are without damping.
     kv: Vec<f64>,
 }
 
@@ -75,7 +75,9 @@ impl NudgedArm {
         let acceleration = NUDGE_RAD_PER_S / (f64::from(NUDGED_TICKS) * profile.period_s());
         let push = &data.mass_matrix
             * DVector::from_fn(n, |i, _| acceleration * if i % 2 == 0 { 1.0 } else { -0.7 });
-        let kv = bare.servo_gains().ok()?.iter().map(|gains| gains.damping).collect();
+        let gains = bare.servo_gains().ok()?;
+        let is_damped = gains.iter().any(|gains| gains.damping > 0.0);
+        let kv = gains.iter().map(|gains| if is_damped { gains.damping } else { gains.stiffness }).collect();
         let nominal = bare.arm_config().ok()?;
         Some(Self { bare, nominal, law, push, kv })
     }
@@ -305,6 +307,7 @@ fn bare(experiment: &Experiment, transformer: &TransformerName) -> Option<Experi
     robot.file.joint.values_mut().for_each(|joint| {
         joint.friction.coulomb_nm = NonNegative::default();
         joint.friction.static_nm = NonNegative::default();
+        joint.setpoint_resolution_rad = None;
         // The motion of a rotor without inertia cannot be integrated.
         if joint.rotor.reflected_inertia() == 0.0 {
             joint.gear_stiffness_nm_per_rad = None;

@@ -158,7 +158,12 @@ impl GainMargin {
         let (profile, robot) = (experiment.profile().0, experiment.robot());
         let relief = match self.servo_loop {
             ServoLoop::Position => {
-                let kv = experiment.servo_gains().ok()?[robot.model.joint(joint).ok()?].damping;
+                let index = robot.model.joint(joint).ok()?;
+                // A servo without damping is damped by the friction of its joint.
+                let kv = match experiment.servo_gains().ok()?[index].damping {
+                    0.0 => robot.joints()[index].friction.viscous_nms_per_rad.get(),
+                    kv => kv,
+                };
                 format!(
                     "damp the motion that the task leaves free: raise `compliant_damping_per_s` of its compliant axes (2 if \
                      absent), or `damping_nms_per_rad` of a joint-damping task at joint '{joint}' by {}",

@@ -1,5 +1,5 @@
-//! Torque errors that no transformer can avoid: that of the encoder's resolution, that of the drives' limits on
-//! setpoints, and that of velocity feed-forward with held setpoints.
+//! Torque errors that no transformer can avoid: those of the resolutions of encoders and of setpoints, that of the drives'
+//! limits on setpoints, and that of velocity feed-forward with held setpoints.
 //!
 //! The mean torque of an interface interval of period T contains the difference of two rounded positions, times kv/T. If
 //! setpoints act one servo tick after they are sent, the first of the two is known. The rounding of the last one is
@@ -10,6 +10,13 @@
 //! ```
 //!
 //! With another delay the first is unknown too (a factor of up to √2); the servo's velocity filter lessens the error.
+//!
+//! A drive that rounds position setpoints to multiples of Δq adds the torque K times the rounding, for as long as it holds
+//! the setpoint:
+//!
+//! ```text
+//! floor = K Δq/√12     (rms)
+//! ```
 
 use super::diagnostic::short;
 use crate::codes::Code;
@@ -31,6 +38,8 @@ pub struct JointFloor {
     pub joint: String,
     /// Rms error of the mean torque that the encoder's resolution causes, Nm (N).
     pub floor_nm: f64,
+    /// Rms error of the torque that the resolution of position setpoints causes, Nm (N); zero if they are exact.
+    pub setpoint_floor_nm: f64,
     /// Torque limit of the drive, Nm (N).
     pub torque_limit_nm: f64,
     /// Largest amplitude (Nm, N) at each of [`TORQUE_HZ`] of the torque on a joint that is held from outside, within the
@@ -55,6 +64,9 @@ pub fn floors(experiment: &Experiment) -> Option<Vec<JointFloor>> {
                 joint: joint.name.clone(),
                 floor_nm: gains[i].damping * drive.rotor.resolution_rad()
                     / (12.0_f64.sqrt() * profile.period_s()),
+                setpoint_floor_nm: gains[i].stiffness
+                    * drive.setpoint_resolution_rad.map_or(0.0, Positive::get)
+                    / 12.0_f64.sqrt(),
                 torque_limit_nm: drive.torque_limit_nm.get(),
                 within_setpoint_limits_nm: limits.map(amplitude),
             })

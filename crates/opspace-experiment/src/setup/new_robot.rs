@@ -12,7 +12,7 @@ use crate::setup::assumed_drives::{PAYLOAD_SHARE, assumed_drives, servo_gains, v
 use crate::setup::first_motion::{Clearance, ControlledAxes, FirstMotion, first_motion};
 use crate::setup::first_task::first_task_toml;
 use crate::setup::robot_template::{NewRobot, assumed_robot_toml, robot_toml};
-use crate::setup::tip::{arms, joints_beyond};
+use crate::setup::tip::{arms, joints_beyond, tip};
 use crate::suggest::choices;
 use nalgebra::{Matrix3, Vector3};
 use opspace_backend::CommandKind;
@@ -49,6 +49,8 @@ pub enum DriveValues<'a> {
     Assumed(KnownMasses),
     /// Values of a common arm.
     Template(&'a ArmTemplate),
+    /// Assumed values, with the interface and the rates of a common arm that has another geometry.
+    InterfaceOf(&'a ArmTemplate),
 }
 
 /// Texts of the files of a new robot.
@@ -97,9 +99,17 @@ pub fn new_files(
     values: DriveValues<'_>,
 ) -> Result<NewFiles, FileError> {
     match values {
-        DriveValues::Template(template) => like_template(load(urdf, urdf_name, part, None)?, template),
+        DriveValues::Template(template) => {
+            like_template(load(urdf, urdf_name, part, Some(KnownMasses::default()))?, template)
+        }
         DriveValues::Missing => computed(load(urdf, urdf_name, part, None)?, None),
         DriveValues::Assumed(known) => computed(load(urdf, urdf_name, part, Some(known))?, Some(known)),
+        DriveValues::InterfaceOf(template) => {
+            let known = KnownMasses::default();
+            let assumed = computed(load(urdf, urdf_name, part, Some(known))?, Some(known))?;
+            let robot_toml = template.with_interface(&assumed.robot_toml);
+            Ok(NewFiles { robot_toml, command: Some(template.command()), ..assumed })
+        }
     }
 }
 
@@ -200,8 +210,8 @@ fn computed(loaded: SelectedPart<'_>, assumed: Option<KnownMasses>) -> Result<Ne
             stated.retain(|value| !value.key.starts_with("friction."));
         }
     }
-    if let Some(template) = ArmTemplate::fitting(loaded.urdf, model)? {
-        notes.insert(0, note_of_template(&template));
+    if let [template, others @ ..] = ArmTemplate::fitting(loaded.urdf, model)?.as_slice() {
+        notes.insert(0, note_of_template(template, others, model));
     }
     let locked: Vec<(String, f64)> = loaded.locked_joints.clone().into_iter().collect();
     let robot = NewRobot {
@@ -271,12 +281,18 @@ fn note_of_friction(assume: bool) -> String {
     }
 }
 
-/// Names a template that fits the URDF.
-fn note_of_template(template: &ArmTemplate) -> String {
+/// Names a template that fits the URDF, and others that fit as well.
+fn note_of_template(template: &ArmTemplate, others: &[ArmTemplate], model: &Model) -> String {
     let ArmTemplate { name, about, .. } = template;
+    let names = match template.has_names_of(model) {
+        true => "",
+        false => ", though its joints have other names than those of the manufacturer",
+    };
+    let others: String =
+        others.iter().map(|other| format!(", or `--like {}` ({})", other.name, other.about)).collect();
     format!(
-        "template '{name}' ({about}) has the joints and the distances of axes of this URDF: if this is that arm, use \
-         `--like {name}`, which fills in its public values"
+        "this URDF has the axes, ranges and masses of template '{name}' ({about}){names}: if it is that arm, use `--like {name}`{others}, \
+         which fills in its public values"
     )
 }
 
@@ -302,16 +318,21 @@ fn like_template(mut loaded: SelectedPart<'_>, template: &ArmTemplate) -> Result
         bodies: &[],
     }
     .head();
+    let model = &loaded.parsed.model;
+    let last = || tip(model).map(|frame| model.frame(frame).name.clone());
+    let tip = loaded.used.as_ref().map(|used| used.to.clone()).or_else(last).unwrap_or_default();
     // The gains of the servos follow from the inertia at the start, which follows from the other values.
     let read = |kv: &[f64]| {
-        let text = template.robot_toml(&head, &joints, kv);
+        let text = template.robot_toml(&head, &joints, &tip, kv);
         RobotDefinition::from_sources(Source::new("robot.toml", text), urdf.clone())
     };
-    let robot = read(&vec![1.0; joints.len()])?;
+    let mut robot = read(&vec![1.0; joints.len()])?;
     let motion = motion_of(&loaded, &robot.model, &robot.torque_limits())?;
-    let gains = servo_gains(&robot.model, template.velocity_loop_hz, &motion.start);
-    let of_joint = |name: &String| robot.model.joint(name).ok().map(|joint| gains[joint]);
-    let robot = read(&joints.iter().filter_map(of_joint).collect::<Vec<f64>>())?;
+    if let Some(loops) = template.loops {
+        let gains = servo_gains(&robot.model, loops.velocity_loop_hz, &motion.start);
+        let of_joint = |name: &String| robot.model.joint(name).ok().map(|joint| gains[joint]);
+        robot = read(&joints.iter().filter_map(of_joint).collect::<Vec<f64>>())?;
+    }
     Ok(NewFiles {
         robot_toml: robot.source.text().to_owned(),
         task_toml: first_task_toml(&robot.model, &motion),

@@ -1,29 +1,49 @@
-//! Templates of common arms, on chains with their dimensions.
+//! Templates of common arms, on chains with their shapes.
 #![expect(clippy::unwrap_used, reason = "a test that can't go on has failed")]
 
+use opspace_experiment::setup::arm_shape::ArmShape;
 use opspace_experiment::setup::arm_template::ArmTemplate;
 use opspace_experiment::setup::new_robot::{DriveValues, NewFiles, Part, new_files};
 use opspace_experiment::{FileError, RobotDefinition, Source};
+use opspace_model::Model;
+use std::f64::consts::FRAC_PI_2;
 use std::fmt::Write as _;
 
-/// URDF of a chain of rotating joints whose successive axes are `distances_m` apart in all; the joints are named by `name`.
-fn chain(joints: usize, distances_m: f64, name: impl Fn(usize) -> String) -> String {
-    let mut text = "<robot name=\"chain\"><link name=\"base\"/>".to_owned();
+/// Angle between axes below which the offset along them belongs to the next one.
+const PARALLEL_RAD: f64 = 0.05;
+
+/// URDF of an arm of a shape; the joints are named by `name`. Without a mass in the shape, each link has 1 kg.
+fn arm(shape: &ArmShape, name: impl Fn(usize) -> String) -> String {
+    let joints = shape.joints();
+    let mass = shape.mass_kg.unwrap_or(joints as f64) / joints as f64;
+    let mut text = "<robot name=\"arm\"><link name=\"base\"/>".to_owned();
     let mut parent = "base".to_owned();
+    let mut offsets = shape.offsets_m.iter();
     for i in 0..joints {
-        // The axes alternate between z and y, and a link between them is along x: their distance is that along x. The offset
-        // along the axis of the joint before does not count.
-        let x = if i == 0 { 0.0 } else { distances_m / (joints - 1) as f64 };
-        let (origin, axis) =
-            if i % 2 == 0 { (format!("{x} 0.05 0"), "0 0 1") } else { (format!("{x} 0 0.1"), "0 1 0") };
-        let (joint, mass) = (name(i), 2.0 / (i + 1) as f64);
+        // Denavit-Hartenberg parameters at joint positions of zero. The place of the first axis, and of the frames along the first and
+        // the last one, is arbitrary.
+        let before = i.checked_sub(1);
+        let (x, twist) = before.map_or((0.1, 0.3), |i| (shape.distances_m[i], shape.twists_rad[i]));
+        let is_first =
+            before.is_none_or(|pair| shape.twists_rad[..pair].iter().all(|twist| *twist < PARALLEL_RAD));
+        let z = match is_first || twist < PARALLEL_RAD {
+            true => 0.05,
+            false => *offsets.next().unwrap() - before_in_group(shape, i - 1),
+        };
+        let (range, joint) = (shape.ranges_rad[i], name(i));
+        let (kind, limits) = match range.is_finite() {
+            true => ("revolute", format!("lower=\"{}\" upper=\"{}\"", -0.5 * range, 0.5 * range)),
+            false => ("continuous", String::new()),
+        };
+        let inertia = 0.005 * mass;
         let _ = write!(
             text,
-            "<joint name=\"{joint}\" type=\"revolute\"><parent link=\"{parent}\"/><child link=\"l{i}\"/>\
-             <origin xyz=\"{origin}\"/><axis xyz=\"{axis}\"/>\
-             <limit lower=\"-2.8\" upper=\"2.8\" effort=\"1\" velocity=\"1\"/></joint>\
-             <link name=\"l{i}\"><inertial><origin xyz=\"0.05 0 0\"/><mass value=\"{mass}\"/>\
-             <inertia ixx=\"0.002\" iyy=\"0.002\" izz=\"0.002\" ixy=\"0\" ixz=\"0\" iyz=\"0\"/></inertial></link>"
+            "<joint name=\"{joint}\" type=\"{kind}\"><parent link=\"{parent}\"/><child link=\"l{i}\"/>\
+             <origin xyz=\"{x} {} {}\" rpy=\"{twist} 0 0\"/><axis xyz=\"0 0 1\"/>\
+             <limit {limits} effort=\"1\" velocity=\"1\"/></joint>\
+             <link name=\"l{i}\"><inertial><origin xyz=\"0.02 0 0\"/><mass value=\"{mass}\"/>\
+             <inertia ixx=\"{inertia}\" iyy=\"{inertia}\" izz=\"{inertia}\" ixy=\"0\" ixz=\"0\" iyz=\"0\"/></inertial></link>",
+            0.0, z
         );
         parent = format!("l{i}");
     }
@@ -33,6 +53,24 @@ fn chain(joints: usize, distances_m: f64, name: impl Fn(usize) -> String) -> Str
          <origin xyz=\"0.1 0.03 0\"/></joint><link name=\"tool0\"/></robot>"
     );
     text
+}
+
+/// Offset along a group of parallel axes before its last axis, which is that of joint `last`.
+fn before_in_group(shape: &ArmShape, last: usize) -> f64 {
+    let pairs = shape.twists_rad[..last].iter().rev();
+    0.05 * pairs.take_while(|twist| **twist < PARALLEL_RAD).count() as f64
+}
+
+fn numbered(i: usize) -> String {
+    format!("j{i}")
+}
+
+/// Template of this name, and its shape after a change.
+fn changed(name: &str, change: impl Fn(&mut ArmShape)) -> (ArmTemplate, ArmShape) {
+    let template = ArmTemplate::named(name).unwrap();
+    let mut shape = template.shape.clone();
+    change(&mut shape);
+    (template, shape)
 }
 
 fn made(urdf: &str, template: &ArmTemplate) -> Result<NewFiles, FileError> {
@@ -45,20 +83,30 @@ fn robot(urdf: &str, files: &NewFiles) -> RobotDefinition {
     RobotDefinition::from_sources(toml, urdf).unwrap_or_else(|error| panic!("{error}\n{}", files.robot_toml))
 }
 
+/// Names of the templates that fit a URDF.
+fn fitting(urdf: &str) -> Vec<&'static str> {
+    let model = Model::from_urdf(urdf).unwrap().model;
+    ArmTemplate::fitting(&Source::new("arm.urdf", urdf), &model)
+        .unwrap()
+        .iter()
+        .map(|template| template.name)
+        .collect()
+}
+
 /// Every template fills in a complete robot file, with a source for each table: the values do not depend on names of joints.
 #[test]
 fn every_template_completes_a_chain_with_other_names() {
     for template in ArmTemplate::all().unwrap() {
         let names = ["first \"joint\"", "J.2", "joint2", "joint1", "e", "f", "g"];
-        let urdf =
-            chain(template.joints.len(), template.axis_distances_m, |i| names[i].replace('"', "&quot;"));
+        let urdf = arm(&template.shape, |i| names[i].replace('"', "&quot;"));
         let files = made(&urdf, &template).unwrap_or_else(|error| panic!("{}: {error}", template.name));
         let robot = robot(&urdf, &files);
         assert!(files.unmatched_joints.is_empty() && !robot.file.assumed.is_empty(), "{}", template.name);
         let limits: Vec<f64> = robot.model.joints().iter().map(|joint| joint.limits.velocity).collect();
         assert!(
             robot.torque_limits().iter().chain(&limits).all(|limit| *limit != 1.0),
-            "not those of the URDF"
+            "{}: not those of the URDF",
+            template.name
         );
         for section in ["[interface]", "[profile.", "[simulated]"] {
             let (before, _) = files.robot_toml.split_once(section).unwrap();
@@ -70,11 +118,46 @@ fn every_template_completes_a_chain_with_other_names() {
     }
 }
 
+/// Compared: the template that is recommended for an arm of a shape with the manufacturer's names of joints, and the one of that shape.
+#[test]
+fn every_arm_gets_its_template() {
+    for template in ArmTemplate::all().unwrap() {
+        let named = fitting(&arm(&template.shape, |i| template.joints[i].clone()));
+        let expected =
+            if template.name.starts_with("so101") { vec!["so101", "so101-12v"] } else { vec![template.name] };
+        assert_eq!(named, expected);
+        // Masses are not compared where a link states none that moves.
+        let other = fitting(&arm(&template.shape, numbered));
+        assert!(other.contains(&template.name), "{}: {other:?}", template.name);
+    }
+}
+
+/// Arms whose axes are as far apart in all as those of a template, but not one by one, and arms of other ranges and masses.
+#[test]
+fn other_arms_get_no_template() {
+    let other = |name: &str, change: &dyn Fn(&mut ArmShape)| {
+        let (template, shape) = changed(name, change);
+        assert_eq!(fitting(&arm(&shape, numbered)), [""; 0], "{name}: {shape:?}");
+        // Names do not outweigh the geometry.
+        assert_eq!(fitting(&arm(&shape, |i| template.joints[i].clone())), [""; 0], "{name}: {shape:?}");
+    };
+    other("ur3", &|arm| arm.distances_m = vec![0.077, 0.38, 0.0, 0.0, 0.0]);
+    other("ur5", &|arm| arm.distances_m = vec![0.0, 0.46, 0.357, 0.0, 0.0]);
+    other("ur5", &|arm| arm.offsets_m = vec![0.12, 0.0946]);
+    other("ur5", &|arm| arm.mass_kg = Some(40.0));
+    other("j2s6s200", &|arm| arm.twists_rad[4] = 1.0);
+    other("j2s6s200", &|arm| arm.offsets_m[1] = 0.45);
+    other("xarm7", &|arm| arm.distances_m = vec![0.03, 0.03, 0.042, 0.05, 0.027, 0.027]);
+    other("so101", &|arm| arm.distances_m = vec![0.0, 0.15, 0.131, 0.0]);
+    other("so101", &|arm| arm.twists_rad[0] = 0.0);
+    other("panda", &|arm| arm.ranges_rad[5] = 6.0);
+}
+
 /// Names count more than the order; joints that the template does not have are locked.
 #[test]
 fn joints_are_matched_by_name_and_others_are_locked() {
     let template = ArmTemplate::named("panda").unwrap();
-    let urdf = chain(7, template.axis_distances_m, |i| template.joints[i].clone());
+    let urdf = arm(&template.shape, |i| template.joints[i].clone());
     let finger = "<joint name=\"finger\" type=\"prismatic\"><parent link=\"tool0\"/><child link=\"tip\"/>\
                   <axis xyz=\"0 1 0\"/><limit lower=\"0.01\" upper=\"0.04\" effort=\"1\" velocity=\"1\"/></joint>\
                   <link name=\"tip\"><inertial><mass value=\"0.1\"/><inertia ixx=\"1e-4\" iyy=\"1e-4\" izz=\"1e-4\" \
@@ -90,32 +173,90 @@ fn joints_are_matched_by_name_and_others_are_locked() {
     assert_eq!(robot.torque_limits(), [87.0, 87.0, 87.0, 87.0, 12.0, 12.0, 12.0]);
 }
 
+/// An error about another arm lists what differs, with the values that are expected and found.
 #[test]
-fn other_arms_are_refused_with_what_is_expected() {
-    let template = ArmTemplate::named("ur5").unwrap();
-    let says = |urdf: &str, words: &[&str]| {
-        let error = made(urdf, &template).unwrap_err();
+fn other_arms_are_refused_with_the_differences() {
+    let says = |template: &ArmTemplate, urdf: &str, words: &[&str]| {
+        let error = made(urdf, template).unwrap_err();
         let said = format!("{error} {}", error.help().unwrap());
         for word in words {
             assert!(said.contains(word), "{word} in {said}");
         }
     };
-    let name = |i: usize| format!("j{i}");
-    says(&chain(6, 1.184, name), &["0.817 m apart in all", "1.184 m", "template 'ur10' fits"]);
-    says(&chain(6, 3.0, name), &["use --assume for another arm"]);
+    let (ur5, shape) = changed("ur5", |arm| {
+        arm.distances_m[1] = 0.48;
+        arm.twists_rad[4] = FRAC_PI_2 - 0.5;
+        arm.ranges_rad[2] = 14.0;
+        arm.mass_kg = Some(40.0);
+    });
+    let differences = [
+        "axes of 'j1' and 'j2' are 0.480 m apart, not 0.425 m",
+        "axes of 'j4' and 'j5' at an angle of 61°, not 90°",
+        "'j2' turns 14.00 rad, not at most 12.57 rad",
+        "40.0 kg from the first joint on, not 17.0 kg",
+        "--like-anyway ur5",
+    ];
+    says(&ur5, &arm(&shape, numbered), &differences);
+    let (_, shape) = changed("ur5e", |_| ());
+    let differences =
+        ["0.133 m along the axis of 'j1', not 0.109 m", "template 'ur5e' (Universal Robots UR5e) fits"];
+    says(&ur5, &arm(&shape, numbered), &differences);
+    let (panda, shape) = changed("panda", |_| ());
     says(
-        &chain(7, 0.817, name),
-        &[
-            "an arm of 6 joints in a chain (shoulder_pan_joint, ",
-            "has 7: j0, j1",
-            "--from LINK and --to LINK",
-        ],
+        &ur5,
+        &arm(&shape, numbered),
+        &["7 joints in a chain (j0, j1, j2, j3, j4, j5, j6), not 6", "template 'panda'"],
     );
-    let slides = chain(6, 0.817, name).replacen("type=\"revolute\"", "type=\"prismatic\"", 1);
-    says(&slides, &["joint 'j0' is prismatic"]);
+    let slides = arm(&ur5.shape, numbered).replacen("type=\"revolute\"", "type=\"prismatic\"", 1);
+    says(&ur5, &slides, &["joint 'j0' is prismatic"]);
+    // Limits as those of a narrowed FR3 fit both; then names decide.
+    let (fr3, shape) = changed("fr3", |arm| arm.ranges_rad.iter_mut().for_each(|range| *range *= 0.85));
+    says(&panda, &arm(&shape, |i| fr3.joints[i].clone()), &["the joints have the names of 'fr3'"]);
+    made(&arm(&shape, numbered), &panda).unwrap();
     let unknown = ArmTemplate::named("ur6").unwrap_err();
     assert!(
         unknown.to_string().contains("no template 'ur6'") && unknown.help().unwrap().contains("ur10"),
         "{unknown}"
     );
+}
+
+/// Another arm gets the interface and the rates of a template as assumed values, and no value of its drives.
+#[test]
+fn interface_of_another_arm_is_assumed() {
+    for template in ArmTemplate::all().unwrap() {
+        let (_, shape) = changed("ur5", |arm| arm.distances_m[1] = 0.7);
+        let urdf = arm(&shape, numbered);
+        let source = Source::new("arm.urdf", &*urdf);
+        let files =
+            new_files(&source, "arm.urdf", Part::default(), DriveValues::InterfaceOf(&template)).unwrap();
+        let (mine, own) = (robot(&urdf, &files), made(&arm(&template.shape, numbered), &template).unwrap());
+        let own = robot(&arm(&template.shape, numbered), &own);
+        assert!(!files.robot_toml.contains("[P]"), "{}", files.robot_toml);
+        assert_eq!(mine.file.interface.command, own.file.interface.command);
+        assert_eq!(mine.file.interface.measured, own.file.interface.measured);
+        let rate = |robot: &RobotDefinition, name: &str| robot.file.profile[name].period_s();
+        assert_eq!(rate(&mine, "default"), rate(&own, &own.file.default_profile), "{}", template.name);
+        assert!(
+            ["interface", "profile.default", "simulated"].iter().all(|key| mine
+                .file
+                .assumed
+                .iter()
+                .any(|a| a == key))
+        );
+    }
+}
+
+/// Compared: the servos of the SO-101 at both voltages, and what is published of them.
+#[test]
+fn so101_is_a_spring_without_damping() {
+    for (name, stiffness) in [("so101", 8.9), ("so101-12v", 22.0)] {
+        let template = ArmTemplate::named(name).unwrap();
+        let urdf = arm(&template.shape, |i| template.joints[i].clone());
+        let robot = robot(&urdf, &made(&urdf, &template).unwrap());
+        let profile = robot.file.profile.values().next().unwrap();
+        for servo in robot.servos(profile) {
+            let gains = servo.gains(profile.servo_period_s());
+            assert_eq!((servo.name(), gains.stiffness, gains.damping), ("pid", stiffness, 0.0));
+        }
+    }
 }

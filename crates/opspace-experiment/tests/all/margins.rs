@@ -176,6 +176,29 @@ fn impedance_and_torque_error_of_encoder_are_stated() {
     }
 }
 
+/// Compared: the torque error by the setpoints' resolution, and the rms torque of a spring on the rounding of a ramp.
+#[test]
+fn resolution_of_setpoints_is_a_torque_error() {
+    /// Difference of a mean over a finite ramp.
+    const TOLERANCE: f64 = 0.01;
+    let step = 0.0015;
+    let settings = [
+        format!("robot.joint.elbow.setpoint_resolution_rad={step}"),
+        "robot.profile.a-med.servo.elbow={ pid = { stiffness_nm_per_rad = 1500.0, damping_nms_per_rad = 0.0 } }".to_owned(),
+    ];
+    let experiment = position("extrapolation", &settings);
+    let floors = floors(&experiment).unwrap();
+    let rounding = |k: u32| {
+        let setpoint = f64::from(k) * 0.618_034 * step;
+        1500.0 * ((setpoint / step).round() * step - setpoint)
+    };
+    let rms = f64::sqrt((0..4000).map(|k| rounding(k).powi(2)).sum::<f64>() / 4000.0);
+    for floor in floors {
+        let expected = if floor.joint == "elbow" { rms } else { 0.0 };
+        assert!((floor.setpoint_floor_nm - expected).abs() <= TOLERANCE * rms, "{floor:?}, {rms}");
+    }
+}
+
 /// Setpoint limits bound the torque on a held joint, and velocity feed-forward with held setpoints is a finding.
 #[test]
 fn limits_and_feed_forward_of_setpoints_are_stated() {

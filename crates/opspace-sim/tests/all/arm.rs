@@ -2,6 +2,7 @@
 
 use crate::common::{START, arm, object, parsed, read, servo_rows, setup, try_read};
 use nalgebra::{DVector, Vector3};
+use opspace_backend::quantity::Positive;
 use opspace_backend::{
     Backend, Command, CommandKind, GravityCompensation, GroundTruth, Measured, Sample, TruthRow,
 };
@@ -370,6 +371,29 @@ fn numbers(arm: &mut SimulatedArm) -> Vec<Option<u64>> {
         }
     });
     numbers
+}
+
+/// Compared: an arm with a resolution of setpoints that receives exact ones, and one that receives their multiples of it.
+#[test]
+fn setpoints_are_rounded_to_their_resolution() {
+    const STEP_RAD: f64 = 0.0015;
+    let exact = setup(CommandKind::Position, "a-med");
+    let mut rounding = exact.clone();
+    rounding.joints[1].setpoint_resolution_rad = Some(Positive::literal(STEP_RAD));
+    let (mut rounding, mut exact) = (arm(rounding), arm(exact));
+    for k in 1..=5 {
+        let setpoints = START.map(|q| q + 0.0007 * f64::from(k));
+        let mut multiples = setpoints;
+        multiples[1] = (setpoints[1] / STEP_RAD).round() * STEP_RAD;
+        assert_ne!(multiples, setpoints);
+        for (arm, setpoints) in [(&mut rounding, setpoints), (&mut exact, multiples)] {
+            read(arm);
+            arm.write(Command::Position(&setpoints)).expect("it takes them");
+        }
+        read(&mut rounding);
+        read(&mut exact);
+        assert_eq!(servo_rows(&rounding), servo_rows(&exact));
+    }
 }
 
 /// Compared: a position robot that is held, and one that receives its last setpoints again. A hold before the first

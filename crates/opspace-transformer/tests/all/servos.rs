@@ -113,6 +113,17 @@ fn pd_servo_damps_measured_velocity() {
     assert_same(PD, |k| 4000.0 * (desired(k) - position(k)) - 60.0 * rate(position, k));
 }
 
+/// Compared: a servo of proportional gain alone, without a filter, and its position error; damping without a filter is refused.
+#[test]
+fn spring_needs_no_derivative_filter() {
+    let spring = "pid = { stiffness_nm_per_rad = 4000.0, damping_nms_per_rad = 0.0 }";
+    assert_same(spring, |k| 4000.0 * (desired(k) - position(k)));
+    let damped = toml::from_str(&spring.replace("0.0 }", "60.0 }")).unwrap();
+    let refused = ServoLaw::new(&damped, PERIOD_S).unwrap_err();
+    assert_eq!(refused, ServoError::UnfilteredDerivative);
+    assert!(refused.to_string().contains("derivative_filter_hz is required"), "{refused}");
+}
+
 #[test]
 fn pid_servo_may_differentiate_its_error() {
     // The error before the first tick is zero.
