@@ -7,6 +7,7 @@
 use crate::files::source::{FileError, Source, parse};
 use crate::setup::arm_shape::ArmShape;
 use crate::setup::assumed_drives::{VELOCITY_LOOP_HZ, rounded};
+use crate::setup::robot_template::{NewRobot, assumed_links, link_tables};
 use crate::setup::tip::tip;
 use crate::suggest::choices;
 use opspace_backend::CommandKind;
@@ -227,14 +228,15 @@ impl ArmTemplate {
         })
     }
 
-    /// Returns a robot.toml: `head`, then the values of the template for the joints with these names (n) and sensors at the frame
-    /// `tip`. Without servos of its own, the template gets some with velocity loops of these gains (n; Nms/rad).
+    /// Returns the robot.toml of a robot: its part of the URDF, the values of the template for the joints with these names (n) and
+    /// sensors at the frame `tip`, and its assumed bodies. Without servos of its own, the template gets some with velocity loops of these gains (n; Nms/rad).
     #[must_use]
-    pub fn robot_toml(&self, head: &str, joints: &[String], tip: &str, kv: &[f64]) -> String {
+    pub fn robot_toml(&self, robot: &NewRobot<'_>, joints: &[String], tip: &str, kv: &[f64]) -> String {
         let mut values = self.values.clone();
         rename_joints(&mut values, &numbers(joints.len()), joints);
         place_sensors(&mut values, tip);
-        let assumed = self.assumed.iter().flat_map(|key| named_keys(key, joints));
+        let assumed =
+            self.assumed.iter().flat_map(|key| named_keys(key, joints)).chain(assumed_links(robot.bodies));
         let lines: String = assumed.map(|key| format!("    {},\n", Value::from(key.as_str()))).collect();
         let servos = self.loops.map(|loops| {
             let measures = "the inertia of each joint at the start of first-task.toml, with its rotor";
@@ -243,14 +245,16 @@ impl ArmTemplate {
         format!(
             "#:schema robot.schema.json\n\
              # {}: template '{}' of opspace. Public values [P] and assumed values [A]. Nothing here was measured on a real arm.\n\
-             {head}\n\
+             {}\n\
              # Keys whose values are assumed; every table and page lists them. Remove an entry when you have replaced its value by\n\
              # one that you know: see `opspace identify` and data sheets.\n\
-             assumed = [\n{lines}]\n\n{}{}",
+             assumed = [\n{lines}]\n\n{}{}{}",
             self.about,
             self.name,
+            robot.head(),
             values.to_string().trim_start(),
-            servos.unwrap_or_default()
+            servos.unwrap_or_default(),
+            link_tables(robot.bodies)
         )
     }
 

@@ -3,7 +3,7 @@
 
 use crate::files::source::Source;
 use crate::setup::own_body::{Contacts, OwnBody};
-use crate::setup::tip::tip;
+use crate::setup::tip::{arms, tip};
 use nalgebra::{DMatrix, DVector, Matrix3, Matrix6xX, Vector3};
 use opspace_model::{
     Data, FrameId, JointKind, Model, Postures, forward_kinematics, frame_jacobian, frame_placement, gravity,
@@ -89,6 +89,8 @@ struct Search<'a> {
     torque_limits: &'a [f64],
     /// True for the joints that move the frame (n).
     moves: Vec<bool>,
+    /// Positions of the other joints (n; rad, m).
+    rest: Vec<f64>,
     /// Length of the arm, m.
     reach_m: f64,
     own_body: Option<OwnBody>,
@@ -107,17 +109,22 @@ pub fn first_motion(
         Some(name) => model.frame_id(name).ok()?,
         None => tip(model)?,
     };
-    let mut search = Search::new(model, urdf, frame, torque_limits)?;
-    let joints = search.moves.iter().filter(|moves| **moves).count();
-    for axes in [ControlledAxes::Pose, ControlledAxes::Position, ControlledAxes::One] {
-        let least_joints = match axes {
-            ControlledAxes::Pose => 6,
-            ControlledAxes::Position => 3,
-            ControlledAxes::One => 1,
-        };
-        if joints < least_joints {
+    let mut search = Search::new(model, urdf, frame, torque_limits, rest(model))?;
+    // Other arms start at postures of their own, neither singular nor touching.
+    for arm in arms(model) {
+        let other = model.frame_id(&arm.to).ok().filter(|other| *other != frame);
+        let Some(mut of_other) =
+            other.and_then(|other| Search::new(model, urdf, other, torque_limits, search.rest.clone()))
+        else {
             continue;
+        };
+        let is_own = |i: usize| of_other.moves[i] && !search.moves[i];
+        let own: Vec<usize> = (0..model.n()).filter(|&i| is_own(i)).collect();
+        if let Some(posture) = of_other.best_posture(&own) {
+            search.rest = posture;
         }
+    }
+    for axes in search.axes() {
         // Without a posture that keeps all conditions, a place below the base is accepted, then loads and contacts.
         for clearance in [Clearance::Full, Clearance::WithoutFloor, Clearance::None] {
             if let Some(found) = search.motion(axes, clearance) {
@@ -129,8 +136,24 @@ pub fn first_motion(
     Some(search.at(start, ControlledAxes::One, (0, 0.0), 1.0, Clearance::None))
 }
 
+/// Positions of joints that need no others (n; rad, m): zero, or the middle of their range if zero is not in its middle half.
+fn rest(model: &Model) -> Vec<f64> {
+    let rest = |joint: &opspace_model::Joint| {
+        let (lower, upper) = joint.limits.range(joint.kind);
+        let (middle, quarter) = (0.5 * (lower + upper), 0.25 * (upper - lower));
+        if middle.abs() < quarter { 0.0 } else { middle }
+    };
+    model.joints().iter().map(rest).collect()
+}
+
 impl<'a> Search<'a> {
-    fn new(model: &'a Model, urdf: &Source, frame: FrameId, torque_limits: &'a [f64]) -> Option<Self> {
+    fn new(
+        model: &'a Model,
+        urdf: &Source,
+        frame: FrameId,
+        torque_limits: &'a [f64],
+        rest: Vec<f64>,
+    ) -> Option<Self> {
         let mut moves = vec![false; model.n()];
         model.ancestors(frame).for_each(|body| moves[model.bodies()[body].joint] = true);
         if moves.iter().all(|moves| !moves) {
@@ -143,6 +166,7 @@ impl<'a> Search<'a> {
             jacobian: Matrix6xX::zeros(model.n()),
             torque_limits,
             moves,
+            rest,
             reach_m: 0.0,
             own_body: None,
         };
@@ -166,19 +190,41 @@ impl<'a> Search<'a> {
         reach.max(1e-3)
     }
 
-    /// Posture of this number: joints that do not move the tip are at zero, or in the middle of their range if zero is not in
-    /// its middle half.
+    /// Sets of axes that the arm may be able to control, the largest first.
+    fn axes(&self) -> Vec<ControlledAxes> {
+        let joints = self.moves.iter().filter(|moves| **moves).count();
+        let all = [(ControlledAxes::Pose, 6), (ControlledAxes::Position, 3), (ControlledAxes::One, 1)];
+        all.into_iter().filter(|(_, least)| joints >= *least).map(|(axes, _)| axes).collect()
+    }
+
+    /// Posture of this number: joints that do not move the tip are at rest.
     fn posture(&self, number: usize) -> Vec<f64> {
         let sampled = Postures::new(self.model, RANGE).posture(number);
-        let rest = |(i, joint): (usize, &opspace_model::Joint)| {
-            let (lower, upper) = joint.limits.range(joint.kind);
-            let (middle, quarter) = (0.5 * (lower + upper), 0.25 * (upper - lower));
-            let rest = if middle.abs() < quarter { 0.0 } else { middle };
-            if self.moves[i] { sampled[i] } else { rest }
-        };
+        let position = |i: usize| if self.moves[i] { sampled[i] } else { self.rest[i] };
         // Three decimals are enough.
-        let rounded = |q: f64| (q * 1000.0).round() / 1000.0;
-        self.model.joints().iter().enumerate().map(rest).map(rounded).collect()
+        (0..sampled.len()).map(|i| (position(i) * 1000.0).round() / 1000.0).collect()
+    }
+
+    /// Returns the posture in which the arm moves best, with all joints but `own` at rest; `None` if none is good.
+    fn best_posture(&mut self, own: &[usize]) -> Option<Vec<f64>> {
+        for axes in self.axes() {
+            for clearance in [Clearance::Full, Clearance::WithoutFloor] {
+                let mut best: Option<(f64, Vec<f64>)> = None;
+                for number in 0..POSTURES {
+                    let sampled = self.posture(number);
+                    let mut q = self.rest.clone();
+                    own.iter().for_each(|&i| q[i] = sampled[i]);
+                    let score = self.score(&q, axes, clearance);
+                    if score > best.as_ref().map_or(0.0, |(most, _)| *most) {
+                        best = Some((score, q));
+                    }
+                }
+                if let Some((_, q)) = best {
+                    return Some(q);
+                }
+            }
+        }
+        None
     }
 
     fn motion(&mut self, axes: ControlledAxes, clearance: Clearance) -> Option<FirstMotion> {

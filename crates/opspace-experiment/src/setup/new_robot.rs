@@ -12,12 +12,14 @@ use crate::setup::assumed_drives::{PAYLOAD_SHARE, assumed_drives, servo_gains, v
 use crate::setup::first_motion::{Clearance, ControlledAxes, FirstMotion, first_motion};
 use crate::setup::first_task::first_task_toml;
 use crate::setup::robot_template::{NewRobot, assumed_robot_toml, robot_toml};
-use crate::setup::tip::{arms, joints_beyond, tip};
+use crate::setup::tip::{arms, joints_beyond, other_ends, tip};
 use crate::suggest::choices;
 use nalgebra::{Matrix3, Vector3};
 use opspace_backend::CommandKind;
 use opspace_model::collision::CapsuleWarning;
-use opspace_model::{Inertia, JointDynamics, Limits, Model, ParsedUrdf, UrdfJoint, UrdfWarning, urdf_joints};
+use opspace_model::{
+    FrameId, Inertia, JointDynamics, Limits, Model, ParsedUrdf, UrdfJoint, UrdfWarning, urdf_joints,
+};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Chain of links of a new robot that is used, all of it if both are `None`; and the mounting of the robot.
@@ -315,9 +317,8 @@ fn like_template(mut loaded: SelectedPart<'_>, template: &ArmTemplate) -> Result
         locked_joints: &locked,
         model: &loaded.parsed.model,
         stated: &[],
-        bodies: &[],
-    }
-    .head();
+        bodies: &loaded.bodies,
+    };
     let model = &loaded.parsed.model;
     let last = || tip(model).map(|frame| model.frame(frame).name.clone());
     let tip = loaded.used.as_ref().map(|used| used.to.clone()).or_else(last).unwrap_or_default();
@@ -339,7 +340,10 @@ fn like_template(mut loaded: SelectedPart<'_>, template: &ArmTemplate) -> Result
         motion: description(&motion),
         command: Some(robot.file.interface.command),
         unmatched_joints: others,
-        notes: notes(&loaded, &robot.model, &motion),
+        notes: notes(&loaded, &robot.model, &motion)
+            .into_iter()
+            .chain(note_of_bodies(&loaded.bodies))
+            .collect(),
         warnings: robot.warnings,
     })
 }
@@ -376,6 +380,11 @@ fn notes(loaded: &SelectedPart<'_>, model: &Model, motion: &FirstMotion) -> Vec<
              writes `use` into robot.toml; if the arm ends elsewhere, add `--to` with its last link"
         ));
     }
+    if loaded.used.is_none()
+        && let Some(note) = frame.and_then(|frame| note_of_ends(model, frame))
+    {
+        notes.push(note);
+    }
     notes.extend(note_of_arms(loaded, model));
     notes.extend(note_of_posture(motion));
     notes.push(format!(
@@ -385,6 +394,20 @@ fn notes(loaded: &SelectedPart<'_>, model: &Model, motion: &FirstMotion) -> Vec<
         unread_meshes(loaded.urdf)
     ));
     notes
+}
+
+/// Names the other links at the end of the arm.
+fn note_of_ends(model: &Model, tip: FrameId) -> Option<String> {
+    let others = other_ends(model, tip);
+    if others.is_empty() {
+        return None;
+    }
+    let names: Vec<String> = others.iter().map(|name| format!("'{name}'")).collect();
+    Some(format!(
+        "the tip is '{}'; other links are fixed to the end of the arm: {}. To take one of them, add `--to` with its name",
+        model.frame(tip).name,
+        names.join(", ")
+    ))
 }
 
 /// Names the meshes of a URDF in formats that are not read; empty if there are none.

@@ -198,11 +198,7 @@ pub fn assumed_robot_toml(
     payload_kg: f64,
 ) -> String {
     let mut assumed = vec![vec!["interface".to_owned()]];
-    assumed.extend(robot.bodies.iter().map(|body| {
-        let link = Key::new(&body.link);
-        let key = if body.source == BodySource::Floor { ".inertia_kg_m2" } else { "" };
-        vec![format!("link.{link}{key}")]
-    }));
+    assumed.extend(assumed_links(robot.bodies).map(|key| vec![key]));
     let mut tables = String::new();
     for (joint, drive) in robot.model.joints().iter().zip(drives) {
         let (table, keys) = assumed_joint(robot, joint, drive);
@@ -275,8 +271,16 @@ current_loop_hz = 1000.0
     )
 }
 
+/// Keys of the assumed values of links.
+pub(super) fn assumed_links(bodies: &[AssumedBody]) -> impl Iterator<Item = String> + '_ {
+    bodies.iter().map(|body| {
+        let key = if body.source == BodySource::Floor { ".inertia_kg_m2" } else { "" };
+        format!("link.{}{key}", Key::new(&body.link))
+    })
+}
+
 /// Tables of the links with assumed masses and inertias.
-fn link_tables(bodies: &[AssumedBody]) -> String {
+pub(super) fn link_tables(bodies: &[AssumedBody]) -> String {
     if bodies.is_empty() {
         return String::new();
     }

@@ -106,19 +106,62 @@ fn is_finger(model: &Model, body: usize) -> bool {
     FINGERS.iter().any(|part| name.contains(part))
 }
 
-/// Frame that is the tool of a body: one whose name says so, or else the last one.
+/// Words of the names that people give the end of an arm, the most telling first.
+const ENDS: [&str; 9] = ["tool0", "tcp", "end_effector", "ee", "eef", "grasp", "flange", "tool", "tip"];
+
+/// Words of the names of what is fixed to the end of an arm without being it: fiducials and sensors.
+const NO_ENDS: [&str; 13] = [
+    "aruco", "marker", "fiducial", "camera", "optical", "sensor", "range", "laser", "imu", "ft", "force",
+    "light", "led",
+];
+
+/// Frame that is the tool of a body: one whose name says so, or else the last one that is no fiducial or sensor.
 fn last_frame(model: &Model, body: usize) -> Option<FrameId> {
     let frames =
         || model.frames().iter().filter(|frame| frame.body == Some(body)).map(|frame| frame.name.as_str());
-    let named = ["tool0", "tcp", "end_effector", "ee_link", "eef", "tool", "tip"];
-    let name =
-        named.iter().find_map(|word| frames().find(|name| name.contains(word))).or(frames().next_back())?;
+    let ends = || frames().filter(|name| !is_no_end(name));
+    let named = |word: &&str| ends().find(|name| has_word(name, word));
+    let name = ENDS.iter().find_map(named).or_else(|| ends().last()).or_else(|| frames().last())?;
     model.frame_id(name).ok()
+}
+
+/// Names of the other links that are fixed to the end of an arm at another place than its tip, and could be meant.
+#[must_use]
+pub fn other_ends(model: &Model, tip: FrameId) -> Vec<&str> {
+    let chosen = model.frame(tip);
+    let is_other = |frame: &&opspace_model::Frame| {
+        let apart_m = (frame.placement.translation - chosen.placement.translation).norm();
+        frame.body == chosen.body && frame.name != chosen.name && apart_m > 1e-6 && !is_no_end(&frame.name)
+    };
+    // The first frame of a body is that of its joint.
+    let first =
+        model.frames().iter().find(|frame| frame.body == chosen.body).map(|frame| frame.name.as_str());
+    let others = model.frames().iter().filter(is_other).map(|frame| frame.name.as_str());
+    others.filter(|name| Some(*name) != first).collect()
+}
+
+fn is_no_end(name: &str) -> bool {
+    NO_ENDS.iter().any(|word| has_word(name, word))
+}
+
+/// True if a name has this word, or these words, between its underscores, hyphens and changes from small letters to capitals.
+fn has_word(name: &str, word: &str) -> bool {
+    let mut split = String::from("_");
+    let mut was_lower = false;
+    for c in name.chars() {
+        if c.is_uppercase() && was_lower {
+            split.push('_');
+        }
+        was_lower = c.is_lowercase();
+        split.extend(if c.is_alphanumeric() { c.to_lowercase().next() } else { Some('_') });
+    }
+    split.push('_');
+    split.contains(&format!("_{word}_"))
 }
 
 #[cfg(test)]
 mod tests {
-    use super::arms;
+    use super::{arms, has_word};
     use opspace_model::Model;
 
     /// Checks a torso with two arms of four joints, one with a gripper of two fingers, and one arm alone.
@@ -157,5 +200,20 @@ mod tests {
         assert_eq!(found, [("torso", "left4", 4), ("torso", "right4", 4)]);
         let one = head + &chain("only", "base") + "</robot>";
         assert_eq!(arms(&Model::from_urdf(&one).expect("a URDF").model).len(), 1);
+    }
+
+    #[test]
+    fn words_are_between_underscores_and_capitals() {
+        for (name, word, has) in [
+            ("tool0", "tool0", true),
+            ("left_ee_link", "ee", true),
+            ("wheel", "ee", false),
+            ("endEffector", "end_effector", true),
+            ("linkArucoFingertip", "aruco", true),
+            ("lift", "ft", false),
+            ("wrist_left_ft_link", "ft", true),
+        ] {
+            assert_eq!(has_word(name, word), has, "{name} {word}");
+        }
     }
 }
