@@ -420,3 +420,116 @@ fn lines_to_fill_in_are_the_missing_values() {
     assert!(meanings.len() >= 10, "{meanings:?}");
     opspace(folder.path(), &["check", "mine"]).exits(2).says(&meanings);
 }
+
+/// URDF of three joints, without a mass, or with these masses, (kg) and inertias; the last joint has this effort.
+fn without_masses(inertials: Option<[&str; 3]>, effort: f64) -> String {
+    let inertial = |i: usize| inertials.map_or(String::new(), |all| all[i].to_owned());
+    let mut text = "<robot name=\"m\"><link name=\"base\"/>".to_owned();
+    let joints = [("base", "0 0 0.1", "0 1 0"), ("l1", "0 0 0.4", "0 1 0"), ("l2", "0 0 0.4", "0 0 1")];
+    for (i, (parent, at, axis)) in joints.into_iter().enumerate() {
+        let child = i + 1;
+        let limit = if i == 2 { effort } else { effort.min(150.0) };
+        let _ = write!(
+            text,
+            "<joint name=\"j{child}\" type=\"revolute\"><parent link=\"{parent}\"/><child link=\"l{child}\"/><origin xyz=\"{at}\"/>\
+             <axis xyz=\"{axis}\"/><limit lower=\"-2\" upper=\"2.5\" effort=\"{limit}\" velocity=\"3\"/></joint>\
+             <link name=\"l{child}\">{}</link>",
+            inertial(i)
+        );
+    }
+    text + "</robot>"
+}
+
+const LIGHT_LAST_LINK: [&str; 3] = [
+    "<inertial><origin xyz=\"0 0 0.2\"/><mass value=\"5\"/><inertia ixx=\"0.1\" iyy=\"0.1\" izz=\"0.02\" ixy=\"0\" ixz=\"0\" iyz=\"0\"/></inertial>",
+    "<inertial><origin xyz=\"0 0 0.2\"/><mass value=\"4\"/><inertia ixx=\"0.08\" iyy=\"0.08\" izz=\"0.01\" ixy=\"0\" ixz=\"0\" iyz=\"0\"/></inertial>",
+    "<inertial><origin xyz=\"0 0 0.02\"/><mass value=\"0.2\"/><inertia ixx=\"1e-4\" iyy=\"1e-4\" izz=\"1.3e-4\" ixy=\"0\" ixz=\"0\" iyz=\"0\"/></inertial>",
+];
+
+const ZERO_INERTIA: [&str; 3] = [
+    "<inertial><mass value=\"5\"/><inertia ixx=\"0\" iyy=\"0\" izz=\"0\" ixy=\"0\" ixz=\"0\" iyz=\"0\"/></inertial>",
+    "<inertial><mass value=\"3\"/><inertia ixx=\"0\" iyy=\"0\" izz=\"0\" ixy=\"0\" ixz=\"0\" iyz=\"0\"/></inertial>",
+    "<inertial><mass value=\"1\"/><inertia ixx=\"0\" iyy=\"0\" izz=\"0\" ixy=\"0\" ixz=\"0\" iyz=\"0\"/></inertial>",
+];
+
+/// Largest distance from the goal of a first task at its end, m.
+const AT_GOAL_M: f64 = 0.01;
+
+/// Runs the first task of a URDF as a position and as a torque robot, with and without a gripper that the model does not have.
+#[track_caller]
+fn both_robots_reach(urdf: &str, about: &str) {
+    let folder = scratch();
+    let at = |path: &str| folder.path().join(path);
+    fs::write(at("arm.urdf"), urdf).unwrap();
+    opspace(folder.path(), &["new", "mine", "--urdf", "arm.urdf", "--assume"]).exits(0);
+    opspace(folder.path(), &["check", "mine", "mine/first-task.toml"]).exits(0);
+    let gripper =
+        "robot.simulated.payload.gripper={ frame = \"l3\", mass_kg = 0.5, centre_m = [0.05, 0.0, 0.05] }";
+    for backend in ["position", "torque"] {
+        for (name, more) in [("free", &[][..]), ("loaded", &["--set", gripper])] {
+            let out = format!("{backend}-{name}");
+            let run = ["run", "mine/first-task.toml", "--backend", backend, "--out", &out];
+            opspace(folder.path(), &[&run[..], more].concat()).exits(0);
+            let summary = read_json(at(&out).join("summary.json"));
+            let final_m = summary["metrics"]["position_final_m"].as_f64().unwrap_or_default();
+            // Half a kilogram bends the task, which knows nothing of it.
+            let bound_m = if name == "free" { AT_GOAL_M } else { 3.0 * AT_GOAL_M };
+            assert!(summary["faulted"].is_null() && final_m < bound_m, "{about}, {out}: {final_m} m");
+        }
+    }
+}
+
+#[test]
+fn urdf_without_masses_runs_on_both_robots() {
+    both_robots_reach(&without_masses(None, 0.0), "no masses, efforts of zero");
+}
+
+#[test]
+fn light_last_link_on_a_strong_drive_runs_on_both_robots() {
+    both_robots_reach(&without_masses(Some(LIGHT_LAST_LINK), 28.0), "a light last link");
+    both_robots_reach(
+        &without_masses(Some(LIGHT_LAST_LINK), 2000.0),
+        "a light last link, placeholder efforts",
+    );
+}
+
+#[test]
+fn inertias_of_zero_run_on_both_robots() {
+    both_robots_reach(&without_masses(Some(ZERO_INERTIA), 60.0), "inertias of zero");
+}
+
+/// Compared: the sum of the assumed masses and the mass of the whole arm; no link is heavier than those before it. Without masses, what
+/// needs none works, and what needs some says how to get them.
+#[test]
+fn assumed_masses_are_listed_and_known_ones_are_kept() {
+    let folder = scratch();
+    let at = |path: &str| folder.path().join(path);
+    fs::write(at("arm.urdf"), without_masses(None, 0.0)).unwrap();
+    let new = |name: &str, more: &[&str]| {
+        opspace(folder.path(), &[&["new", name, "--urdf", "arm.urdf"][..], more].concat())
+    };
+    let said = new("heavy", &["--assume", "--mass", "25"]).exits(0).stdout;
+    assert!(said.contains("are assumed: l1 "), "{said}");
+    let robot = RobotDefinition::load(Files::Disk, &at("heavy"), &[]).unwrap();
+    let masses: Vec<f64> = robot.model.bodies().iter().map(|body| body.inertia.mass).collect();
+    let moving: f64 = masses.iter().sum();
+    assert!((15.0..25.0).contains(&moving), "{masses:?}");
+    assert!(masses[2] < masses[0] && masses[2] < masses[1], "{masses:?}");
+    assert!(robot.file.assumed.contains(&"link.l1".to_owned()), "{:?}", robot.file.assumed);
+
+    new("plain", &[]).exits(0);
+    opspace(folder.path(), &["model", "arm.urdf"]).exits(0);
+    opspace(folder.path(), &["model", "heavy"]).exits(0);
+    fs::write(at("known.urdf"), without_masses(Some(LIGHT_LAST_LINK), 28.0)).unwrap();
+    let known = ["new", "known", "--urdf", "known.urdf", "--assume", "--mass", "25"];
+    opspace(folder.path(), &known).exits(2).says(&["states the masses of all links", "leave --mass out"]);
+}
+
+/// Without the program `xacro`, a file that needs it is refused with the command to type.
+#[test]
+fn xacro_is_expanded_by_its_program() {
+    let folder = scratch();
+    fs::write(folder.path().join("arm.urdf.xacro"), two_joints([0.0, 0.0])).unwrap();
+    let arguments = ["new", "mine", "--urdf", "arm.urdf.xacro", "--assume"];
+    opspace(folder.path(), &arguments).exits(2).says(&["xacro arm.urdf.xacro > arm.urdf"]);
+}

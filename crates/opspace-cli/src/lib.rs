@@ -29,6 +29,7 @@ mod schema_defaults;
 mod shard;
 mod suite_results;
 mod sweep;
+mod xacro;
 
 pub use clap;
 pub use command_table::Command;

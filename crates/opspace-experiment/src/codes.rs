@@ -146,6 +146,8 @@ codes! {
     FixedLinkInertia "fixed-link-inertia" Effect::Reported,
     EqualLimits "equal-limits" Effect::Reported,
     ZeroLimit "zero-limit" Effect::Reported,
+    NegativeLimit "negative-limit" Effect::Reported,
+    UndeclaredPrefix "undeclared-prefix" Effect::Reported,
     IgnoredMimic "ignored-mimic" Effect::Reported,
     FarCentre "far-centre" Effect::Reported,
     SmallInertia "small-inertia" Effect::Reported,

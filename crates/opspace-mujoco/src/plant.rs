@@ -47,6 +47,8 @@ pub struct MujocoPlant {
     v: Vec<f64>,
     /// Accelerations in the middle of the last step.
     accelerations: Vec<f64>,
+    /// Accelerations in the middle of the present step.
+    trial: Vec<f64>,
     middle: State,
     load_cells: Vec<LoadCell>,
 }
@@ -92,7 +94,8 @@ impl MujocoPlant {
         let zeros = vec![0.0; instance.nv()];
         Ok(Self {
             v: zeros.clone(),
-            accelerations: zeros,
+            accelerations: zeros.clone(),
+            trial: zeros,
             q,
             middle,
             arms,
@@ -101,6 +104,15 @@ impl MujocoPlant {
             joints,
             load_cells,
         })
+    }
+
+    /// Computes the accelerations in the middle of a step under these torques, with those of the scene in the step before.
+    fn accelerate(&mut self, time_s: f64, dt_s: f64, torques: &[JointTorque]) {
+        self.arms.begin_step(time_s, dt_s, torques);
+        self.predict_scene(dt_s);
+        let (n, State { q, v, forces }) = (self.joints, &mut self.middle);
+        self.arms.copy_middle(&mut q[..n], &mut v[..n], &mut forces[..n]);
+        acceleration(&mut self.instance, &self.middle, self.step_s, &mut self.trial);
     }
 
     /// Predicts positions and velocities of the scene in the middle of a step of `dt_s`.
@@ -140,13 +152,16 @@ impl Plant for MujocoPlant {
     }
 
     fn step(&mut self, time_s: f64, dt_s: f64, torques: &[JointTorque]) {
-        self.arms.begin_step(time_s, dt_s, torques);
-        self.predict_scene(dt_s);
-        let (n, State { q, v, forces }) = (self.joints, &mut self.middle);
-        self.arms.copy_middle(&mut q[..n], &mut v[..n], &mut forces[..n]);
-        acceleration(&mut self.instance, &self.middle, self.step_s, &mut self.accelerations);
-        self.arms.end_step(dt_s, &mut self.accelerations[..n]);
+        self.accelerate(time_s, dt_s, torques);
+        self.accelerations.copy_from_slice(&self.trial);
+        self.arms.end_step(dt_s, &mut self.accelerations[..self.joints]);
         self.advance_scene(dt_s);
+    }
+
+    fn end_velocities(&mut self, time_s: f64, dt_s: f64, torques: &[JointTorque], dq: &mut [f64]) -> bool {
+        self.accelerate(time_s, dt_s, torques);
+        self.arms.end_velocities(dt_s, &mut self.trial[..self.joints], dq);
+        true
     }
 
     fn contact_wrench(&mut self, frame: PlantFrame) -> Force {

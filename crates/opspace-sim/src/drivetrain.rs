@@ -97,6 +97,22 @@ impl Drivetrain {
         JointTorque { torque: self.step(q, dq, dt_s), inertia: 0.0 }
     }
 
+    /// Revises the torque of the step of `dt_s` (s) that was begun for the velocity `dq` (rad/s, m/s) of the link at its end; `None` if
+    /// it stays.
+    pub fn revise_step(&mut self, dq: f64, dt_s: f64) -> Option<JointTorque> {
+        let mut stiff = self.stiff.take()?;
+        let torque = |v: f64| self.end_torque(v, dt_s);
+        let revised = stiff.revise(dq, dt_s, torque, |v| self.end_slope(v, dt_s));
+        self.stiff = Some(stiff);
+        revised
+    }
+
+    /// True if its elements are integrated implicitly.
+    #[must_use]
+    pub fn is_implicit(&self) -> bool {
+        self.stiff.is_some()
+    }
+
     /// Ends the step of `dt_s` (s) that was begun, with the link at velocity `dq` (rad/s, m/s).
     pub fn end_step(&mut self, dq: f64, dt_s: f64) {
         let Some(stiff) = &mut self.stiff else { return };

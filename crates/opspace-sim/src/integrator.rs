@@ -58,6 +58,12 @@ impl Midpoint {
         &self.middle
     }
 
+    /// Accelerations in the middle of the step that was predicted, under the joint torques `tau` (n; Nm, N; rad/s², m/s²).
+    pub(crate) fn accelerations(&mut self, model: &Model, tau: &[f64]) -> &[f64] {
+        aba(model, &mut self.middle, tau);
+        self.middle.ddq.as_slice()
+    }
+
     /// Advances `q` and `dq` by the step that was predicted, under the joint torques `tau` (n; Nm, N). The error per
     /// step is O(dt³) where the torques do not jump.
     pub fn advance(&mut self, model: &Model, q: &mut [f64], dq: &mut [f64], tau: &[f64], dt: f64) {

@@ -254,6 +254,18 @@ impl ArmInterface {
         self.motors.begin_step(q, dq, dt_s, &mut torques[joints]);
     }
 
+    /// True if a joint is integrated implicitly.
+    pub fn is_implicit(&self) -> bool {
+        self.motors.is_implicit()
+    }
+
+    /// Revises what acts on the links for the velocities `dq` of all arms (rad/s, m/s) at the end of a physics step of `dt_s` (s).
+    /// Returns true if something changes.
+    pub fn revise_step(&mut self, dq: &[f64], dt_s: f64, torques: &mut [JointTorque]) -> bool {
+        let joints = self.joints.clone();
+        self.motors.revise_step(&dq[joints.clone()], dt_s, &mut torques[joints])
+    }
+
     /// Ends a physics step of `dt_s` (s) of the drives.
     pub fn end_step(&mut self, plant: &dyn Plant, dt_s: f64) {
         self.motors.end_step(&plant.dq()[self.joints.clone()], dt_s);

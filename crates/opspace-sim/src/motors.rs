@@ -73,6 +73,23 @@ impl Motors {
         }
     }
 
+    /// True if a joint is integrated implicitly.
+    pub fn is_implicit(&self) -> bool {
+        self.drivetrains.iter().any(Drivetrain::is_implicit)
+    }
+
+    /// Revises what acts on the links (n) for the velocities `dq` (n; rad/s, m/s) at the end of a physics step of `dt_s` (s). Returns
+    /// true if something changes.
+    pub fn revise_step(&mut self, dq: &[f64], dt_s: f64, torques: &mut [JointTorque]) -> bool {
+        let mut changes = false;
+        for ((joint, &dq), torque) in self.drivetrains.iter_mut().zip(dq).zip(torques) {
+            if let Some(revised) = joint.revise_step(dq, dt_s) {
+                (*torque, changes) = (revised, true);
+            }
+        }
+        changes
+    }
+
     /// Ends a physics step of `dt_s` (s) with the true `dq` (n; rad/s, m/s).
     pub fn end_step(&mut self, dq: &[f64], dt_s: f64) {
         self.drivetrains.iter_mut().zip(dq).for_each(|(joint, &dq)| joint.end_step(dq, dt_s));

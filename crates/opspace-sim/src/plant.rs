@@ -27,6 +27,14 @@ pub trait Plant {
     /// [`q`](Self::q), are those of the drives on the links during the step.
     fn step(&mut self, time_s: f64, dt_s: f64, torques: &[JointTorque]);
 
+    /// Writes the velocities, in the order of [`q`](Self::q) (rad/s, m/s), to which [`step`](Self::step) with the same arguments would
+    /// lead. It is called before that step, with other torques again if they depend on the velocities. Returns false if the
+    /// plant does not know; joints with torques that bend sharply are then less accurate.
+    fn end_velocities(&mut self, time_s: f64, dt_s: f64, torques: &[JointTorque], dq: &mut [f64]) -> bool {
+        let _ = (time_s, dt_s, torques, dq);
+        false
+    }
+
     /// Returns the wrench (N, Nm) of the last step's contacts and external force on the body of `frame`. It acts on the
     /// robot, is expressed in the frame's axes and refers to the frame's origin.
     fn contact_wrench(&mut self, frame: PlantFrame) -> Force;

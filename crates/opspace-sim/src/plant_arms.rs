@@ -34,6 +34,8 @@ pub struct PlantArms {
     dq: DVector<f64>,
     /// True if the present step is after the start of control.
     is_controlled: bool,
+    /// True while a step is begun and not ended.
+    is_begun: bool,
 }
 
 /// Arm, and the forces on it.
@@ -299,7 +301,7 @@ impl PlantArms {
         let couplings = config.couplings.into_iter().map(|c| Coupling::new(c, &mut arms)).collect();
         let held = config.objects.into_iter().map(|object| Held::new(object, &mut arms)).collect();
         let dq = DVector::zeros(q.len());
-        Self { arms, couplings, held, dq, q: DVector::from_vec(q), is_controlled: false }
+        Self { arms, couplings, held, dq, q: DVector::from_vec(q), is_controlled: false, is_begun: false }
     }
 
     /// Positions of all joints, one arm after the other, rad or m.
@@ -316,13 +318,24 @@ impl PlantArms {
 
     /// Predicts the middle of the next step of `dt_s` (s) from the time `time_s` (s after the start of control), and computes
     /// all forces there. `torques` are those of the drives.
+    /// It may be called again with other torques before the step is ended.
     pub fn begin_step(&mut self, time_s: f64, dt_s: f64, torques: &[JointTorque]) {
-        let middle_s = time_s + 0.5 * dt_s;
-        self.is_controlled = middle_s >= 0.0;
+        if !std::mem::replace(&mut self.is_begun, true) {
+            self.predict(time_s, dt_s);
+        }
         for arm in &mut self.arms {
             let torques = &torques[arm.joints.clone()];
             arm.torque.iter_mut().zip(torques).for_each(|(to, torque)| *to = torque.torque);
             arm.drives.set(&mut arm.model, torques);
+            arm.add_contact_torques();
+        }
+    }
+
+    /// Predicts the middle of a step, and updates the forces there.
+    fn predict(&mut self, time_s: f64, dt_s: f64) {
+        let middle_s = time_s + 0.5 * dt_s;
+        self.is_controlled = middle_s >= 0.0;
+        for arm in &mut self.arms {
             let (q, dq) = (&self.q.as_slice()[arm.joints.clone()], &self.dq.as_slice()[arm.joints.clone()]);
             arm.integrator.predict(&arm.model, q, dq, dt_s);
             arm.touch(middle_s, dt_s);
@@ -332,9 +345,6 @@ impl PlantArms {
         }
         for held in &mut self.held {
             held.pull(&mut self.arms, middle_s, dt_s);
-        }
-        for arm in &mut self.arms {
-            arm.add_contact_torques();
         }
     }
 
@@ -365,6 +375,28 @@ impl PlantArms {
         self.advance(dt_s, |arm, q, dq| arm.integrator.accelerate(q, dq, &ddq[arm.joints.clone()], dt_s));
     }
 
+    /// Writes the velocities (rad/s or m/s) at the end of the step that was begun, with the accelerations of the articulated-body
+    /// algorithm.
+    pub fn end_velocities_rigid(&mut self, dt_s: f64, dq: &mut [f64]) {
+        for arm in &mut self.arms {
+            let ddq = arm.integrator.accelerations(&arm.model, arm.torque.as_slice());
+            let before = &self.dq.as_slice()[arm.joints.clone()];
+            let end = dq[arm.joints.clone()].iter_mut();
+            end.zip(before).zip(ddq).for_each(|((end, before), ddq)| *end = before + dt_s * ddq);
+        }
+    }
+
+    /// Writes the velocities (rad/s or m/s) at the end of the step that was begun, with the joint accelerations in its middle (rad/s²
+    /// or m/s²) as in [`end_step`](Self::end_step), which are corrected.
+    pub fn end_velocities(&mut self, dt_s: f64, ddq: &mut [f64], dq: &mut [f64]) {
+        for arm in &mut self.arms {
+            arm.drives.correct(&arm.model, &mut ddq[arm.joints.clone()]);
+        }
+        for ((end, before), ddq) in dq.iter_mut().zip(&self.dq).zip(ddq) {
+            *end = before + dt_s * *ddq;
+        }
+    }
+
     /// Ends the step that was begun, with the accelerations of the articulated-body algorithm.
     pub fn end_step_rigid(&mut self, dt_s: f64) {
         self.advance(dt_s, |arm, q, dq| {
@@ -374,6 +406,7 @@ impl PlantArms {
 
     /// Advances positions and velocities of each arm, and adds the work of the step.
     fn advance(&mut self, dt_s: f64, mut integrate: impl FnMut(&mut MovingArm, &mut [f64], &mut [f64])) {
+        self.is_begun = false;
         for arm in &mut self.arms {
             let q = &mut self.q.as_mut_slice()[arm.joints.clone()];
             let dq = &mut self.dq.as_mut_slice()[arm.joints.clone()];

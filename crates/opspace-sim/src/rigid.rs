@@ -67,6 +67,12 @@ impl Plant for RigidPlant {
         self.arms.end_step_rigid(dt_s);
     }
 
+    fn end_velocities(&mut self, time_s: f64, dt_s: f64, torques: &[JointTorque], dq: &mut [f64]) -> bool {
+        self.arms.begin_step(time_s, dt_s, torques);
+        self.arms.end_velocities_rigid(dt_s, dq);
+        true
+    }
+
     fn contact_wrench(&mut self, frame: PlantFrame) -> Force {
         self.arms.contact_wrench(frame)
     }

@@ -32,6 +32,8 @@ pub struct Simulation {
     rest_ticks: f64,
     /// Torques on the links of all arms, one arm after the other.
     torques: Vec<JointTorque>,
+    /// Velocities of all arms at the end of a step, rad/s or m/s.
+    end: Vec<f64>,
 }
 
 impl Simulation {
@@ -103,6 +105,7 @@ impl Simulation {
             clock,
             tick: 0,
             torques: vec![JointTorque::default(); first_joint],
+            end: vec![0.0; first_joint],
         })
     }
 
@@ -152,6 +155,20 @@ impl Simulation {
         }
     }
 
+    /// Revises the torques of joints that are integrated implicitly, until they are those of the velocities to which they lead.
+    fn revise_torques(&mut self, time_s: f64, dt_s: f64) {
+        let Self { plant, arms, torques, end, .. } = self;
+        while plant.end_velocities(time_s, dt_s, torques, end) {
+            let mut changes = false;
+            for arm in arms.iter_mut() {
+                changes |= arm.revise_step(end, dt_s, torques);
+            }
+            if !changes {
+                break;
+            }
+        }
+    }
+
     /// Runs the physics steps of a tick.
     fn run_physics(&mut self) {
         let period_s = 1.0 / self.clock.rate_hz;
@@ -161,7 +178,11 @@ impl Simulation {
             for arm in &mut self.arms {
                 arm.begin_step(&*self.plant, dt_s, &mut self.torques);
             }
-            self.plant.step(begin_s + f64::from(step) * dt_s, dt_s, &self.torques);
+            let time_s = begin_s + f64::from(step) * dt_s;
+            if self.arms.iter().any(ArmInterface::is_implicit) {
+                self.revise_torques(time_s, dt_s);
+            }
+            self.plant.step(time_s, dt_s, &self.torques);
             for arm in &mut self.arms {
                 arm.end_step(&*self.plant, dt_s);
             }

@@ -9,6 +9,8 @@
 //! I (v* − q̇) / h = F(v*) + others        torque on the link: τ − G q̈        G = −h F'(v*) ≥ 0        τ = F(v*) + (G/h) (v* − q̇)
 //! ```
 //!
+//! That is exact where F is linear. Where it is not, and the joints together lead to another velocity, F is linearised there again.
+//!
 //! The plant solves `(M + G) q̈ = τ − C q̇ − g` for all joints at once, as if G were the inertia of a rotor. Since G ≥ 0, no
 //! stiffness and no damping makes a step unstable, whatever the step and the inertias are. The elements of an elastic gear with
 //! the inertia B of its rotor add at most B: as the gear gets stiffer, the joint becomes one with a rigid gear.
@@ -30,12 +32,25 @@ pub(crate) struct StiffJoint {
     others: f64,
     /// Velocity before the present step, rad/s (m/s), and what acts in it.
     step: (f64, JointTorque),
+    /// Velocity about which that is linearised, rad/s (m/s).
+    end: f64,
+    /// Number of linearisations in the present step.
+    count: u32,
 }
+
+/// Number of linearisations in a step after which they approach each other: what meets or leaves a stop may go back and forth.
+const FREE_COUNT: u32 = 4;
+
+/// Largest number of linearisations in a step.
+const MOST_COUNT: u32 = 30;
+
+/// Difference between the linearised and the true torque that is enough, over their magnitudes.
+const TOLERANCE: f64 = 1e-6;
 
 impl StiffJoint {
     /// Returns a joint at rest whose link has this inertia (kg m², kg).
     pub fn new(inertia: f64) -> Self {
-        Self { inertia, others: 0.0, step: (0.0, JointTorque::default()) }
+        Self { inertia, others: 0.0, step: (0.0, JointTorque::default()), end: 0.0, count: 0 }
     }
 
     /// Linearises the torque of the elements (Nm, N) in a step of `h` (s) from the velocity `dq` (rad/s, m/s). `torque` and
@@ -48,10 +63,43 @@ impl StiffJoint {
         slope: impl Fn(f64) -> f64,
     ) -> JointTorque {
         let end = end_velocity(self.inertia / h, dq, |v| torque(v) + self.others);
+        self.step.0 = dq;
+        self.count = 0;
+        self.linearise(end, h, torque, slope)
+    }
+
+    fn linearise(
+        &mut self,
+        end: f64,
+        h: f64,
+        torque: impl Fn(f64) -> f64,
+        slope: impl Fn(f64) -> f64,
+    ) -> JointTorque {
         let inertia = h * slope(end);
-        let linearised = JointTorque { torque: torque(end) + inertia / h * (end - dq), inertia };
-        self.step = (dq, linearised);
+        let linearised = JointTorque { torque: torque(end) + inertia / h * (end - self.step.0), inertia };
+        self.step.1 = linearised;
+        self.end = end;
+        self.count += 1;
         linearised
+    }
+
+    /// Linearises the torque about the velocity `dq` (rad/s, m/s) to which the present linearisation leads; `None` if that is the
+    /// torque there.
+    pub fn revise(
+        &mut self,
+        dq: f64,
+        h: f64,
+        torque: impl Fn(f64) -> f64,
+        slope: impl Fn(f64) -> f64,
+    ) -> Option<JointTorque> {
+        let (before, JointTorque { torque: constant, inertia }) = self.step;
+        let (applied, actual) = (constant - inertia * (dq - before) / h, torque(dq));
+        let is_close = (applied - actual).abs() <= TOLERANCE * (applied.abs() + actual.abs());
+        if is_close || !actual.is_finite() || self.count >= MOST_COUNT {
+            return None;
+        }
+        let end = if self.count < FREE_COUNT { dq } else { 0.5 * (dq + self.end) };
+        Some(self.linearise(end, h, torque, slope))
     }
 
     /// Ends a step of `h` (s) with the velocity `dq` (rad/s, m/s). Returns the torque of the elements in the step (Nm, N).

@@ -82,11 +82,8 @@ impl ModelView {
 }
 
 fn load(args: &ModelArgs) -> Result<ModelView, Failure> {
-    let options = UrdfOptions {
-        floating_base: args.floating,
-        enforce_mimic: args.enforce_mimic,
-        ..UrdfOptions::default()
-    };
+    let options =
+        UrdfOptions { floating_base: args.floating, enforce_mimic: args.enforce_mimic, allow_massless: true };
     if args.robot.extension().is_some_and(|e| e == "urdf") {
         let urdf = Source::read(&args.robot)?;
         let ParsedUrdf { model, standing_kg, warnings, .. } = load_urdf(&urdf, options)?;

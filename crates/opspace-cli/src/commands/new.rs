@@ -4,6 +4,7 @@ use crate::cli::{NewArgs, SchemaKind};
 use crate::commands::schema::text as schema_text;
 use crate::console::{Console, Exit, Failure, Outcome, print};
 use crate::output::write;
+use crate::xacro::expanded;
 use opspace_backend::CommandKind;
 use opspace_experiment::files::mount::MountFile;
 use opspace_experiment::setup::arm_template::ArmTemplate;
@@ -43,9 +44,16 @@ fn create(
     template: Option<&ArmTemplate>,
     console: Console,
 ) -> Outcome {
-    let source = Source::read(file)?;
+    let source = match file.extension().is_some_and(|extension| extension == "xacro") {
+        true => Source::new(file.display().to_string(), expanded(file)?),
+        false => Source::read(file)?,
+    };
     let robot = dir.join("robot.toml");
     let urdf = file.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let urdf = urdf.strip_suffix(".xacro").map_or(urdf.clone(), |name| match name.ends_with(".urdf") {
+        true => name.to_owned(),
+        false => format!("{name}.urdf"),
+    });
     let part = Part { from: args.from.as_deref(), to: args.to.as_deref(), mount: mount(&args.mount)? };
     let values = match (template, args.assume) {
         (Some(template), _) if args.like_anyway.is_some() => DriveValues::InterfaceOf(template),

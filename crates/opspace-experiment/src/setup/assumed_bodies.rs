@@ -2,7 +2,7 @@
 //!
 //! A link without mass gets that of its shapes, filled with a material of [`DENSITY_KG_PER_M3`]. Links without shapes are those of a
 //! chain of solid cylinders from joint to joint that tapers from the base to the tip. Its mass is the one that is known of the
-//! whole arm, or else follows from the masses that the URDF has, or else from the reach: [`KG_PER_M3_OF_REACH`].
+//! whole arm, or else follows from the masses that the URDF has, or else from the length of the chain: [`KG_PER_M3_OF_LENGTH`].
 //!
 //! No link beyond the second joint is heavier than the heaviest before it: a wrist is lighter than its shoulder.
 
@@ -16,8 +16,9 @@ use opspace_model::{Inertia, MasslessJoint, Model, Placement};
 /// Density of the shapes of links, kg/m³: motors, gears and aluminium with hollow space between.
 pub const DENSITY_KG_PER_M3: f64 = 1000.0;
 
-/// Moving mass of an arm over the third power of its reach, kg/m³: UR3e 60, UR5e 27, UR10e 12, Panda 23, IRB 120 100, M-16iB 40.
-pub const KG_PER_M3_OF_REACH: f64 = 40.0;
+/// Moving mass of an arm over the third power of the length of its chain, kg/m³. With the masses of data sheets: Panda 9, UR5e 9,
+/// M-16iB 12, UR3e 14, IRB 120 25, KR 120 28, LR Mate 37.
+pub const KG_PER_M3_OF_LENGTH: f64 = 16.0;
 
 /// Radius of a chain at its base over the reach.
 const RADIUS_SHARE: f64 = 0.06;
@@ -175,7 +176,7 @@ fn scale(
     let same: f64 = others.map(|body| chain.cylinder(body).mass).sum();
     let factor = match same > 0.0 && known_kg > 0.0 {
         true => known_kg / same,
-        false => KG_PER_M3_OF_REACH * chain.reach_m.powi(3) / chain.mass(),
+        false => KG_PER_M3_OF_LENGTH * chain.reach_m.powi(3) / chain.mass(),
     };
     for (_, _, inertia, source) in bodies {
         if *source == BodySource::Chain {

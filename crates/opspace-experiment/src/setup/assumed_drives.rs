@@ -16,7 +16,7 @@ use std::f64::consts::TAU;
 /// Number of postures from which weight and inertia of a joint are the largest.
 const POSTURES: usize = 100;
 /// Largest position of a joint in these postures, rad (m): a platform that can drive anywhere carries the same weight there.
-const LARGEST_POSITION: f64 = 10.0;
+pub const LARGEST_POSITION: f64 = 10.0;
 /// Acceleration that a drive is sized for, rad/s² (m/s²).
 pub const ACCELERATION: f64 = 10.0;
 /// Speed that a drive is sized for, rad/s (m/s).

@@ -2,6 +2,7 @@
 //! that the arm can do there.
 
 use crate::files::source::Source;
+use crate::setup::assumed_drives::LARGEST_POSITION;
 use crate::setup::own_body::{Contacts, OwnBody};
 use crate::setup::tip::{arms, tip};
 use nalgebra::{DMatrix, DVector, Matrix3, Matrix6xX, Vector3};
@@ -200,7 +201,10 @@ impl<'a> Search<'a> {
     /// Posture of this number: joints that do not move the tip are at rest.
     fn posture(&self, number: usize) -> Vec<f64> {
         let sampled = Postures::new(self.model, RANGE).posture(number);
-        let position = |i: usize| if self.moves[i] { sampled[i] } else { self.rest[i] };
+        let position = |i: usize| match self.moves[i] {
+            true => sampled[i].clamp(-LARGEST_POSITION, LARGEST_POSITION),
+            false => self.rest[i].clamp(-LARGEST_POSITION, LARGEST_POSITION),
+        };
         // Three decimals are enough.
         (0..sampled.len()).map(|i| (position(i) * 1000.0).round() / 1000.0).collect()
     }

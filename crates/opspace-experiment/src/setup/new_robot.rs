@@ -6,6 +6,8 @@ use crate::files::mount::MountFile;
 use crate::files::robot::RobotDefinition;
 use crate::files::robot_part::{PartOf, UsedPart, load_part_of, urdf_error};
 use crate::files::source::{FileError, Source};
+use crate::files::task::TaskDefinition;
+use crate::run::experiment::{Experiment, RunOptions};
 use crate::setup::arm_template::ArmTemplate;
 use crate::setup::assumed_bodies::{AssumedBody, BodySource, assumed_bodies, floored_bodies, numbers};
 use crate::setup::assumed_drives::{PAYLOAD_SHARE, assumed_drives, servo_gains, velocity_gains};
@@ -21,6 +23,7 @@ use opspace_model::{
     FrameId, Inertia, JointDynamics, Limits, Model, ParsedUrdf, UrdfJoint, UrdfWarning, urdf_joints,
 };
 use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
 
 /// Chain of links of a new robot that is used, all of it if both are `None`; and the mounting of the robot.
 #[derive(Clone, Copy, Debug, Default)]
@@ -100,7 +103,7 @@ pub fn new_files(
     part: Part<'_>,
     values: DriveValues<'_>,
 ) -> Result<NewFiles, FileError> {
-    match values {
+    let files = match values {
         DriveValues::Template(template) => {
             like_template(load(urdf, urdf_name, part, Some(KnownMasses::default()))?, template)
         }
@@ -112,7 +115,30 @@ pub fn new_files(
             let robot_toml = template.with_interface(&assumed.robot_toml);
             Ok(NewFiles { robot_toml, command: Some(template.command()), ..assumed })
         }
+    }?;
+    check(&files, urdf)?;
+    Ok(files)
+}
+
+/// Checks that the files of a robot whose values are all known can be used: the first task as the robot that it is, and as a torque
+/// robot.
+fn check(files: &NewFiles, urdf: &Source) -> Result<(), FileError> {
+    let Some(command) = files.command else { return Ok(()) };
+    // Beside the URDF, as its copy will be, so that its meshes are found.
+    let beside = |name: &str| Path::new(urdf.name()).with_file_name(name).display().to_string();
+    let robot = RobotDefinition::from_sources(
+        Source::new(beside("robot.toml"), files.robot_toml.as_str()),
+        urdf.clone(),
+    )?;
+    let task = TaskDefinition::from_sources::<FileError>(
+        Source::new(beside("first-task.toml"), files.task_toml.as_str()),
+        |named| Source::read(&named.path),
+    )?;
+    for backend in [command, CommandKind::Torque] {
+        let options = RunOptions { backend, ..RunOptions::default() };
+        Experiment::new(robot.clone(), task.clone(), options, Vec::new())?;
     }
+    Ok(())
 }
 
 /// Loads the part of a URDF. `known` has the masses that are known of a robot whose other ones are assumed.

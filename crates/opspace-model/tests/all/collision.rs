@@ -5,6 +5,7 @@ mod derivatives;
 mod distance;
 mod meshes;
 mod pairs;
+mod solid;
 
 use opspace_model::collision::{CollisionModel, generate_capsules};
 use opspace_model::urdf::link_shapes;
