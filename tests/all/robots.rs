@@ -277,7 +277,7 @@ fn invalid_tool_is_refused_with_its_line() {
         (
             "\n[tool.a]\non = \"tip\"\ninertia_kg_m2 = [1.0, 0.0, 0.0, 1.0, 0.0, 1.0]\n",
             4,
-            "a tool without mass has no inertia",
+            "a body without mass has no inertia",
         ),
         ("\n[tool.a]\non = \"tip\"\nxyz_m = [0.0, 0.1]\n", 4, "expected 3 values, got 2"),
     ] {

@@ -109,7 +109,7 @@ pub struct UrdfOptions {
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct UrdfChanges {
     /// Joints that do not move, each with its position, rad (m). A locked joint needs no limits.
-    pub locked: Vec<(String, f64)>,
+    pub locked_joints: Vec<(String, f64)>,
     /// Inertias of links, in the frame of each link, in place of those that the URDF states.
     pub inertias: Vec<(String, Inertia)>,
 }
@@ -211,7 +211,7 @@ pub fn urdf_joints(text: &str) -> Result<Vec<UrdfJoint>, UrdfError> {
 fn load(
     robot: RobotElement,
     options: UrdfOptions,
-    UrdfChanges { locked, inertias }: &UrdfChanges,
+    UrdfChanges { locked_joints: locked, inertias }: &UrdfChanges,
 ) -> Result<ParsedUrdf, UrdfError> {
     let moves = |name: &str| locked.iter().all(|(locked, _)| locked != name);
     let Checked { mut description, mut warnings } = check::check(robot, moves)?;

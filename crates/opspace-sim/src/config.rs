@@ -300,20 +300,21 @@ impl ArmConfig {
         ];
         let [_, brake, mut bristle] = springs;
         bristle.1 += scale * self.true_friction(joint).viscous_nms_per_rad.get();
-        let is_damped = springs.iter().all(|(stiffness, damping)| *damping >= dt * stiffness);
+        let is_damped =
+            |springs: &[(f64, f64)]| springs.iter().all(|(stiffness, damping)| *damping >= dt * stiffness);
         let stop = springs[0];
         let Some(gear) = self.gear(joint) else {
             return LinkElements {
                 stiffness: stop.0 + brake.0 + bristle.0,
                 damping: stop.1 + brake.1 + bristle.1,
-                is_damped,
+                is_damped: is_damped(&springs),
                 ..LinkElements::default()
             };
         };
         LinkElements {
             stiffness: stop.0,
             damping: stop.1,
-            is_damped,
+            is_damped: is_damped(&springs[..1]),
             gear_stiffness: gear.stiffness,
             gear_damping: gear.damping,
             has_light_rotor: gear.steps(dt, brake.0 + bristle.0, brake.1 + bristle.1) > MAX_STEPS,

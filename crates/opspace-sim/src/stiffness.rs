@@ -34,8 +34,7 @@ pub(crate) struct LinkElements {
 impl LinkElements {
     /// Share of the elements in the inertia of a link of 1 kg m² (kg): a step of `h` (s) is accurate well below one.
     fn share(&self, h: f64) -> f64 {
-        let gear = h * h * self.gear_stiffness / LARGEST_GEAR_STEP.powi(2) + h * self.gear_damping;
-        gear + (h * h * self.stiffness + h * self.damping) / LARGEST_SHARE
+        (h * h * self.stiffness + h * self.damping) / LARGEST_SHARE
     }
 }
 
@@ -58,23 +57,39 @@ pub(crate) fn implicit_joints(
     elements: &[LinkElements],
     h: f64,
 ) -> Option<Vec<Option<f64>>> {
-    let n = model.n();
     let inverses = inverse_inertias(model, start)?;
     let least = |i: usize| 1.0 / inverses.iter().map(|inverse| inverse[(i, i)]).fold(0.0, f64::max);
     let mut implicit: Vec<bool> = elements.iter().map(|e| !e.is_damped || e.has_light_rotor).collect();
+    // The vibrations of links on elastic gears are those at the start.
+    let (start, all) = (&inverses[..1], &inverses[..]);
+    let of_elements = |e: &LinkElements| e.share(h);
+    let of_gear_stiffness = |e: &LinkElements| h * h * e.gear_stiffness / LARGEST_GEAR_STEP.powi(2);
+    let of_gear_damping = |e: &LinkElements| h * e.gear_damping;
+    limit_shares(all, elements, &mut implicit, &of_elements);
+    limit_shares(start, elements, &mut implicit, &of_gear_stiffness);
+    limit_shares(start, elements, &mut implicit, &of_gear_damping);
+    Some(implicit.into_iter().enumerate().map(|(i, implicit)| implicit.then(|| least(i))).collect())
+}
+
+/// Makes joints implicit until the largest eigenvalue of the inverse inertias times the shares of the others is at most one.
+fn limit_shares(
+    inverses: &[DMatrix<f64>],
+    elements: &[LinkElements],
+    implicit: &mut [bool],
+    share: &dyn Fn(&LinkElements) -> f64,
+) {
+    let n = elements.len();
     loop {
-        let root = DVector::from_fn(n, |i, _| if implicit[i] { 0.0 } else { elements[i].share(h).sqrt() });
+        let root = DVector::from_fn(n, |i, _| if implicit[i] { 0.0 } else { share(&elements[i]).sqrt() });
         let scaled =
             |inverse: &DMatrix<f64>| DMatrix::from_fn(n, n, |i, j| root[i] * inverse[(i, j)] * root[j]);
         let largest = |matrix: &DMatrix<f64>| matrix.symmetric_eigenvalues().max();
         let shares = inverses.iter().map(scaled).map(|matrix| (largest(&matrix), matrix));
-        let Some((share, matrix)) = shares.max_by(|a, b| a.0.total_cmp(&b.0)) else { break };
-        if share <= 1.0 {
-            break;
+        match shares.max_by(|a, b| a.0.total_cmp(&b.0)) {
+            Some((share, matrix)) if share > 1.0 => implicit[matrix.diagonal().imax()] = true,
+            _ => break,
         }
-        implicit[matrix.diagonal().imax()] = true;
     }
-    Some(implicit.into_iter().enumerate().map(|(i, implicit)| implicit.then(|| least(i))).collect())
 }
 
 /// Lowest rate of explicit steps at which links on elastic gears are stable at the start, Hz; `None` without a positive definite

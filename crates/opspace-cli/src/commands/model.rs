@@ -90,7 +90,7 @@ fn load(args: &ModelArgs) -> Result<ModelView, Failure> {
         return Ok(ModelView::new(&urdf, model, standing_kg, &warnings));
     }
     let robot = RobotDefinition::load(Files::Disk, &args.robot, &[])?;
-    if options != UrdfOptions::default() {
+    if args.floating || args.enforce_mimic {
         let option = if args.floating { "--floating" } else { "--enforce-mimic" };
         let (file, urdf) = (args.robot.display(), robot.urdf.name());
         let text = format!("{option} is only for a URDF, but {file} is a robot file: give {urdf} instead");

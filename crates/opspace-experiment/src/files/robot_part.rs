@@ -49,7 +49,7 @@ pub(crate) fn load_part(source: &Source, urdf: &Source, keys: &PartKeys) -> Resu
         false => Vec::new(),
     };
     let inertias = inertias(source, &keys.link)?;
-    let part = PartOf { joints: &joints, used: keys.used.as_ref(), locked: &keys.locked_joints };
+    let part = PartOf { joints: &joints, used: keys.used.as_ref(), locked_joints: &keys.locked_joints };
     load_part_of(source, urdf, &part, keys.enforce_mimic, inertias).map_err(|error| match &error {
         UrdfOrFile::Urdf(urdf_error) => match urdf_error.kind() {
             UrdfErrorKind::UnknownInertia { link, known } => {
@@ -68,7 +68,7 @@ pub(crate) struct PartOf<'a> {
     /// All joints of the URDF; not needed if all of it is used, and nothing is locked.
     pub joints: &'a [UrdfJoint],
     pub used: Option<&'a UsedPart>,
-    pub locked: &'a BTreeMap<String, f64>,
+    pub locked_joints: &'a BTreeMap<String, f64>,
 }
 
 /// Error in a URDF, or in the file that chooses a part of it.
@@ -100,9 +100,9 @@ pub(crate) fn load_part_of(
     inertias: Vec<(String, Inertia)>,
 ) -> Result<ParsedUrdf, UrdfOrFile> {
     let options = UrdfOptions { enforce_mimic, allow_massless: true, ..UrdfOptions::default() };
-    let locked = locked_joints(source, part.joints, part.used, part.locked, enforce_mimic)
+    let locked = locked_joints(source, part.joints, part.used, part.locked_joints, enforce_mimic)
         .map_err(UrdfOrFile::File)?;
-    Model::from_urdf_changed(urdf.text(), options, &UrdfChanges { locked, inertias })
+    Model::from_urdf_changed(urdf.text(), options, &UrdfChanges { locked_joints: locked, inertias })
         .map_err(UrdfOrFile::Urdf)
 }
 

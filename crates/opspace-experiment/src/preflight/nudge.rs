@@ -39,7 +39,7 @@ const STEADY_PER_S: f64 = 0.1;
 const ACCURATE_STEPS: f64 = 3.0;
 
 /// Largest number of steps in place of one. Faster vibrations are damped by the simulation: they are not what a nudge looks for.
-const MOST_STEPS: f64 = 100.0;
+const MAX_STEPS: f64 = 100.0;
 
 /// Outcome of a nudge.
 pub(super) enum Nudge {
@@ -221,7 +221,7 @@ fn simulated(config: &ArmConfig) -> Option<SimulatedArm> {
     if needed_hz <= physics_hz {
         return SimulatedArm::new(config.clone()).ok();
     }
-    let steps = (ACCURATE_STEPS * needed_hz / physics_hz).ceil().min(MOST_STEPS);
+    let steps = (ACCURATE_STEPS * needed_hz / physics_hz).ceil().min(MAX_STEPS);
     let mut faster = config.clone();
     faster.simulated.physics_hz = Positive::try_from(steps * physics_hz).ok()?;
     SimulatedArm::new(faster).ok()

@@ -160,7 +160,7 @@ fn load<'a>(
     }
     let enforce_mimic = joints.iter().any(|joint| joint.mimics.is_some());
     let load = |bodies: &[AssumedBody]| {
-        let part = PartOf { joints: &joints, used: used.as_ref(), locked: &locked };
+        let part = PartOf { joints: &joints, used: used.as_ref(), locked_joints: &locked };
         let inertias = bodies.iter().map(|body| (body.link.clone(), written(&body.inertia))).collect();
         load_part_of(urdf, urdf, &part, enforce_mimic, inertias).map_err(|error| error.of_urdf(urdf))
     };

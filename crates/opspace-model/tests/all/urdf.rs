@@ -140,8 +140,6 @@ refusals! {
         ["joint 'elbow'", "<limit lower>", "-inf", "finite"];
     refuses_nan_effort: ELBOW_LIMIT => r#"<limit lower="-1" upper="1" effort="nan"/>"#,
         ["joint 'elbow'", "<limit effort>", "nan"];
-    refuses_negative_velocity_limit: ELBOW_LIMIT => r#"<limit lower="-1" upper="1" velocity="-2"/>"#,
-        ["joint 'elbow'", "velocity limit -2", "negative"];
     // Joints.
     refuses_floating_joint: ELBOW => r#"<joint name="elbow" type="floating">"#,
         ["joint 'elbow'", "\"floating\"", "not supported", "revolute, continuous, prismatic and fixed"];
@@ -521,7 +519,7 @@ fn locked_joint_needs_no_limits() {
         Model::from_urdf_changed(
             &text,
             UrdfOptions::default(),
-            &UrdfChanges { locked: vec![(name.to_owned(), 0.0)], ..UrdfChanges::default() },
+            &UrdfChanges { locked_joints: vec![(name.to_owned(), 0.0)], ..UrdfChanges::default() },
         )
         .map(|urdf| urdf.model.n())
     };

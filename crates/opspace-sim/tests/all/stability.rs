@@ -33,7 +33,7 @@ fn no_arm_gains_energy() {
     check(0..300);
 }
 
-/// The same with ten thousand draws.
+/// Ten thousand draws.
 #[test]
 #[ignore = "long: .ci/run"]
 fn ten_thousand_arms_gain_no_energy() {

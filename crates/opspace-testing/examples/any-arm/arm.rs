@@ -29,7 +29,7 @@ pub struct Judge {
     pub plant: Option<String>,
 }
 
-/// What happened with an arm.
+/// Outcome of the commands with an arm.
 pub struct Outcome {
     /// Step that failed first, with its words.
     failed: Option<(&'static str, String)>,

@@ -48,7 +48,7 @@ pub fn kind(number: usize) -> &'static str {
     KINDS[number % KINDS.len()]
 }
 
-/// How the numbers of a file are written.
+/// Properties of the numbers in a file.
 #[derive(Clone, Copy)]
 struct Style {
     has_inertials: bool,

@@ -1,4 +1,4 @@
-//! What happens with URDFs of arms of which nothing else is known: for each, `opspace new --assume`, `check`, and `run` of the first
+//! Trial of URDFs of arms of which nothing else is known: for each, `opspace new --assume`, `check`, and `run` of the first
 //! task as a position robot and as a torque robot; then both runs with a payload that the model does not know.
 //!
 //! ```text
