@@ -311,9 +311,10 @@ impl ArmConfig {
                 ..LinkElements::default()
             };
         };
+        // Brake and friction act on the rotor, which makes steps of its own. The end stop of a link on an elastic gear is touched briefly.
         LinkElements {
-            stiffness: stop.0,
-            damping: stop.1,
+            stiffness: 0.0,
+            damping: 0.0,
             is_damped: is_damped(&springs[..1]),
             gear_stiffness: gear.stiffness,
             gear_damping: gear.damping,
@@ -335,6 +336,9 @@ impl ArmConfig {
         let elements: Vec<LinkElements> = (0..model.n()).map(|joint| self.elements(joint, dt)).collect();
         let implicit = implicit_joints(model, &self.start, &elements, dt)
             .ok_or_else(|| SimulationError::NoInertia { joint: self.lightest_joint(model) })?;
+        if implicit.iter().any(Option::is_some) {
+            eprintln!("IMPLICIT {implicit:?} {elements:?} {dt}");
+        }
         self.check_backlash(&implicit, &elements, physics_hz)?;
         let bandwidth_hz = simulated.current_loop_hz.map(|hz| hz.get());
         let joint = |(i, parameters): (usize, &JointParameters)| {

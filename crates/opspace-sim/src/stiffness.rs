@@ -7,8 +7,8 @@
 use nalgebra::{DMatrix, DVector};
 use opspace_model::{Data, Model, Postures, crba, forward_kinematics};
 
-/// Largest share of the elements at rest: h² k + h d over the inertia.
-const LARGEST_SHARE: f64 = 0.5;
+/// Largest share of h² k + h d in the inertia: explicit steps are stable up to 2.
+const LARGEST_SHARE: f64 = 1.5;
 
 /// Largest product of a step and an angular frequency of links on elastic gears: the method is stable up to 2.
 const LARGEST_GEAR_STEP: f64 = 1.5;

@@ -66,6 +66,10 @@ impl Posture {
                 (found.q, "found for --at".to_owned(), Some(found.start_rad), found.contact)
             }
         };
+        if model.bodies().iter().any(|body| body.inertia.mass <= 0.0) {
+            // A posture is described by its dynamics, which a URDF without masses does not have.
+            return Ok(None);
+        }
         let Some(report) = PostureReport::new(model, &q, frame) else {
             return Err(bad("the mass matrix is not positive definite in this posture".to_owned()));
         };
