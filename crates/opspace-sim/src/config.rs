@@ -300,14 +300,15 @@ impl ArmConfig {
         ];
         let [_, brake, mut bristle] = springs;
         bristle.1 += scale * self.true_friction(joint).viscous_nms_per_rad.get();
-        let is_damped =
-            |springs: &[(f64, f64)]| springs.iter().all(|(stiffness, damping)| *damping >= dt * stiffness);
+        let lacking = |springs: &[(f64, f64)]| -> f64 {
+            springs.iter().map(|(stiffness, damping)| (dt * stiffness - damping).max(0.0)).sum()
+        };
         let stop = springs[0];
         let Some(gear) = self.gear(joint) else {
             return LinkElements {
                 stiffness: stop.0 + brake.0 + bristle.0,
                 damping: stop.1 + brake.1 + bristle.1,
-                is_damped: is_damped(&springs),
+                lacking_damping: lacking(&springs),
                 ..LinkElements::default()
             };
         };
@@ -315,7 +316,7 @@ impl ArmConfig {
         LinkElements {
             stiffness: 0.0,
             damping: 0.0,
-            is_damped: is_damped(&springs[..1]),
+            lacking_damping: lacking(&springs[..1]),
             gear_stiffness: gear.stiffness,
             gear_damping: gear.damping,
             has_light_rotor: gear.steps(dt, brake.0 + bristle.0, brake.1 + bristle.1) > MAX_STEPS,
@@ -336,9 +337,6 @@ impl ArmConfig {
         let elements: Vec<LinkElements> = (0..model.n()).map(|joint| self.elements(joint, dt)).collect();
         let implicit = implicit_joints(model, &self.start, &elements, dt)
             .ok_or_else(|| SimulationError::NoInertia { joint: self.lightest_joint(model) })?;
-        if implicit.iter().any(Option::is_some) {
-            eprintln!("IMPLICIT {implicit:?} {elements:?} {dt}");
-        }
         self.check_backlash(&implicit, &elements, physics_hz)?;
         let bandwidth_hz = simulated.current_loop_hz.map(|hz| hz.get());
         let joint = |(i, parameters): (usize, &JointParameters)| {

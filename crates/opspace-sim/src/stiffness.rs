@@ -10,6 +10,9 @@ use opspace_model::{Data, Model, Postures, crba, forward_kinematics};
 /// Largest share of h² k + h d in the inertia: explicit steps are stable up to 2.
 const LARGEST_SHARE: f64 = 1.5;
 
+/// Fastest growth of the energy of a spring without a damper that is accepted, 1/s.
+const FASTEST_GAIN_PER_S: f64 = 1.0;
+
 /// Largest product of a step and an angular frequency of links on elastic gears: the method is stable up to 2.
 const LARGEST_GEAR_STEP: f64 = 1.5;
 
@@ -22,8 +25,8 @@ pub(crate) struct LinkElements {
     /// Sums over end stop, and on a rigid gear over brake and friction.
     pub stiffness: f64,
     pub damping: f64,
-    /// True if each of these springs has a damper that suffices for an explicit step.
-    pub is_damped: bool,
+    /// Damping that these springs lack for explicit steps: such a step makes a spring gain energy, at half of this over the inertia.
+    pub lacking_damping: f64,
     /// Elastic gear; zero if the gear is rigid.
     pub gear_stiffness: f64,
     pub gear_damping: f64,
@@ -59,13 +62,15 @@ pub(crate) fn implicit_joints(
 ) -> Option<Vec<Option<f64>>> {
     let inverses = inverse_inertias(model, start)?;
     let least = |i: usize| 1.0 / inverses.iter().map(|inverse| inverse[(i, i)]).fold(0.0, f64::max);
-    let mut implicit: Vec<bool> = elements.iter().map(|e| !e.is_damped || e.has_light_rotor).collect();
+    let mut implicit: Vec<bool> = elements.iter().map(|e| e.has_light_rotor).collect();
     // The vibrations of links on elastic gears are those at the start.
     let (start, all) = (&inverses[..1], &inverses[..]);
     let of_elements = |e: &LinkElements| e.share(h);
     let of_gear_stiffness = |e: &LinkElements| h * h * e.gear_stiffness / LARGEST_GEAR_STEP.powi(2);
     let of_gear_damping = |e: &LinkElements| h * e.gear_damping;
+    let of_lacking_damping = |e: &LinkElements| 0.5 * e.lacking_damping / FASTEST_GAIN_PER_S;
     limit_shares(all, elements, &mut implicit, &of_elements);
+    limit_shares(all, elements, &mut implicit, &of_lacking_damping);
     limit_shares(start, elements, &mut implicit, &of_gear_stiffness);
     limit_shares(start, elements, &mut implicit, &of_gear_damping);
     Some(implicit.into_iter().enumerate().map(|(i, implicit)| implicit.then(|| least(i))).collect())
