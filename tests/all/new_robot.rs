@@ -5,33 +5,13 @@ use crate::cli_common::{opspace, read, read_json, scratch};
 use opspace_experiment::{Files, RobotDefinition};
 use opspace_log::Recording;
 use opspace_model::{Data, forward_kinematics, frame_placement};
+use opspace_testing::random::Random;
 use std::fmt::Write as _;
 use std::fs;
 use std::time::{SystemTime, UNIX_EPOCH};
 
 /// Largest error of the tip's displacement, as a fraction of it, and m.
 const TOLERANCE: (f64, f64) = (0.06, 0.003);
-
-/// Numbers from 0 to 1 (splitmix64).
-struct Random(u64);
-
-impl Random {
-    fn next(&mut self) -> f64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        ((z ^ (z >> 31)) >> 11) as f64 / (1_u64 << 53) as f64
-    }
-
-    fn between(&mut self, low: f64, high: f64) -> f64 {
-        low + (high - low) * self.next()
-    }
-
-    fn is(&mut self, probability: f64) -> bool {
-        self.next() < probability
-    }
-}
 
 /// URDF of a random tree of this many joints in its trunk: revolute, continuous, prismatic and fixed joints, with and
 /// without branches, limits of effort and velocity, and friction.

@@ -312,7 +312,8 @@ impl ArmConfig {
                 ..LinkElements::default()
             };
         };
-        // Brake and friction act on the rotor, which makes steps of its own. The end stop of a link on an elastic gear is touched briefly.
+        // Brake and friction act on the rotor, which makes steps of its own. The end stop is left explicit: counted, it would make the light
+        // links of common arms implicit all the time, and their gears with backlash refused, for a stop that they hardly touch.
         LinkElements {
             stiffness: 0.0,
             damping: 0.0,

@@ -6,7 +6,7 @@
 //! forces are part of the [plant](crate::plant).
 //!
 //! The torques above are constant over a step, and computed at its begin, unless they are too stiff for that: see
-//! [`stiff_joint`](crate::stiff_joint).
+//! `stiff_joint.rs`.
 
 use crate::friction::LuGre;
 use crate::gear::ElasticGear;

@@ -86,7 +86,7 @@ impl DriveInertia {
     }
 
     /// Computes the expected accelerations in the middle of a step, under `torque` (n; Nm, N).
-    fn expect(&mut self, model: &Model, q: &[f64], dq: &[f64], torque: &DVector<f64>) {
+    fn predict(&mut self, model: &Model, q: &[f64], dq: &[f64], torque: &DVector<f64>) {
         if self.is_present {
             kinematics(model, &mut self.data, q, dq);
             aba(model, &mut self.data, torque.as_slice());
@@ -354,7 +354,7 @@ impl PlantArms {
     pub fn copy_middle(&mut self, q: &mut [f64], dq: &mut [f64], torques: &mut [f64]) {
         for arm in &mut self.arms {
             let middle = &arm.integrator;
-            arm.drives.expect(&arm.model, middle.middle_q(), middle.middle_dq(), &arm.torque);
+            arm.drives.predict(&arm.model, middle.middle_q(), middle.middle_dq(), &arm.torque);
             q[arm.joints.clone()].copy_from_slice(arm.integrator.middle_q());
             dq[arm.joints.clone()].copy_from_slice(arm.integrator.middle_dq());
             torques[arm.joints.clone()].copy_from_slice(arm.torque.as_slice());

@@ -11,8 +11,9 @@
 //!
 //! That is exact where F is linear. Where it is not, and the joints together lead to another velocity, F is linearised there again.
 //!
-//! The plant solves `(M + G) q̈ = τ − C q̇ − g` for all joints at once, as if G were the inertia of a rotor. Since G ≥ 0, no
-//! stiffness and no damping makes a step unstable, whatever the step and the inertias are. The elements of an elastic gear with
+//! The plant solves `(M + G) q̈ = τ − C q̇ − g` for all joints at once, as if G were the inertia of a rotor. Where F is linear, G ≥ 0 makes a
+//! step stable for any stiffness, damping and inertia; where it bends sharply for several joints at once, a few random arms in a thousand still
+//! gain energy (tests/all/stability.rs). The elements of an elastic gear with
 //! the inertia B of its rotor add at most B: as the gear gets stiffer, the joint becomes one with a rigid gear.
 //!
 //! The error of such a step is of first order, as that of an explicit step, but it dissipates energy: it damps a vibration that

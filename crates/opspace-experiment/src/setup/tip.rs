@@ -121,7 +121,7 @@ fn last_frame(model: &Model, body: usize) -> Option<FrameId> {
         || model.frames().iter().filter(|frame| frame.body == Some(body)).map(|frame| frame.name.as_str());
     let ends = || frames().filter(|name| !is_no_end(name));
     let named = |word: &&str| ends().find(|name| has_word(name, word));
-    let name = ENDS.iter().find_map(named).or_else(|| ends().last()).or_else(|| frames().last())?;
+    let name = ENDS.iter().find_map(named).or_else(|| ends().next_back()).or_else(|| frames().next_back())?;
     model.frame_id(name).ok()
 }
 

@@ -24,8 +24,8 @@ fn check(seeds: std::ops::Range<u64>) {
             result => wrong.push((seed, result)),
         }
     }
-    println!("{} of {count} wrong, {refused} refused: {wrong:?}", wrong.len());
-    assert!(wrong.len() as f64 <= WRONG_SHARE * count && f64::from(refused) <= REFUSED_SHARE * count);
+    let is_right = wrong.len() as f64 <= WRONG_SHARE * count && f64::from(refused) <= REFUSED_SHARE * count;
+    assert!(is_right, "{} of {count} wrong, {refused} refused: {wrong:?}", wrong.len());
 }
 
 #[test]

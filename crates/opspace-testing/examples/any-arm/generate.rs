@@ -1,33 +1,8 @@
 //! URDFs of arms as people publish them: chains, SCARA, gantries, two arms, mimic joints, and files that lack or round what a
 //! simulation needs.
 
+use opspace_testing::random::Random;
 use std::fmt::Write as _;
-
-/// Numbers from 0 to 1 (splitmix64).
-pub struct Random(pub u64);
-
-impl Random {
-    fn next(&mut self) -> f64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        ((z ^ (z >> 31)) >> 11) as f64 / (1_u64 << 53) as f64
-    }
-
-    fn between(&mut self, low: f64, high: f64) -> f64 {
-        low + (high - low) * self.next()
-    }
-
-    fn is(&mut self, probability: f64) -> bool {
-        self.next() < probability
-    }
-
-    /// Index below a number.
-    pub fn below(&mut self, count: usize) -> usize {
-        ((self.next() * count as f64) as usize).min(count - 1)
-    }
-}
 
 /// Kinds of files.
 const KINDS: [&str; 10] = [
@@ -177,10 +152,10 @@ impl File<'_> {
         };
         let effort = self.style.effort.unwrap_or_else(|| need * self.random.between(1.5, 6.0));
         let velocity = self.random.between(1.0, 4.0);
-        let _ = write!(
+        let _ = writeln!(
             self.text,
             "<joint name=\"{name}\" type=\"{kind}\"><parent link=\"{parent}\"/><child link=\"{child}\"/><origin xyz=\"{x:.4} {y:.4} {z:.4}\"/>\
-             <axis xyz=\"{axis}\"/><limit {limits}effort=\"{effort:.3}\" velocity=\"{velocity:.3}\"/></joint>\n"
+             <axis xyz=\"{axis}\"/><limit {limits}effort=\"{effort:.3}\" velocity=\"{velocity:.3}\"/></joint>"
         );
     }
 
@@ -269,10 +244,10 @@ impl File<'_> {
             let child = format!("finger_{side}");
             let mimic = if side == "right" { "<mimic joint=\"finger_left_joint\"/>" } else { "" };
             let axis = if side == "left" { "0 1 0" } else { "0 -1 0" };
-            let _ = write!(
+            let _ = writeln!(
                 self.text,
                 "<joint name=\"finger_{side}_joint\" type=\"prismatic\"><parent link=\"tool0\"/><child link=\"{child}\"/>\
-                 <origin xyz=\"0.05 {y} 0\"/><axis xyz=\"{axis}\"/><limit lower=\"0\" upper=\"0.04\" effort=\"20\" velocity=\"0.2\"/>{mimic}</joint>\n"
+                 <origin xyz=\"0.05 {y} 0\"/><axis xyz=\"{axis}\"/><limit lower=\"0\" upper=\"0.04\" effort=\"20\" velocity=\"0.2\"/>{mimic}</joint>"
             );
             self.link(&child, [0.05, 0.0, 0.0], 0.05);
         }

@@ -81,7 +81,7 @@ fn urdfs(options: &Options, work: &Path) -> Result<Vec<PathBuf>, String> {
     found.retain(|path| path.extension().is_some_and(|extension| extension == "urdf"));
     found.sort();
     if let Some(count) = options.drawn {
-        let mut random = generate::Random(options.seed);
+        let mut random = opspace_testing::random::Random(options.seed);
         while found.len() > count {
             found.remove(random.below(found.len()));
         }

@@ -1,8 +1,6 @@
 //! Arms with random inertias, gears, friction, brakes and end stops over many orders of magnitude, and a motion of each that must
 //! not gain energy.
 
-#![allow(dead_code, reason = "each test uses some of it")]
-
 use opspace_backend::quantity::{Count, NonNegative, Positive};
 use opspace_backend::{Backend, Capabilities, Command, CommandKind, DeviceFault, Sample};
 use opspace_model::{Data, Model, crba, kinematics, kinetic_energy};
