@@ -33,6 +33,18 @@ const TASKS: (&str, &str) = ("tasks/task.schema.json", "tasks");
 const SUITES: (&str, &str) = ("tasks/suite.schema.json", "tasks/suites");
 const EXPERIMENTS: (&str, &str) = ("experiments/experiment.schema.json", "experiments");
 
+/// Tables that no robot of the repository needs.
+const TABLES_OF_NO_ROBOT: &str = r"
+[mount]
+xyz_m = [0.1, 0.2, 0.3]
+rpy_rad = [0.1, 0.2, 0.3]
+
+[link.link7]
+mass_kg = 0.7
+com_m = [0.01, 0.02, 0.03]
+inertia_kg_m2 = [0.01, 0.0, 0.0, 0.01, 0.0, 0.01]
+";
+
 /// Compared: the verdicts of schema and reader about each file of the repository with one key changed: to another sign,
 /// size, text or type, to a bound of its range, or beyond it; removed, or added. Compared as well: a file in which a key has
 /// its default, and the file without this key.
@@ -113,8 +125,12 @@ fn robots() -> Comparison {
     let mut comparison = Comparison::default();
     let schema = SchemaFile::read(&root(ROBOTS.0));
     let mut changes = Changes::new(&schema);
-    for path in files(ROBOTS) {
-        let robot = RobotDefinition::load(Files::Disk, &path, &[]).expect("a robot");
+    let load = |path: &Path| RobotDefinition::load(Files::Disk, path, &[]).expect("a robot");
+    let mut robots: Vec<RobotDefinition> = files(ROBOTS).iter().map(|path| load(path)).collect();
+    let panda = load(&root("robots/panda/robot.toml"));
+    let source = Source::new("a mounted panda", format!("{}{TABLES_OF_NO_ROBOT}", panda.source.text()));
+    robots.push(RobotDefinition::from_sources(source, panda.urdf).expect("a robot"));
+    for robot in robots {
         comparison.add(&robot.source, &schema, &mut changes, |source, _| {
             let robot = RobotDefinition::from_sources(source, robot.urdf.clone());
             let known = robot.and_then(|robot| check_robot(&extensions, &robot).map(|()| robot));

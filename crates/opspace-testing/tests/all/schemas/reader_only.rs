@@ -2,7 +2,7 @@
 
 /// Reasons for which a schema cannot state a rule, each with words of the messages about a broken one. Messages about a
 /// task file begin with `then` if its contents alone are valid.
-pub const READER_ONLY: [(&str, &[&str]); 7] = [
+pub const READER_ONLY: [(&str, &[&str]); 8] = [
     (
         "other keys or other files define the names",
         &[
@@ -69,6 +69,7 @@ pub const READER_ONLY: [(&str, &[&str]); 7] = [
             "a direction must not be zero",
             "its normal a direction",
             "no body has these moments of inertia",
+            "no body has the principal moments",
         ],
     ),
     (
@@ -90,6 +91,7 @@ pub const READER_ONLY: [(&str, &[&str]); 7] = [
             "this robot is not coupled with another one",
         ],
     ),
+    ("only a mistake in a unit gives such a size", &["is more than a turn", "1e12 is too large"]),
     (
         "limits of the arm, at the joint that a name selects",
         &["is too far from", "is outside the joint's limits", "the default of 0 is outside its limits"],
