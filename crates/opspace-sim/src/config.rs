@@ -9,6 +9,7 @@ use crate::friction::LuGre;
 use crate::gear::{ElasticGear, GearConfig, MAX_STEPS};
 use crate::held_object::HeldObjectConfig;
 use crate::motor::{AngleTorque, Motor};
+use crate::own_gravity::OwnGravity;
 use crate::parameters::{EncoderSide, SimulatedParameters};
 use crate::random::{RngStream, generator};
 use crate::sensor_load::SensorLoad;
@@ -465,12 +466,13 @@ impl ArmConfig {
         let model = self.model.clone().with_scaled_inertia(self.simulated.true_over_nominal.inertia.get());
         let rotor = |(joint, &inertia)| if self.gear(joint).is_some() { 0.0 } else { inertia };
         let rotors: Vec<f64> = model.rotor_inertia().iter().enumerate().map(rotor).collect();
-        let model = self.with_payloads(model.with_rotor_inertia(&rotors));
-        match self.capabilities.gravity_compensated_by {
-            GravityCompensation::Controller => model,
-            // A robot that compensates its weight is simulated without gravity.
-            GravityCompensation::Robot => model.with_gravity(Vector3::zeros()),
-        }
+        self.with_payloads(model.with_rotor_inertia(&rotors))
+    }
+
+    /// Returns the drives' own compensation of gravity; `None` if the controller compensates it.
+    pub(crate) fn own_gravity(&self) -> Option<OwnGravity> {
+        let is_own = self.capabilities.gravity_compensated_by == GravityCompensation::Robot;
+        is_own.then(|| OwnGravity::new(self.model.clone()))
     }
 
     /// Adds the loads that only the true arm has.
@@ -508,9 +510,8 @@ impl ArmConfig {
                 let random = generator(self.seed, RngStream::ForceSensor(index));
                 let frame = self.model.frame_id(&sensor.frame).ok()?;
                 let sensor = SimulatedForceSensor::new(quality, period_s, random);
-                // The sensor bears the weight of a load also if the robot compensates that of the arm.
-                let model = || model.clone().with_gravity(self.model.gravity());
-                let load = quality.load.as_ref().map(|load| SensorLoad::new(load, model(), frame, period_s));
+                let load = quality.load.as_ref();
+                let load = load.map(|load| SensorLoad::new(load, model.clone(), frame, period_s));
                 Some((frame, sensor.with_load(load)))
             })
             .collect()

@@ -32,6 +32,8 @@ pub struct Drivetrain {
     angle_torque: AngleTorque,
     current_torque: f64,
     motor_torque: f64,
+    /// Torque of the motor that compensates gravity, in addition to `motor_torque`.
+    gravity_torque: f64,
     joint_torque: f64,
 }
 
@@ -53,6 +55,7 @@ impl Drivetrain {
             angle_torque: AngleTorque::default(),
             current_torque: 0.0,
             motor_torque: 0.0,
+            gravity_torque: 0.0,
             joint_torque: 0.0,
         }
     }
@@ -128,7 +131,7 @@ impl Drivetrain {
 
     /// Explicit step: returns the torque on the link (Nm, N), constant over the next `dt_s` (s).
     fn step(&mut self, q: f64, dq: f64, dt_s: f64) -> f64 {
-        let motor = self.motor_torque;
+        let motor = self.motor_torque + self.gravity_torque;
         let stop = self.end_stop.torque(q, dq);
         let Self { friction, brake, .. } = self;
         if let Some(gear) = &mut self.gear {
@@ -145,7 +148,7 @@ impl Drivetrain {
     /// of `h` (s).
     fn rotor_torque(&self, v: f64, h: f64) -> f64 {
         let position = self.rotor_position(self.link) + h * v;
-        self.motor_torque - self.friction.torque(v, h) + self.brake.torque(position, v)
+        self.motor_torque + self.gravity_torque - self.friction.torque(v, h) + self.brake.torque(position, v)
     }
 
     /// Velocity of the rotor at the end of a step of `h` (s), with that of the link (rad/s, m/s).
@@ -174,7 +177,12 @@ impl Drivetrain {
         gear_slope * behind / (gear_slope + behind) + stop
     }
 
-    /// Mean motor torque at the joint over the last step, Nm or N.
+    /// Sets the torque of the motor that compensates gravity (Nm, N), from the next step on.
+    pub fn compensate(&mut self, gravity_torque: f64) {
+        self.gravity_torque = gravity_torque;
+    }
+
+    /// Mean motor torque at the joint over the last step, Nm or N, without that which compensates gravity.
     #[must_use]
     pub fn motor_torque(&self) -> f64 {
         self.motor_torque
@@ -186,10 +194,11 @@ impl Drivetrain {
         self.current_torque
     }
 
-    /// Torque of the gear on the link during the last step, Nm or N; of a rigid gear with that of the end stop.
+    /// Torque of the gear on the link during the last step, Nm or N, without that which compensates gravity; of a rigid gear
+    /// with that of the end stop.
     #[must_use]
     pub fn joint_torque(&self) -> f64 {
-        self.joint_torque
+        self.joint_torque - self.gravity_torque
     }
 
     /// Returns the reading of the drive's encoder with the link at position `q` (rad, m).

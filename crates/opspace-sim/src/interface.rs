@@ -64,15 +64,21 @@ impl ArmInterface {
     ) -> Result<Self, SimulationError> {
         let timing = config.timing(clock)?;
         let Capabilities { command, has_brakes, setpoints, .. } = config.capabilities;
-        let holding = holding_torque(model, &config.start);
+        let weight = holding_torque(model, &config.start);
+        let mut own_gravity = config.own_gravity();
+        // What the robot's own compensation leaves to its servos and brakes.
+        let holding = match &mut own_gravity {
+            Some(own) => &weight - own.torques(&config.start),
+            None => weight.clone(),
+        };
         let motor_start = match command {
             CommandKind::Torque | CommandKind::Velocity if has_brakes => DVector::zeros(model.n()),
             _ => holding.clone(),
         };
-        let drivetrains = config.drivetrains(model, &motor_start, &holding, clock.physics_hz)?;
+        let drivetrains = config.drivetrains(model, &motor_start, &weight, clock.physics_hz)?;
         let laws = config.true_servos(timing.servo_period_s)?;
         let q = &config.start;
-        let mut motors = Motors::new(drivetrains, config.torque_limits(), q);
+        let mut motors = Motors::new(drivetrains, config.torque_limits(), q).compensating(own_gravity);
         let check = SetpointCheck::new(config);
         let has_setpoint_limits = check.is_some();
         let drives = match command {
@@ -243,6 +249,7 @@ impl ArmInterface {
     /// Begins a servo period.
     pub fn servo_tick(&mut self, plant: &dyn Plant) {
         self.drives.servo_tick(&mut self.motors, &plant.q()[self.joints.clone()], self.timing.servo_tick);
+        self.motors.compensate_gravity();
         self.rows.begin_servo_period(self.drives.command_in_force());
         self.timing.servo_tick += 1;
     }

@@ -12,8 +12,11 @@
 //! | velocity, without brakes | its servos receive zero velocity; without an integral the arm sags under its weight |
 //!
 //! When the brakes of a velocity robot are released, the integrals of its servos are zero: the arm sags until they hold
-//! its weight. The servos of a position robot hold its weight with or without brakes. For a robot that compensates
-//! gravity by itself, the motor torques in rows and samples exclude gravity.
+//! its weight. The servos of a position robot hold its weight with or without brakes.
+//!
+//! The drives of a robot that compensates gravity by itself add torques that its model needs at the measured positions,
+//! in each servo period, also while brakes hold it. Torques in rows and samples exclude them, and torque limits do not count
+//! them. Loads that this model does not have ([`payload`](SimulatedParameters::payload)), and the difference of true and nominal inertia, keep their weight.
 //!
 //! ```
 //! use opspace_backend::quantity::Positive;
@@ -73,6 +76,7 @@ pub mod integrator;
 mod interface;
 pub mod motor;
 mod motors;
+mod own_gravity;
 pub mod parameters;
 pub mod plant;
 pub mod plant_arms;

@@ -1,6 +1,7 @@
 //! Motors of a simulated arm with their drivetrains and encoders: what every kind of robot has.
 
 use crate::drivetrain::Drivetrain;
+use crate::own_gravity::OwnGravity;
 use crate::plant::JointTorque;
 use nalgebra::DVector;
 
@@ -15,6 +16,7 @@ pub(crate) struct Motors {
     /// Torques that the motors are asked for, within the limits (n; Nm, N).
     asked: DVector<f64>,
     limited: bool,
+    own_gravity: Option<OwnGravity>,
 }
 
 impl Motors {
@@ -23,7 +25,19 @@ impl Motors {
         let n = q.len();
         let position = DVector::from_fn(n, |i, _| drivetrains[i].read_encoder(q[i]));
         let (reported, asked) = (DVector::zeros(n), DVector::zeros(n));
-        Self { drivetrains, limits, position, reported, asked, limited: false }
+        Self { drivetrains, limits, position, reported, asked, limited: false, own_gravity: None }
+    }
+
+    /// Lets the drives compensate gravity.
+    pub fn compensating(self, own_gravity: Option<OwnGravity>) -> Self {
+        Self { own_gravity, ..self }
+    }
+
+    /// Compensates gravity at the positions that the drives have measured, if they do that.
+    pub fn compensate_gravity(&mut self) {
+        if let Some(own) = &mut self.own_gravity {
+            own.compensate(&mut self.drivetrains, self.position.as_slice());
+        }
     }
 
     /// Positions that the drives have measured (n; rad, m).

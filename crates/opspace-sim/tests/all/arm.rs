@@ -1,12 +1,14 @@
 //! Tests of the simulated arm at its interface: timing, encoders, sensors, brakes, end stops and weight.
 
 use crate::common::{START, arm, object, parsed, read, servo_rows, setup, try_read};
-use nalgebra::{DVector, Vector3};
+use nalgebra::{DVector, Matrix6xX, Vector3};
 use opspace_backend::quantity::Positive;
 use opspace_backend::{
     Backend, Command, CommandKind, GravityCompensation, GroundTruth, Measured, Sample, TruthRow,
 };
-use opspace_model::{Data, Model, frame_placement, kinematics, potential_energy};
+use opspace_model::{
+    Data, Inertia, Model, Placement, crba, frame_jacobian, frame_placement, kinematics, potential_energy,
+};
 use opspace_sim::{ArmConfig, Key, SimulatedArm, SimulationError, fault};
 use std::f64::consts::TAU;
 
@@ -161,23 +163,64 @@ fn brakes_stop_and_hold_a_moving_arm() {
     assert!((arm.true_q() - stood).amax() < 1e-4);
 }
 
-/// Compared: motion without torque of a robot that compensates its own weight, and of one that doesn't.
+/// Compared: motion without torque of a robot that compensates its own weight, on rigid and on elastic gears, and of one that
+/// doesn't. Its encoders have steps, and it compensates at the positions that they read.
 #[test]
 fn gravity_compensating_robot_needs_no_torque() {
-    let fallen = |gravity_compensated_by| {
+    let fallen = |gravity_compensated_by, gear: Option<&str>| {
         let mut setup = setup(CommandKind::Torque, "a-med");
         setup.capabilities.gravity_compensated_by = gravity_compensated_by;
         setup.simulated.true_over_nominal.friction = Default::default();
+        setup.simulated.gear = gear.map(parsed).unwrap_or_default();
         let mut arm = arm(setup);
-        read(&mut arm);
-        for _ in 0..300 {
-            arm.write(Command::Torque(&[0.0; 4])).expect("it takes them");
-            read(&mut arm);
-        }
+        hang(&mut arm, 300);
         (arm.true_q() - DVector::from_column_slice(&START)).amax()
     };
-    assert!(fallen(GravityCompensation::Robot) < 1e-12);
-    assert!(fallen(GravityCompensation::Controller) > 0.1);
+    let gear = "[shoulder_yaw]\nstiffness_nm_per_rad = 3000.0\ndamping_nms_per_rad = 2.0";
+    for gear in [None, Some(gear)] {
+        let moved = fallen(GravityCompensation::Robot, gear);
+        assert!(moved < 1e-3, "{moved} rad");
+        assert!(fallen(GravityCompensation::Controller, gear) > 0.1);
+    }
+}
+
+/// Compared: the velocity that a robot which compensates its own weight gains in 10 ms with a load that its model does not have, and
+/// the weight of the load over the inertia with it.
+#[test]
+fn compensating_robot_bears_the_weight_of_an_unknown_load() {
+    let mass_kg = 1.5;
+    let mut setup = setup(CommandKind::Torque, "a-med");
+    setup.capabilities.gravity_compensated_by = GravityCompensation::Robot;
+    setup.simulated.true_over_nominal.friction = Default::default();
+    setup.simulated.payload =
+        parsed(&format!("[unknown]\nframe = 'hand'\nmass_kg = {mass_kg:?}\ncentre_m = [0.0, 0.0, 0.0]"));
+    let hand = setup.model.frame_id("hand").expect("the hand");
+    let mut model = setup.model.clone();
+    let own = model.add_frame_on("load", hand, Placement::identity());
+    model.set_payload(own, Inertia { mass: mass_kg, ..Inertia::zero() });
+    let mut data = Data::new(&model);
+    kinematics(&model, &mut data, &START, &[0.0; 4]);
+    crba(&model, &mut data);
+    let mut jacobian = Matrix6xX::zeros(4);
+    frame_jacobian(&model, &data, hand, &mut jacobian);
+    let torque = jacobian.rows(0, 3).tr_mul(&(mass_kg * model.gravity()));
+    let expected = data.mass_matrix.clone().lu().solve(&torque).expect("regular") * 0.01;
+    let mut arm = arm(setup);
+    // The brakes are released.
+    hang(&mut arm, 3);
+    let before = arm.true_dq();
+    hang(&mut arm, 10);
+    let gained = arm.true_dq() - before;
+    assert!(expected.amax() > 0.05, "{expected}");
+    assert!((&gained - &expected).amax() < 0.02 * expected.amax(), "{gained} for {expected}");
+}
+
+/// Lets an arm hang without torque for some cycles.
+fn hang(arm: &mut SimulatedArm, cycles: usize) {
+    for _ in 0..cycles {
+        read(arm);
+        arm.write(Command::Torque(&[0.0; 4])).expect("it takes them");
+    }
 }
 
 /// Compared: the depth of a joint in its end stop at full torque, and the torque over the stop's stiffness.
