@@ -34,6 +34,7 @@ mod phase_margin;
 mod position_limits;
 mod ramp;
 mod refusal;
+mod reserves;
 mod sensor_loads;
 mod servo_gain;
 mod speeds;
@@ -57,6 +58,7 @@ pub use gears::{GearMargin, GearScale, gear_margin};
 pub use impedances::{JointImpedance, impedances};
 pub use margins::{Margins, Quantity, RangeEnd, StableRange, margins, margins_with};
 pub use refusal::{LEAST_EXCESS, checked_for_real_robot, refusals};
+pub use reserves::{Reserve, ReserveOf};
 pub use servo_gain::{GainMargin, ServoLoop, gain_margin};
 pub use times::PathDuration;
 pub use torque_floor::{JointFloor, TORQUE_HZ, floors};
@@ -87,6 +89,13 @@ pub fn start_diagnostics(extensions: &Extensions, experiment: &Experiment) -> Ve
 #[must_use]
 pub fn singular_postures(experiment: &Experiment) -> Vec<SingularPostures> {
     PreflightCase::new(experiment).map_or_else(Vec::new, |case| freedom::singular_postures_of(&case))
+}
+
+/// Computes the joints that reach a limit first along the references: with a payload, with the target forces of the tasks, and
+/// with speed.
+#[must_use]
+pub fn reserves(experiment: &Experiment) -> Vec<Reserve> {
+    PreflightCase::new(experiment).map_or_else(Vec::new, |case| reserves::reserves_of(&case))
 }
 
 /// Computes the durations of the paths that tasks follow.

@@ -13,9 +13,9 @@ use opspace_experiment::files::joint_layers::urdf_values_text;
 use opspace_experiment::files::origin::Kind;
 use opspace_experiment::files::robot::load_urdf;
 use opspace_experiment::preflight::{
-    DetectableForce, GainMargin, GearResonance, PathDuration, ServoLoop, SingularPostures,
-    collision_thresholds, coupling_diagnostics, detectable_forces, diagnostics_with, gain_margin,
-    gear_resonances, not_checked, path_durations, singular_postures,
+    DetectableForce, GainMargin, GearResonance, PathDuration, Reserve, ReserveOf, ServoLoop,
+    SingularPostures, collision_thresholds, coupling_diagnostics, detectable_forces, diagnostics_with,
+    gain_margin, gear_resonances, not_checked, path_durations, reserves, singular_postures,
 };
 use opspace_experiment::run::collision::KeptDistances;
 use opspace_experiment::transformers::check_robot;
@@ -76,6 +76,8 @@ struct Checked {
     thresholds: Vec<(String, f64)>,
     /// Margins and errors of the transformer, if torques pass through one.
     strength: Option<Strength>,
+    /// Joints that reach a limit first.
+    reserves: Vec<Reserve>,
     /// Nearly singular postures of each task.
     singular: Vec<SingularPostures>,
     /// Durations of the paths that tasks follow.
@@ -120,6 +122,7 @@ impl Checked {
             gears: gear_resonances(experiment),
             forces: detectable_forces(experiment),
             thresholds: collision_thresholds(experiment),
+            reserves: reserves(experiment),
             singular: singular_postures(experiment),
             paths: path_durations(experiment),
             distances: experiment.kept_distances().cloned(),
@@ -144,6 +147,7 @@ impl Checked {
         text.extend(self.forces.iter().map(line));
         text += &thresholds_text(&self.thresholds);
         text.extend(self.strength.iter().map(Strength::text));
+        text.extend(self.reserves.iter().map(line));
         text.extend(self.singular.iter().map(line));
         text.extend(self.paths.iter().map(line));
         text.extend(self.distances.iter().map(|distances| pairs_text(distances, console.verbose)));
@@ -469,6 +473,7 @@ fn as_json(path: &Path, checked: &Result<Checked, FileError>) -> Value {
                 "estimated_forces": checked.forces.iter().map(force_as_json).collect::<Vec<Value>>(),
                 "collision_thresholds_nm": checked.thresholds.iter().cloned().collect::<BTreeMap<_, _>>(),
                 "transformer": checked.strength.as_ref().map(Strength::json),
+                "first_at_limit": checked.reserves.iter().map(reserve_as_json).collect::<Vec<Value>>(),
                 "singular_postures": checked.singular.iter().map(singular_as_json).collect::<Vec<Value>>(),
                 "paths": checked.paths.iter().map(path_as_json).collect::<Vec<Value>>(),
                 "kept_distances": checked.distances.as_ref().map(pairs_json),
@@ -489,6 +494,14 @@ fn as_json(path: &Path, checked: &Result<Checked, FileError>) -> Value {
             "help": error.help(),
         }),
     }
+}
+
+fn reserve_as_json(reserve: &Reserve) -> Value {
+    let frame = match &reserve.of {
+        ReserveOf::Payload(frame) => Some(frame),
+        _ => None,
+    };
+    json!({ "of": reserve.of.name(), "frame": frame, "joint": reserve.joint, "at": reserve.at })
 }
 
 fn warning_as_json(warning: &Warning) -> Value {

@@ -187,12 +187,26 @@ fn false_losses(name: &str, task: &TaskMetrics) -> Option<String> {
     })
 }
 
-/// Notes above the tables of a run: tasks that are away from their references at its end, although these rest there, or from
-/// the target of their force, and tasks whose force sensor lost contact that there was. Those that a finding explains are not listed.
+/// Time within which a stop hardly depends on the motion of the arm, s.
+const EARLY_STOP_S: f64 = 10e-3;
+
+/// Note about a simulated run that is stopped before an arm could move.
+fn early_stop(summary: &Summary) -> Option<String> {
+    let time_s = summary.fault_time_s.filter(|time_s| summary.simulated && *time_s < EARLY_STOP_S)?;
+    Some(format!(
+        "stopped {:.1} ms after the start: an arm hardly moves in this time, so the cause is probably the simulation \
+         ([simulated], masses, rotors and servo gains of the robot), not the task",
+        1e3 * time_s
+    ))
+}
+
+/// Notes above the tables of a run: a stop that the simulation probably caused; tasks that are away from their references at
+/// its end, although these rest there, or from the target of their force, and tasks whose force sensor lost contact that there
+/// was. Those that a finding explains are not listed.
 #[must_use]
 pub fn final_notes(summary: &Summary) -> Vec<String> {
     if summary.faulted.is_some() || summary.interrupted {
-        return Vec::new();
+        return early_stop(summary).into_iter().collect();
     }
     let is_explained = |name: &str| {
         let mut goals = summary.findings.of(Code::GoalNotReached);
@@ -309,6 +323,19 @@ mod tests {
         assert_eq!(task_table(&run).texts(), expected);
         let [note] = &task_notes(&run)[..] else { panic!("one note") };
         assert!(note.starts_with("Task 'rest' (joint-posture) is not in the table: "), "{note}");
+    }
+
+    /// Checks stops 2 ms and 50 ms after the start, of a simulation and of a robot.
+    #[test]
+    fn stops_at_the_start_are_attributed_to_the_simulation() {
+        let mut run = summary("a", "p", 1, 0.1);
+        run.faulted = Some("joint 'a': too fast".to_owned());
+        for (time_s, simulated, is_noted) in [(0.002, true, true), (0.05, true, false), (0.002, false, false)]
+        {
+            (run.fault_time_s, run.simulated) = (Some(time_s), simulated);
+            let notes = final_notes(&run).join("\n");
+            assert_eq!(notes.contains("2.0 ms after the start"), is_noted, "{notes}");
+        }
     }
 
     /// Checks tasks at 4 mm and at 12 mm from their goals, one whose reference moves, and one whose error is explained.

@@ -73,7 +73,7 @@ pub(crate) fn of_joints(case: &PreflightCase<'_>, followed: &Rollout) -> Vec<Fin
 }
 
 /// Pairs of instants of one task set that are a little apart.
-fn pairs(instants: &[Instant]) -> impl Iterator<Item = (&Instant, &Instant)> {
+pub(super) fn pairs(instants: &[Instant]) -> impl Iterator<Item = (&Instant, &Instant)> {
     let mut last = 0;
     instants.iter().enumerate().filter_map(move |(k, before)| {
         last = last.max(k);

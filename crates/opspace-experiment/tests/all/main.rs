@@ -29,6 +29,7 @@ mod random_servos;
 mod real_robot;
 mod recorded;
 mod report;
+mod reserves;
 mod robot_file;
 mod run_figures;
 mod segments;
