@@ -62,4 +62,4 @@ pub use mesh::{
 pub use model::{CollisionError, CollisionModel, CollisionObject, CollisionPair, Holder};
 pub use pairs::{DropReason, DroppedPair, PairSampling};
 pub use proximity::Proximity;
-pub use solid::{mesh_inertia, solid_inertia};
+pub use solid::{Densities, mesh_inertia, solid_inertia};

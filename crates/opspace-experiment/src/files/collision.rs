@@ -6,7 +6,7 @@ use crate::suggest::choices;
 use nalgebra::Vector3;
 use opspace_backend::quantity::{NonNegative, Positive, exactly};
 use opspace_model::collision::{
-    Capsule, CapsuleSource, CapsuleWarning, CollisionError, CollisionModel, CollisionShape,
+    Capsule, CapsuleSource, CapsuleWarning, CollisionError, CollisionModel, CollisionShape, Densities,
     GeneratedCapsules, HalfSpace, LinkCapsule, MeshError, generate_capsules, solid_inertia,
 };
 use opspace_model::urdf::{LinkShapes, link_shapes};
@@ -182,15 +182,15 @@ pub fn generated_capsules(urdf: &Source) -> Result<GeneratedCapsules, FileError>
         .map_err(|error| mesh_error(urdf, &error))
 }
 
-/// Returns the mass properties of the shapes of each link that has some, with a density of 1 kg/m³, in the frame of the link.
-pub(crate) fn link_volumes(urdf: &Source) -> Result<Vec<(String, Inertia)>, FileError> {
-    let mut volumes = Vec::new();
+/// Returns the mass properties of the shapes of each link that has some, with these densities, in the frame of the link.
+pub(crate) fn link_solids(urdf: &Source, densities: Densities) -> Result<Vec<(String, Inertia)>, FileError> {
+    let mut solids = Vec::new();
     for link in shapes_of(urdf)? {
-        let solid =
-            solid_inertia(&link, Some(Path::new(urdf.name()))).map_err(|error| mesh_error(urdf, &error))?;
-        volumes.extend(solid.map(|solid| (link.link, solid)));
+        let solid = solid_inertia(&link, Some(Path::new(urdf.name())), densities)
+            .map_err(|error| mesh_error(urdf, &error))?;
+        solids.extend(solid.map(|solid| (link.link, solid)));
     }
-    Ok(volumes)
+    Ok(solids)
 }
 
 /// Returns the inertias that a URDF states for its links, in their frames.

@@ -1,20 +1,22 @@
 //! Assumed masses and inertias of links of which the URDF states none, or impossible ones.
 //!
-//! A link without mass gets that of its shapes, filled with a material of [`DENSITY_KG_PER_M3`]. Links without shapes are those of a
+//! A link without mass gets that of its shapes, filled with materials of [`DENSITIES`]. Links without shapes are those of a
 //! chain of solid cylinders from joint to joint that tapers from the base to the tip. Its mass is the one that is known of the
 //! whole arm, or else follows from the masses that the URDF has, or else from the length of the chain: [`KG_PER_M3_OF_LENGTH`].
 //!
 //! No link beyond the second joint is heavier than the heaviest before it: a wrist is lighter than its shoulder.
 
-use crate::files::collision::link_volumes;
+use crate::files::collision::link_solids;
 use crate::files::source::{FileError, Source};
 use crate::setup::assumed_drives::rounded;
 use crate::setup::tip::tip;
 use nalgebra::{Matrix3, SymmetricEigen, Vector3};
+use opspace_model::collision::Densities;
 use opspace_model::{Inertia, MasslessJoint, Model, Placement};
 
-/// Density of the shapes of links, kg/m³: motors, gears and aluminium with hollow space between.
-pub const DENSITY_KG_PER_M3: f64 = 1000.0;
+/// Densities of the shapes of links: motors, gears and aluminium with hollow space between. Spheres, cylinders, capsules and
+/// boxes enclose links with space around them: those of the FR3 have 3.6 times its mass over the density of water.
+pub const DENSITIES: Densities = Densities { mesh_kg_per_m3: 1000.0, primitive_kg_per_m3: 400.0 };
 
 /// Moving mass of an arm over the third power of the length of its chain, kg/m³. With the masses of data sheets: Panda 9, UR5e 9,
 /// M-16iB 12, UR3e 14, IRB 120 25, KR 120 28, LR Mate 37.
@@ -109,13 +111,13 @@ pub fn assumed_bodies(
     total_kg: Option<f64>,
 ) -> Result<Vec<AssumedBody>, FileError> {
     let chain = Chain::of(model);
-    let volumes = link_volumes(urdf)?;
+    let solids = link_solids(urdf, DENSITIES)?;
     let of_body = |body: usize| -> Vec<Inertia> {
         let frames = model.frames().iter().filter(|frame| frame.body == Some(body));
         frames
             .filter_map(|frame| {
-                let (_, solid) = volumes.iter().find(|(link, _)| *link == frame.name)?;
-                Some(frame.placement.act_inertia(&scaled(solid, DENSITY_KG_PER_M3)))
+                let (_, solid) = solids.iter().find(|(link, _)| *link == frame.name)?;
+                Some(frame.placement.act_inertia(solid))
             })
             .collect()
     };

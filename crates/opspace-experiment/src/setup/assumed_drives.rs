@@ -4,12 +4,12 @@
 //! friction of the URDF. No joint needs less than a share of what the joint before it needs: a last joint whose axis passes
 //! through its centre of mass would otherwise get the motor of a watch. The torque limit is the effort of the URDF if that is
 //! plausible, and otherwise follows from the need: many URDFs state efforts that no such drive has. It is the *size* of the drive,
-//! from which rotor and friction follow.
+//! from which rotor and friction follow. Small arms get [hobby servos](DriveKind::HobbyServo).
 
 use crate::setup::tip::{arms, tip};
 use nalgebra::{Matrix3, Vector3};
 use opspace_model::{
-    Data, Inertia, JointDynamics, JointKind, Model, Postures, crba, forward_kinematics, gravity,
+    Data, Inertia, Joint, JointDynamics, JointKind, Model, Postures, crba, forward_kinematics, gravity,
 };
 use std::f64::consts::TAU;
 
@@ -52,10 +52,67 @@ pub const VELOCITY_LOOP_HZ: f64 = 25.0;
 /// Gain of the position loops, 1/s.
 pub const KP_PER_S: f64 = 40.0;
 
+/// Largest moving mass of an arm with hobby servos, kg: that of a ViperX 300 S is 2.8 kg.
+pub const HOBBY_MASS_KG: f64 = 3.0;
+/// Largest length of an arm with hobby servos, m: the sum of the distances of its joints.
+pub const HOBBY_LENGTH_M: f64 = 1.0;
+/// Largest plausible effort of a hobby servo, Nm: two XM540-W270 together have 21 Nm.
+const HOBBY_EFFORT_NM: f64 = 22.0;
+/// Gear ratio of a hobby servo: that of an STS3215 is 345, that of an XM430-W350 is 353.5.
+pub const HOBBY_GEAR_RATIO: f64 = 350.0;
+/// Encoder steps of a hobby servo per turn of the joint: those of STS3215 and XM430.
+pub const HOBBY_STEPS_PER_TURN: f64 = 4096.0;
+/// Reflected inertia of a hobby servo over its size, kg m²/Nm: that of the SO-101's is 0.0147.
+pub const HOBBY_KG_M2_PER_NM: f64 = 0.012;
+/// Damping of a hobby servo over its size, 1/(rad/s): its speed without load is about 5 rad/s, where its torque vanishes.
+pub const HOBBY_VISCOUS_S: f64 = 0.2;
+/// Damping of a hobby servo that moves a slide over its size, 1/(m/s).
+pub const HOBBY_VISCOUS_S_PER_M: f64 = 5.0;
+/// Stiffness of the position loop of a hobby servo over its size, 1/rad: that of the SO-101's is 4.7 as LeRobot sets it, and at
+/// most 9.3.
+pub const HOBBY_STIFFNESS_PER_RAD: f64 = 6.0;
+/// Stiffness of the position loop of a hobby servo that moves a slide over its size, 1/m: a finger moves by some millimetres.
+pub const HOBBY_STIFFNESS_PER_M: f64 = 600.0;
+
+/// Kind of drives that an arm of its size has.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum DriveKind {
+    /// Drives with velocity loops and fast interfaces.
+    Industrial,
+    /// Servos of a few newton metres on a serial bus, with proportional position loops without a velocity loop.
+    HobbyServo,
+}
+
+impl DriveKind {
+    /// Kind that an arm of a few kilograms and decimetres, or a larger one, has.
+    #[must_use]
+    pub fn of(model: &Model) -> Self {
+        let Some(tip) = tip(model) else { return Self::Industrial };
+        let chain: Vec<usize> = model.ancestors(tip).collect();
+        let bodies = model.bodies();
+        let moved = chain.iter().filter(|&&body| bodies[body].parent.is_some());
+        let length_m = moved.map(|&body| bodies[body].origin.translation.norm()).sum::<f64>()
+            + model.frame(tip).placement.translation.norm();
+        let slides =
+            chain.iter().any(|&body| model.joints()[bodies[body].joint].kind == JointKind::Prismatic);
+        let is_small = model.total_mass() <= HOBBY_MASS_KG && length_m <= HOBBY_LENGTH_M;
+        if is_small && !slides { Self::HobbyServo } else { Self::Industrial }
+    }
+
+    /// True for an effort of a URDF (Nm, N) that a drive with this need can have.
+    fn is_plausible(self, effort: f64, need: f64) -> bool {
+        let is_possible = self == Self::Industrial || effort <= HOBBY_EFFORT_NM;
+        is_limit(effort) && is_possible && PLAUSIBLE_EFFORT.contains(&(effort / need))
+    }
+}
+
 /// Assumed drive of a joint.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct AssumedDrive {
+    /// Kind of the drives of the arm.
+    pub kind: DriveKind,
     /// Torque limit (Nm, N), if the URDF has no plausible one.
     pub torque_limit: Option<f64>,
     /// Torque that the joint needs with a payload, Nm (N).
@@ -97,20 +154,30 @@ pub fn assumed_drives(
     model: &Model,
     dynamics: &[JointDynamics],
     payload_kg: Option<f64>,
+    kind: DriveKind,
 ) -> Vec<AssumedDrive> {
     let needs = needs(model, dynamics, payload_kg.unwrap_or(PAYLOAD_SHARE * model.total_mass()));
-    let drive = |(i, joint): (usize, &opspace_model::Joint)| {
+    let drive = |(i, joint): (usize, &Joint)| {
         let slides = joint.kind == JointKind::Prismatic;
         let need = needs[i];
         let (effort, speed) = (joint.limits.effort, joint.limits.velocity);
-        let is_plausible = is_limit(effort) && PLAUSIBLE_EFFORT.contains(&(effort / need));
-        let torque_limit = (!is_plausible).then(|| rounded(LIMIT_OVER_NEED * need));
+        let torque_limit = (!kind.is_plausible(effort, need)).then(|| rounded(LIMIT_OVER_NEED * need));
         let default_speed = if slides { SPEED_M_PER_S } else { SPEED_RAD_PER_S };
         let velocity_limit = (!is_limit(speed)).then_some(default_speed);
         let size = torque_limit.unwrap_or(effort);
-        let gear_ratio = if slides { GEAR_RAD_PER_M } else { GEAR_RATIO };
-        let reflected = size * if slides { ROTOR_KG_PER_N } else { ROTOR_KG_M2_PER_NM };
+        let is_hobby = kind == DriveKind::HobbyServo;
+        let [gear_ratio, reflected] = match (slides, is_hobby) {
+            (true, _) => [GEAR_RAD_PER_M, ROTOR_KG_PER_N * size],
+            (false, true) => [HOBBY_GEAR_RATIO, HOBBY_KG_M2_PER_NM * size],
+            (false, false) => [GEAR_RATIO, ROTOR_KG_M2_PER_NM * size],
+        };
+        let viscous = match (slides, is_hobby) {
+            (true, true) => HOBBY_VISCOUS_S_PER_M * size,
+            (false, true) => HOBBY_VISCOUS_S * size,
+            (_, false) => VISCOUS_SHARE * size / velocity_limit.unwrap_or(speed),
+        };
         AssumedDrive {
+            kind,
             torque_limit,
             need,
             velocity_limit,
@@ -118,8 +185,13 @@ pub fn assumed_drives(
             rotor_kg_m2: rounded(reflected / (gear_ratio * gear_ratio)),
             gear_ratio,
             coulomb: rounded(COULOMB_SHARE * size),
-            viscous: rounded(VISCOUS_SHARE * size / velocity_limit.unwrap_or(speed)),
-            presliding: if slides { 1e-4 } else { 1e-3 },
+            viscous: rounded(viscous),
+            presliding: match (slides, is_hobby) {
+                (true, _) => 1e-4,
+                // Not below the steps of the encoder.
+                (false, true) => 5e-3,
+                (false, false) => 1e-3,
+            },
         }
     };
     model.joints().iter().enumerate().map(drive).collect()

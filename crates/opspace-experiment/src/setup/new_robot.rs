@@ -10,7 +10,9 @@ use crate::files::task::TaskDefinition;
 use crate::run::experiment::{Experiment, RunOptions};
 use crate::setup::arm_template::ArmTemplate;
 use crate::setup::assumed_bodies::{AssumedBody, BodySource, assumed_bodies, floored_bodies, numbers};
-use crate::setup::assumed_drives::{PAYLOAD_SHARE, assumed_drives, servo_gains, velocity_gains};
+use crate::setup::assumed_drives::{
+    DriveKind, HOBBY_LENGTH_M, HOBBY_MASS_KG, PAYLOAD_SHARE, assumed_drives, servo_gains, velocity_gains,
+};
 use crate::setup::first_motion::{Clearance, ControlledAxes, FirstMotion, first_motion};
 use crate::setup::first_task::first_task_toml;
 use crate::setup::robot_template::{NewRobot, assumed_robot_toml, robot_toml};
@@ -107,11 +109,11 @@ pub fn new_files(
         DriveValues::Template(template) => {
             like_template(load(urdf, urdf_name, part, Some(KnownMasses::default()))?, template)
         }
-        DriveValues::Missing => computed(load(urdf, urdf_name, part, None)?, None),
-        DriveValues::Assumed(known) => computed(load(urdf, urdf_name, part, Some(known))?, Some(known)),
+        DriveValues::Missing => computed(load(urdf, urdf_name, part, None)?, None, true),
+        DriveValues::Assumed(known) => computed(load(urdf, urdf_name, part, Some(known))?, Some(known), true),
         DriveValues::InterfaceOf(template) => {
             let known = KnownMasses::default();
-            let assumed = computed(load(urdf, urdf_name, part, Some(known))?, Some(known))?;
+            let assumed = computed(load(urdf, urdf_name, part, Some(known))?, Some(known), false)?;
             let robot_toml = template.with_interface(&assumed.robot_toml);
             Ok(NewFiles { robot_toml, command: Some(template.command()), ..assumed })
         }
@@ -211,12 +213,19 @@ fn motion_of(
         .ok_or_else(|| FileError::of_file(loaded.urdf.name(), "no frame of the robot moves", None))
 }
 
-/// Files of a robot whose values are assumed, or missing.
-fn computed(loaded: SelectedPart<'_>, assumed: Option<KnownMasses>) -> Result<NewFiles, FileError> {
+/// Files of a robot whose values are assumed, or missing. With `own_interface`, the arm may have hobby servos.
+fn computed(
+    loaded: SelectedPart<'_>,
+    assumed: Option<KnownMasses>,
+    own_interface: bool,
+) -> Result<NewFiles, FileError> {
     let (model, dynamics) = (&loaded.parsed.model, &loaded.parsed.dynamics);
     let assume = assumed.is_some();
     let payload_kg = assumed.and_then(|known| known.payload_kg).unwrap_or(PAYLOAD_SHARE * model.total_mass());
-    let drives = assumed_drives(model, dynamics, Some(payload_kg));
+    // URDFs without masses are those of industrial robots.
+    let has_masses = loaded.bodies.iter().all(|body| body.source == BodySource::Floor);
+    let kind = if own_interface && has_masses { DriveKind::of(model) } else { DriveKind::Industrial };
+    let drives = assumed_drives(model, dynamics, Some(payload_kg), kind);
     let limits: Vec<f64> = (model.joints().iter().zip(&drives))
         .map(|(joint, drive)| {
             let unknown = if assume { drive.torque_limit.unwrap_or(f64::INFINITY) } else { f64::INFINITY };
@@ -237,6 +246,9 @@ fn computed(loaded: SelectedPart<'_>, assumed: Option<KnownMasses>) -> Result<Ne
         if assume {
             stated.retain(|value| !value.key.starts_with("friction."));
         }
+    }
+    if assume && kind == DriveKind::HobbyServo {
+        notes.insert(0, note_of_hobby_servos());
     }
     if let [template, others @ ..] = ArmTemplate::fitting(loaded.urdf, model)?.as_slice() {
         notes.insert(0, note_of_template(template, others, model));
@@ -307,6 +319,14 @@ fn note_of_friction(assume: bool) -> String {
              robot.toml"
         ),
     }
+}
+
+/// Says which drives a small arm gets.
+fn note_of_hobby_servos() -> String {
+    format!(
+        "this arm moves at most {HOBBY_MASS_KG} kg and is at most {HOBBY_LENGTH_M} m long, so hobby servos are assumed: springs without \
+         a velocity loop, on a bus of 100 Hz. If it has industrial drives, write their values into robot.toml"
+    )
 }
 
 /// Names a template that fits the URDF, and others that fit as well.

@@ -4,12 +4,15 @@ use crate::files::joint_layers::UrdfValue;
 use crate::files::mount::MountFile;
 use crate::files::required_keys::{self, Required};
 use crate::files::robot_part::UsedPart;
-use crate::setup::assumed_bodies::{AssumedBody, BodySource, DENSITY_KG_PER_M3, numbers};
+use crate::setup::assumed_bodies::{AssumedBody, BodySource, DENSITIES, numbers};
 use crate::setup::assumed_drives::{
-    ACCELERATION, AssumedDrive, COULOMB_SHARE, GEAR_RAD_PER_M, KP_PER_S, LIMIT_OVER_NEED, NEIGHBOUR_SHARE,
-    ROTOR_KG_M2_PER_NM, ROTOR_KG_PER_N, VELOCITY_LOOP_HZ, VISCOUS_SHARE,
+    ACCELERATION, AssumedDrive, COULOMB_SHARE, DriveKind, GEAR_RAD_PER_M, HOBBY_KG_M2_PER_NM,
+    HOBBY_STEPS_PER_TURN, HOBBY_STIFFNESS_PER_M, HOBBY_STIFFNESS_PER_RAD, HOBBY_VISCOUS_S,
+    HOBBY_VISCOUS_S_PER_M, KP_PER_S, LIMIT_OVER_NEED, NEIGHBOUR_SHARE, ROTOR_KG_M2_PER_NM, ROTOR_KG_PER_N,
+    VELOCITY_LOOP_HZ, VISCOUS_SHARE, rounded,
 };
 use opspace_model::{Joint, JointKind, Model};
+use std::f64::consts::TAU;
 use std::fmt::Write as _;
 use toml_edit::{Key, Value};
 
@@ -211,11 +214,11 @@ pub fn assumed_robot_toml(
         let keys: Vec<String> = keys.iter().map(|key| Value::from(key.as_str()).to_string()).collect();
         let _ = writeln!(list, "    {},", keys.join(", "));
     }
-    let mut servos = String::new();
-    for (joint, kv) in robot.model.joints().iter().zip(kv) {
-        let _ =
-            writeln!(servos, "{} = {{ cascaded = {{ kv_nms_per_rad = {kv:?} }} }}", Key::new(&joint.name));
-    }
+    let kind = drives.first().map_or(DriveKind::Industrial, |drive| drive.kind);
+    let profile = match kind {
+        DriveKind::HobbyServo => hobby_profile(robot, drives),
+        DriveKind::Industrial => industrial_profile(robot, kv),
+    };
     format!(
         r#"#:schema robot.schema.json
 # Nominal parameters of {name}. Values marked [A] are assumed: they are computed from masses, inertias and efforts of the
@@ -226,7 +229,7 @@ pub fn assumed_robot_toml(
 assumed = [
 {list}]
 
-# [A] a position robot that measures positions only.
+# [A] a position robot that measures positions only{kind}.
 [interface]
 command = "position"
 setpoints = "held"            # or "interpolated"
@@ -238,18 +241,7 @@ measured = ["position"]       # or ["position", "motor-current"]
 # at the tip, and for the friction of the URDF; not less than {neighbour} of what the joint before it needs. The torque limit is the
 # effort of the URDF if that is 1 to 30 times the need. Rotor and friction follow from the torque limit.
 {notes}{tables}
-# [A] a servo at 5 kHz that gets a setpoint every fifth tick.
-[profile.default]
-servo_hz = 5000.0
-servo_ticks_per_cycle = 5
-delay_servo_ticks = 0
-estimator = {{ velocity_filter_hz = 150.0 }}
-
-# [A] velocity loops of {loop_hz} Hz for the inertia of each joint at the start of first-task.toml, with its rotor; position loops of
-# {kp} 1/s.
-[profile.default.servo]
-joint_defaults = {{ cascaded = {{ kp_per_s = {kp:?}, velocity_filter_hz = 600.0 }} }}
-{servos}
+{profile}
 # Choices of opspace, not properties of the arm: torques ramp in, and force sensors are tared, over these times.
 [safety]
 torque_ramp_s = 0.2
@@ -265,10 +257,64 @@ current_loop_hz = 1000.0
         neighbour = NEIGHBOUR_SHARE,
         bodies = link_tables(robot.bodies),
         notes = robot.notes(),
-        loop_hz = VELOCITY_LOOP_HZ,
-        kp = KP_PER_S,
         payload = payload_kg,
+        kind = match kind {
+            DriveKind::HobbyServo => ", with hobby servos: the arm has only a few kilograms and decimetres",
+            DriveKind::Industrial => "",
+        },
     )
+}
+
+/// Profile of drives with velocity loops of the gains `kv` (n; Nms/rad, Ns/m).
+fn industrial_profile(robot: &NewRobot<'_>, kv: &[f64]) -> String {
+    let mut text = format!(
+        r"# [A] a servo at 5 kHz that gets a setpoint every fifth tick.
+[profile.default]
+servo_hz = 5000.0
+servo_ticks_per_cycle = 5
+delay_servo_ticks = 0
+estimator = {{ velocity_filter_hz = 150.0 }}
+
+# [A] velocity loops of {VELOCITY_LOOP_HZ} Hz for the inertia of each joint at the start of first-task.toml, with its rotor; position loops of
+# {KP_PER_S} 1/s.
+[profile.default.servo]
+joint_defaults = {{ cascaded = {{ kp_per_s = {KP_PER_S:?}, velocity_filter_hz = 600.0 }} }}
+"
+    );
+    for (joint, kv) in robot.model.joints().iter().zip(kv) {
+        let name = Key::new(&joint.name);
+        let _ = writeln!(text, "{name} = {{ cascaded = {{ kv_nms_per_rad = {kv:?} }} }}");
+    }
+    text
+}
+
+/// Profile of hobby servos.
+fn hobby_profile(robot: &NewRobot<'_>, drives: &[AssumedDrive]) -> String {
+    let mut text = format!(
+        r"# [A] servos of 1 kHz on a serial bus that carries setpoints at 100 Hz.
+[profile.default]
+servo_hz = 1000.0
+servo_ticks_per_cycle = 10
+delay_servo_ticks = 0
+estimator = {{ velocity_filter_hz = 20.0 }}
+
+# [A] springs of {HOBBY_STIFFNESS_PER_RAD} 1/rad of the size of the drive, without a velocity loop: the motor itself damps them.
+[profile.default.servo]
+"
+    );
+    for (joint, drive) in robot.model.joints().iter().zip(drives) {
+        let per_size = match joint.kind {
+            JointKind::Prismatic => HOBBY_STIFFNESS_PER_M,
+            _ => HOBBY_STIFFNESS_PER_RAD,
+        };
+        let stiffness = rounded(per_size * drive.size);
+        let name = Key::new(&joint.name);
+        let _ = writeln!(
+            text,
+            "{name} = {{ pid = {{ stiffness_nm_per_rad = {stiffness:?}, damping_nms_per_rad = 0.0 }} }}"
+        );
+    }
+    text
 }
 
 /// Keys of the assumed values of links.
@@ -285,8 +331,10 @@ pub(super) fn link_tables(bodies: &[AssumedBody]) -> String {
         return String::new();
     }
     let mut text = format!(
-        "# Masses and inertias of links that the URDF does not state, or that no body has. Shapes are filled with {DENSITY_KG_PER_M3}\n\
-         # kg/m³; links without shapes are those of a chain of cylinders that tapers.\n"
+        "# Masses and inertias of links that the URDF does not state, or that no body has. Meshes are filled with {}\n\
+         # kg/m³, other shapes, which enclose links, with {}; links without shapes are those of a chain of cylinders\n\
+         # that tapers.\n",
+        DENSITIES.mesh_kg_per_m3, DENSITIES.primitive_kg_per_m3
     );
     for AssumedBody { link, inertia, source } in bodies {
         let (mass_kg, com_m, inertia_kg_m2) = numbers(inertia);
@@ -331,16 +379,26 @@ fn assumed_joint(robot: &NewRobot<'_>, joint: &Joint, drive: &AssumedDrive) -> (
         let _ = writeln!(text, "velocity_limit_rad_per_s = {limit:?}   # [A] {speed}; the URDF has none");
         keys.push(format!("joint.{name}.velocity_limit_rad_per_s"));
     }
-    let (per_size, unit, ratio) = match slides {
-        true => (ROTOR_KG_PER_N, "kg/N", format!("; a spindle of {GEAR_RAD_PER_M} rad/m")),
-        false => (ROTOR_KG_M2_PER_NM, "kg m²/Nm", String::new()),
+    let is_hobby = drive.kind == DriveKind::HobbyServo;
+    let (per_size, unit, ratio) = match (slides, is_hobby) {
+        (true, _) => (ROTOR_KG_PER_N, "kg/N", format!("; a spindle of {GEAR_RAD_PER_M} rad/m")),
+        (false, true) => (HOBBY_KG_M2_PER_NM, "kg m²/Nm", "; positions in 4096 steps per turn".to_owned()),
+        (false, false) => (ROTOR_KG_M2_PER_NM, "kg m²/Nm", String::new()),
     };
     let (size, inertia, gear) = (drive.size, drive.rotor_kg_m2, drive.gear_ratio);
+    let counts = match is_hobby && !slides {
+        true => format!(", encoder_counts_per_turn = {:.0}", (HOBBY_STEPS_PER_TURN / gear).round()),
+        false => String::new(),
+    };
     let _ = writeln!(
         text,
         "# [A] {per_size} {unit} of the size of the drive at the joint, {size:.3} {torque}{ratio}\n\
-         rotor = {{ inertia_kg_m2 = {inertia:?}, gear_ratio = {gear:?} }}"
+         rotor = {{ inertia_kg_m2 = {inertia:?}, gear_ratio = {gear:?}{counts} }}"
     );
+    if is_hobby && !slides {
+        let _ = writeln!(text, "setpoint_resolution_rad = {:?}", rounded(TAU / HOBBY_STEPS_PER_TURN));
+        keys.push(format!("joint.{name}.setpoint_resolution_rad"));
+    }
     keys.push(format!("joint.{name}.rotor"));
     let (mut friction, mut from) = (Vec::new(), Vec::new());
     if !robot.states(joint, "friction.coulomb_nm") {
@@ -349,7 +407,17 @@ fn assumed_joint(robot: &NewRobot<'_>, joint: &Joint, drive: &AssumedDrive) -> (
     }
     if !robot.states(joint, "friction.viscous_nms_per_rad") {
         friction.push(format!("viscous_nms_per_rad = {:?}", drive.viscous));
-        from.push(format!("viscous friction: {} % of the size at the speed limit", 100.0 * VISCOUS_SHARE));
+        from.push(match is_hobby {
+            true if slides => {
+                format!(
+                    "viscous friction, with the damping of the motor: {HOBBY_VISCOUS_S_PER_M} s/m of the size"
+                )
+            }
+            true => format!(
+                "viscous friction, with the damping of the motor: {HOBBY_VISCOUS_S} s/rad of the size"
+            ),
+            false => format!("viscous friction: {} % of the size at the speed limit", 100.0 * VISCOUS_SHARE),
+        });
     }
     friction.push(format!("presliding_rad = {:?}", drive.presliding));
     from.push("presliding displacement: typical of gears".to_owned());

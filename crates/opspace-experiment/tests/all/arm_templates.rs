@@ -3,7 +3,7 @@
 
 use opspace_experiment::setup::arm_shape::ArmShape;
 use opspace_experiment::setup::arm_template::ArmTemplate;
-use opspace_experiment::setup::new_robot::{DriveValues, NewFiles, Part, new_files};
+use opspace_experiment::setup::new_robot::{DriveValues, KnownMasses, NewFiles, Part, new_files};
 use opspace_experiment::{FileError, RobotDefinition, Source};
 use opspace_model::Model;
 use std::f64::consts::FRAC_PI_2;
@@ -243,6 +243,41 @@ fn interface_of_another_arm_is_assumed() {
                 .iter()
                 .any(|a| a == key))
         );
+    }
+}
+
+/// Compared: the servos that are assumed for an arm of the size of a ViperX, for one of the size of a UR5, and for a small one of
+/// which the URDF has no masses.
+#[test]
+fn small_arms_get_hobby_servos() {
+    let assumed = |urdf: &str| {
+        let source = Source::new("arm.urdf", urdf);
+        let values = DriveValues::Assumed(KnownMasses::default());
+        new_files(&source, "arm.urdf", Part::default(), values).unwrap()
+    };
+    let of = |name: &str| {
+        let template = ArmTemplate::named(name).unwrap();
+        arm(&template.shape, numbered)
+    };
+    let massless = |urdf: &str| -> String {
+        let parts =
+            urdf.split("<inertial>").map(|part| part.split_once("</inertial>").map_or(part, |(_, end)| end));
+        parts.collect()
+    };
+    for (urdf, is_hobby) in
+        [(of("vx300s"), true), (of("so101"), true), (of("ur5"), false), (massless(&of("so101")), false)]
+    {
+        let files = assumed(&urdf);
+        let robot = robot(&urdf, &files);
+        let profile = &robot.file.profile["default"];
+        for servo in robot.servos(profile) {
+            assert_eq!(servo.name(), if is_hobby { "pid" } else { "cascaded" });
+        }
+        assert_eq!(profile.period_s(), if is_hobby { 0.01 } else { 0.001 });
+        assert_eq!(files.notes.iter().any(|note| note.contains("hobby servos are assumed")), is_hobby);
+        assert_eq!(robot.joints()[0].setpoint_resolution_rad.is_some(), is_hobby);
+        let sizes = robot.torque_limits();
+        assert!(!is_hobby || sizes.iter().all(|limit| *limit <= 33.1), "{sizes:?}");
     }
 }
 

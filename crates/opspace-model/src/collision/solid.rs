@@ -8,15 +8,28 @@ use std::collections::HashMap;
 use std::f64::consts::PI;
 use std::path::Path;
 
-/// Returns the mass properties of the shapes of a link with a density of 1 kg/m³, in the frame of the link; `None` without a shape
+/// Densities with which shapes are filled.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Densities {
+    /// Density of meshes, kg/m³.
+    pub mesh_kg_per_m3: f64,
+    /// Density of spheres, cylinders, capsules and boxes, kg/m³: less than that of meshes if they enclose the link.
+    pub primitive_kg_per_m3: f64,
+}
+
+/// Returns the mass properties of the shapes of a link with these densities, in the frame of the link; `None` without a shape
 /// that can be read. Shapes that overlap count twice. `urdf` is the path of the URDF, to which names of meshes are relative.
 ///
 /// # Errors
 /// [`MeshError`] if a mesh file exists and is unreadable, too large, incomplete or malformed.
-pub fn solid_inertia(link: &LinkShapes, urdf: Option<&Path>) -> Result<Option<Inertia>, MeshError> {
+pub fn solid_inertia(
+    link: &LinkShapes,
+    urdf: Option<&Path>,
+    densities: Densities,
+) -> Result<Option<Inertia>, MeshError> {
     let mut sum: Option<Inertia> = None;
     for shape in &link.shapes {
-        let solid = match &shape.geometry {
+        let (solid, density) = match &shape.geometry {
             Geometry::Mesh { file, scale } => {
                 let (Some(format), Some(path)) = (MeshFormat::from_name(file), find_mesh(file, urdf)) else {
                     continue;
@@ -26,12 +39,14 @@ pub fn solid_inertia(link: &LinkShapes, urdf: Option<&Path>) -> Result<Option<In
                     file: file.clone(),
                     kind,
                 })?;
-                mesh_inertia(&triangles)
+                (mesh_inertia(&triangles), densities.mesh_kg_per_m3)
             }
-            primitive => primitive_inertia(primitive),
+            primitive => (primitive_inertia(primitive), densities.primitive_kg_per_m3),
         };
         if solid.mass > 0.0 {
-            let placed = shape.placement.act_inertia(&solid);
+            let filled =
+                Inertia { mass: density * solid.mass, rotational: density * solid.rotational, ..solid };
+            let placed = shape.placement.act_inertia(&filled);
             sum = Some(sum.map_or(placed, |sum| sum + placed));
         }
     }

@@ -1,8 +1,8 @@
 //! Mass properties of shapes and meshes that are filled with a material.
 
 use nalgebra::{Matrix3, Vector3};
-use opspace_model::collision::{MeshFormat, mesh_inertia, mesh_triangles, solid_inertia};
-use opspace_model::urdf::link_shapes;
+use opspace_model::collision::{Densities, MeshFormat, mesh_inertia, mesh_triangles, solid_inertia};
+use opspace_model::urdf::{LinkShapes, link_shapes};
 use std::fmt::Write as _;
 use std::fs;
 
@@ -104,11 +104,12 @@ fn meshes_and_primitives_agree() {
         link("missing", "<mesh filename=\"none.stl\"/>"),
     );
     let file = folder.path().join("r.urdf");
-    let found: Vec<_> = link_shapes(&urdf)
-        .expect("shapes")
-        .iter()
-        .map(|link| solid_inertia(link, Some(&file)).expect("readable meshes"))
-        .collect();
+    let filled = |mesh_kg_per_m3: f64, primitive_kg_per_m3: f64| -> Vec<_> {
+        let densities = Densities { mesh_kg_per_m3, primitive_kg_per_m3 };
+        let solid = |link: &LinkShapes| solid_inertia(link, Some(&file), densities).expect("readable meshes");
+        link_shapes(&urdf).expect("shapes").iter().map(solid).collect()
+    };
+    let found = filled(1.0, 1.0);
     let (mass, rotational) = solid_box(size * 1e-3);
     for solid in &found[..3] {
         let solid = solid.expect("a shape");
@@ -122,4 +123,11 @@ fn meshes_and_primitives_agree() {
     assert!((sphere.mass - 4.188_790_204_786_391e-3).abs() < 0.01 * ROUNDING, "{sphere:?}");
     assert!((sphere.rotational[(0, 0)] - 0.4 * sphere.mass * 0.01).abs() < 0.01 * ROUNDING);
     assert!(found[4].is_none());
+    for (number, density) in [(0, 700.0), (1, 700.0), (2, 300.0), (3, 300.0)] {
+        let (light, heavy) =
+            (found[number].expect("a shape"), filled(700.0, 300.0)[number].expect("a shape"));
+        assert!((heavy.mass - density * light.mass).abs() < 1e3 * ROUNDING, "{heavy:?}");
+        assert!((heavy.com - light.com).norm() < ROUNDING, "{heavy:?}");
+        assert!((heavy.rotational - density * light.rotational).norm() < 1e3 * ROUNDING, "{heavy:?}");
+    }
 }
