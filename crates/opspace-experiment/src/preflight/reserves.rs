@@ -22,7 +22,7 @@ const LARGEST: f64 = 1000.0;
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct Reserve {
-    /// What grows until then.
+    /// Demand that grows until then.
     pub of: ReserveOf,
     /// Joint.
     pub joint: String,
