@@ -382,7 +382,9 @@ fn assumed_joint(robot: &NewRobot<'_>, joint: &Joint, drive: &AssumedDrive) -> (
     let is_hobby = drive.kind == DriveKind::HobbyServo;
     let (per_size, unit, ratio) = match (slides, is_hobby) {
         (true, _) => (ROTOR_KG_PER_N, "kg/N", format!("; a spindle of {GEAR_RAD_PER_M} rad/m")),
-        (false, true) => (HOBBY_KG_M2_PER_NM, "kg m²/Nm", "; positions in 4096 steps per turn".to_owned()),
+        (false, true) => {
+            (HOBBY_KG_M2_PER_NM, "kg m²/Nm", format!("; positions in {HOBBY_STEPS_PER_TURN} steps per turn"))
+        }
         (false, false) => (ROTOR_KG_M2_PER_NM, "kg m²/Nm", String::new()),
     };
     let (size, inertia, gear) = (drive.size, drive.rotor_kg_m2, drive.gear_ratio);

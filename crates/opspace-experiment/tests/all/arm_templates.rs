@@ -250,6 +250,8 @@ fn interface_of_another_arm_is_assumed() {
 /// which the URDF has no masses.
 #[test]
 fn small_arms_get_hobby_servos() {
+    const BUS_PERIOD_S: f64 = 0.01;
+    const INDUSTRIAL_PERIOD_S: f64 = 0.001;
     let assumed = |urdf: &str| {
         let source = Source::new("arm.urdf", urdf);
         let values = DriveValues::Assumed(KnownMasses::default());
@@ -273,7 +275,7 @@ fn small_arms_get_hobby_servos() {
         for servo in robot.servos(profile) {
             assert_eq!(servo.name(), if is_hobby { "pid" } else { "cascaded" });
         }
-        assert_eq!(profile.period_s(), if is_hobby { 0.01 } else { 0.001 });
+        assert_eq!(profile.period_s(), if is_hobby { BUS_PERIOD_S } else { INDUSTRIAL_PERIOD_S });
         assert_eq!(files.notes.iter().any(|note| note.contains("hobby servos are assumed")), is_hobby);
         assert_eq!(robot.joints()[0].setpoint_resolution_rad.is_some(), is_hobby);
         let sizes = robot.torque_limits();

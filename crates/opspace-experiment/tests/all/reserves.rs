@@ -74,6 +74,8 @@ fn allowed_speed_over_the_predicted_multiple_is_that_of_the_joint() {
 /// gradients of the hand's position by finite differences.
 #[test]
 fn target_force_follows_from_the_gradient_of_the_position() {
+    /// Error of the finite differences, and of the references at rest.
+    const DIFFERENCES: f64 = 1e-4;
     let hold = ["task.hand.cartesian.reference=\"hold\"", "settle_s=0.5", "duration_s=1.0"];
     let case = experiment("press-wall", &hold);
     let model = &case.robot().model;
@@ -102,6 +104,6 @@ fn target_force_follows_from_the_gradient_of_the_position() {
         .collect();
     let least = multiples.iter().copied().fold(f64::INFINITY, f64::min);
     let joint = multiples.iter().position(|&multiple| multiple == least).expect("a joint");
-    assert!((predicted.at - least).abs() < 1e-4 * least, "{predicted}, {multiples:?}");
+    assert!((predicted.at - least).abs() < DIFFERENCES * least, "{predicted}, {multiples:?}");
     assert_eq!(predicted.joint, model.joints()[joint].name);
 }
