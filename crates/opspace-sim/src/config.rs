@@ -13,7 +13,7 @@ use crate::own_gravity::OwnGravity;
 use crate::parameters::{EncoderSide, SimulatedParameters};
 use crate::random::{RngStream, generator};
 use crate::sensor_load::SensorLoad;
-use crate::stiffness::{LinkElements, explicit_gear_hz, implicit_joints};
+use crate::stiffness::{LinkElements, explicit_gear_hz, link_steps};
 use crate::timing::{Clock, Timing};
 use nalgebra::{DVector, Vector3};
 use opspace_backend::quantity::{NonNegative, Positive};
@@ -252,23 +252,6 @@ impl ArmConfig {
         }
     }
 
-    /// Returns an error if a gear with backlash would be integrated implicitly: what happens when teeth meet depends on all joints,
-    /// which the linearisation of one joint does not know.
-    fn check_backlash(
-        &self,
-        implicit: &[Option<f64>],
-        elements: &[LinkElements],
-        physics_hz: f64,
-    ) -> Result<(), SimulationError> {
-        let has_backlash = |joint: usize| self.gear(joint).is_some_and(|gear| gear.backlash > 0.0);
-        let mut found = (0..implicit.len()).filter_map(|joint| Some((joint, implicit[joint]?)));
-        let Some((joint, inertia)) = found.find(|(joint, _)| has_backlash(*joint)) else { return Ok(()) };
-        let joint_name = self.name(joint).to_owned();
-        let of_joint = elements[joint].explicit_hz(inertia);
-        let needed_hz = self.explicit_gear_hz().unwrap_or(0.0).max(of_joint).max(physics_hz);
-        Err(SimulationError::GearBacklash { joint: joint_name, physics_hz, needed_hz })
-    }
-
     /// Name of the joint with the least inertia at the start.
     fn lightest_joint(&self, model: &Model) -> String {
         let mut data = Data::new(model);
@@ -277,51 +260,51 @@ impl ArmConfig {
         self.name(data.mass_matrix.diagonal().imin()).to_owned()
     }
 
-    /// Lowest physics rate at which the elastic gears are integrated by explicit steps, Hz; `None` if all gears are rigid. At lower
-    /// rates the gears are integrated implicitly, which damps the vibrations of the links on them.
+    /// Physics rate that is enough for explicit steps of the elastic gears, Hz; `None` if all gears are rigid. At lower rates, gears
+    /// are integrated implicitly, which damps the vibrations of the links on them.
     #[must_use]
     pub fn explicit_gear_hz(&self) -> Option<f64> {
         let elements: Vec<LinkElements> =
             (0..self.model.n()).map(|joint| self.elements(joint, 0.0)).collect();
-        let hz = explicit_gear_hz(&self.true_model(), &self.start, &elements)?;
+        let of_links = explicit_gear_hz(&self.true_model(), &self.start, &elements)?;
+        let gears = (0..self.model.n()).filter_map(|joint| self.gear(joint));
+        let hz = gears.map(|gear| gear.least_hz()).fold(of_links, f64::max);
         (hz > 0.0).then_some(hz)
     }
 
     /// Elements of a joint that act on its link; `dt` is the step of the plant (s).
     fn elements(&self, joint: usize, dt: f64) -> LinkElements {
         let torque_limit = self.joints[joint].torque_limit_nm.get();
-        let stop = self.simulated.end_stop_of(torque_limit);
         let brake = self.simulated.brake_of(torque_limit);
         let bristle = self.simulated.bristle_of(self.true_friction(joint));
         let scale = self.simulated.true_over_nominal.friction.get();
         let springs = [
-            (stop.stiffness_nm_per_rad.get(), stop.damping_nms_per_rad.get()),
             (brake.stiffness_nm_per_rad.get(), brake.damping_nms_per_rad.get()),
             (bristle.stiffness_nm_per_rad.get(), bristle.damping_nms_per_rad.get()),
         ];
-        let [_, brake, mut bristle] = springs;
+        let [brake, mut bristle] = springs;
         bristle.1 += scale * self.true_friction(joint).viscous_nms_per_rad.get();
         let lacking = |springs: &[(f64, f64)]| -> f64 {
             springs.iter().map(|(stiffness, damping)| (dt * stiffness - damping).max(0.0)).sum()
         };
-        let stop = springs[0];
         let Some(gear) = self.gear(joint) else {
             return LinkElements {
-                stiffness: stop.0 + brake.0 + bristle.0,
-                damping: stop.1 + brake.1 + bristle.1,
+                stiffness: brake.0 + bristle.0,
+                damping: brake.1 + bristle.1,
                 lacking_damping: lacking(&springs),
                 ..LinkElements::default()
             };
         };
-        // Brake and friction act on the rotor, which makes steps of its own. The end stop is left explicit: counted, it would make the light
-        // links of common arms implicit all the time, and their gears with backlash refused, for a stop that they hardly touch.
+        // Brake and friction act on the rotor, which makes steps of its own.
         LinkElements {
             stiffness: 0.0,
             damping: 0.0,
-            lacking_damping: lacking(&springs[..1]),
+            lacking_damping: 0.0,
             gear_stiffness: gear.stiffness,
             gear_damping: gear.damping,
-            has_light_rotor: gear.steps(dt, brake.0 + bristle.0, brake.1 + bristle.1) > MAX_STEPS,
+            // The gear of such a rotor takes several steps while the link goes on at its velocity: without damping, both gain energy.
+            has_light_rotor: gear.steps(dt, 0.0, 0.0) > 1.0
+                || gear.steps(dt, brake.0 + bristle.0, brake.1 + bristle.1) > MAX_STEPS,
         }
     }
 
@@ -337,9 +320,8 @@ impl ArmConfig {
         let simulated = &self.simulated;
         let dt = 1.0 / physics_hz;
         let elements: Vec<LinkElements> = (0..model.n()).map(|joint| self.elements(joint, dt)).collect();
-        let implicit = implicit_joints(model, &self.start, &elements, dt)
+        let links = link_steps(model, &self.start, &elements, dt)
             .ok_or_else(|| SimulationError::NoInertia { joint: self.lightest_joint(model) })?;
-        self.check_backlash(&implicit, &elements, physics_hz)?;
         let bandwidth_hz = simulated.current_loop_hz.map(|hz| hz.get());
         let joint = |(i, parameters): (usize, &JointParameters)| {
             let torque_limit = parameters.torque_limit_nm.get();
@@ -354,7 +336,8 @@ impl ArmConfig {
                 EndStop::new(&model.joints()[i].limits, &simulated.end_stop_of(torque_limit)),
                 Brake::new(&brake, slip_torque),
                 self.encoder(parameters, simulated.encoder.drive),
-            );
+            )
+            .with_link_inertia(links[i].inertia);
             let angle_torque = AngleTorque::new(
                 simulated.cogging.as_ref(),
                 simulated.torque_ripple.as_ref(),
@@ -364,10 +347,7 @@ impl ArmConfig {
             let drivetrain = drivetrain
                 .with_angle_torque(angle_torque)
                 .with_interface_encoder(self.encoder(parameters, simulated.encoder.interface));
-            let drivetrain = match implicit[i] {
-                Some(inertia) => drivetrain.with_implicit_steps(inertia),
-                None => drivetrain,
-            };
+            let drivetrain = if links[i].is_stiff { drivetrain.with_implicit_steps() } else { drivetrain };
             let Some(gear) = self.gear(i) else { return drivetrain };
             let damping = brake.damping_nms_per_rad.get()
                 + bristle.damping_nms_per_rad.get()

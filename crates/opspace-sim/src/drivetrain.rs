@@ -5,16 +5,24 @@
 //! act on the rotor, whose motion is a state of the drivetrain, and the torque on the link is `gear + end stop`. Contact
 //! forces are part of the [plant](crate::plant).
 //!
-//! The torques above are constant over a step, and computed at its begin, unless they are too stiff for that: see
-//! `stiff_joint.rs`.
+//! The torques above are constant over a step, and computed at its begin, unless they are too stiff for that: such torques, and
+//! those of an end stop that is touched, are part of an [implicit step](crate::implicit_step).
 
 use crate::friction::LuGre;
 use crate::gear::ElasticGear;
 use crate::motor::{AngleTorque, Motor};
 use crate::parameters::{BrakeParameters, EncoderSide, EndStopParameters};
 use crate::plant::JointTorque;
-use crate::stiff_joint::{StiffJoint, decrease, end_velocity};
+use crate::stiff_joint::{Side, StiffJoint, decrease, end_velocity};
 use opspace_model::Limits;
+
+/// Elements of a joint that are integrated implicitly in a step.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Implicit {
+    None,
+    EndStop,
+    All,
+}
 
 /// Drivetrain of one joint.
 #[derive(Clone, Debug)]
@@ -26,7 +34,9 @@ pub struct Drivetrain {
     encoder: Encoder,
     interface_encoder: Encoder,
     gear: Option<ElasticGear>,
-    stiff: Option<StiffJoint>,
+    stiff: StiffJoint,
+    is_stiff: bool,
+    implicit: Implicit,
     /// Position of the link before the present step, rad (m).
     link: f64,
     angle_torque: AngleTorque,
@@ -50,7 +60,9 @@ impl Drivetrain {
             encoder,
             interface_encoder,
             gear: None,
-            stiff: None,
+            stiff: StiffJoint::new(1.0),
+            is_stiff: false,
+            implicit: Implicit::None,
             link: 0.0,
             angle_torque: AngleTorque::default(),
             current_torque: 0.0,
@@ -78,70 +90,119 @@ impl Drivetrain {
         Self { interface_encoder, ..self }
     }
 
-    /// Integrates brake, end stop, friction and an elastic gear implicitly: they are too stiff for the step. The link has
-    /// this inertia with the other joints free, without the rotor of an elastic gear (kg m², kg).
+    /// Sets the inertia of the link with the other joints free, without the rotor of an elastic gear (kg m², kg), from which an
+    /// implicit step begins its search.
     #[must_use]
-    pub fn with_implicit_steps(self, link_inertia: f64) -> Self {
-        Self { stiff: Some(StiffJoint::new(link_inertia)), ..self }
+    pub fn with_link_inertia(self, inertia: f64) -> Self {
+        Self { stiff: StiffJoint::new(inertia), ..self }
     }
 
-    /// Returns the torque on the link over the next `dt_s` (s) from position `q` (rad, m) and velocity `dq` (rad/s, m/s);
-    /// `commanded` (Nm, N) is the input of the current loop.
-    pub fn begin_step(&mut self, q: f64, dq: f64, dt_s: f64, commanded: f64) -> JointTorque {
+    /// Integrates brake, end stop, friction and an elastic gear implicitly: they are too stiff for the step.
+    #[must_use]
+    pub fn with_implicit_steps(self) -> Self {
+        Self { is_stiff: true, ..self }
+    }
+
+    /// Runs the current loop of the motor for a physics step, with `commanded` (Nm, N) as its input.
+    pub fn drive(&mut self, commanded: f64) {
         self.current_torque = self.motor.step(commanded);
+    }
+
+    /// Returns the torque on the link over the next `dt_s` (s) from position `q` (rad, m) and velocity `dq` (rad/s, m/s).
+    pub fn begin_step(&mut self, q: f64, dq: f64, dt_s: f64) -> JointTorque {
         self.motor_torque = self.angle_torque.torque(self.current_torque, self.rotor_position(q));
         self.link = q;
-        if let Some(mut stiff) = self.stiff.take() {
-            let torque = |v: f64| self.end_torque(v, dt_s);
-            let result = stiff.begin(dq, dt_s, torque, |v| self.end_slope(v, dt_s));
-            self.stiff = Some(stiff);
-            return result;
+        if !self.is_stiff {
+            self.step(q, dq, dt_s);
         }
-        JointTorque { torque: self.step(q, dq, dt_s), inertia: 0.0 }
+        let before = self.implicit;
+        self.implicit = match (self.is_stiff, self.end_stop.is_touched(q, q + dt_s * dq)) {
+            (true, _) => Implicit::All,
+            (false, true) => Implicit::EndStop,
+            (false, false) => Implicit::None,
+        };
+        if self.implicit == Implicit::None {
+            return JointTorque { torque: self.joint_torque, inertia: 0.0 };
+        }
+        if self.implicit != before {
+            self.stiff.forget();
+        }
+        let mut stiff = self.stiff.clone();
+        let result =
+            stiff.begin(dq, dt_s, |v| self.end_torque(v, dt_s), |v, side| self.end_slope(v, side, dt_s));
+        self.stiff = stiff;
+        result
     }
 
-    /// Revises the torque of the step of `dt_s` (s) that was begun for the velocity `dq` (rad/s, m/s) of the link at its end; `None` if
-    /// it stays.
-    pub fn revise_step(&mut self, dq: f64, dt_s: f64) -> Option<JointTorque> {
-        let mut stiff = self.stiff.take()?;
-        let torque = |v: f64| self.end_torque(v, dt_s);
-        let revised = stiff.revise(dq, dt_s, torque, |v| self.end_slope(v, dt_s));
-        self.stiff = Some(stiff);
-        revised
-    }
-
-    /// True if its elements are integrated implicitly.
+    /// True if elements are integrated implicitly in the present step.
     #[must_use]
     pub fn is_implicit(&self) -> bool {
-        self.stiff.is_some()
+        self.implicit != Implicit::None
+    }
+
+    /// Notes that the torques of an implicit step of `h` (s) lead to the velocity `dq` (rad/s, m/s) of the link at its end. True if they
+    /// are exact there.
+    pub(crate) fn lead_to(&mut self, dq: f64, h: f64) -> bool {
+        let mut stiff = self.stiff.clone();
+        let is_exact = stiff.lead_to(dq, h, |v| self.end_torque(v, h));
+        self.stiff = stiff;
+        is_exact
+    }
+
+    /// See [`StiffJoint::gap`].
+    pub(crate) fn gap(&self, share: f64, h: f64) -> f64 {
+        self.stiff.gap(share, |v| self.end_torque(v, h))
+    }
+
+    /// See [`StiffJoint::advance`].
+    pub(crate) fn advance(&mut self, share: f64, h: f64) -> JointTorque {
+        let mut stiff = self.stiff.clone();
+        let torque = stiff.advance(share, h, |v| self.end_torque(v, h), |v, side| self.end_slope(v, side, h));
+        self.stiff = stiff;
+        torque
+    }
+
+    /// See [`StiffJoint::settle`].
+    pub(crate) fn settle(&mut self, h: f64) -> JointTorque {
+        let mut stiff = self.stiff.clone();
+        let torque = stiff.settle(h, |v, side| self.end_slope(v, side, h));
+        self.stiff = stiff;
+        torque
     }
 
     /// Ends the step of `dt_s` (s) that was begun, with the link at velocity `dq` (rad/s, m/s).
     pub fn end_step(&mut self, dq: f64, dt_s: f64) {
-        let Some(stiff) = &mut self.stiff else { return };
-        self.joint_torque = stiff.end(dq, dt_s);
-        let rotor = self.rotor_velocity(dq, dt_s);
-        self.friction.step(rotor, dt_s);
+        if self.implicit == Implicit::None {
+            return;
+        }
+        let torque = self.stiff.end(dq, dt_s);
         let stop = self.end_stop.torque(self.link + dt_s * dq, dq);
-        if let Some(gear) = &mut self.gear {
-            gear.end_step(rotor, dt_s);
-            self.joint_torque -= stop;
+        match (self.implicit, &mut self.gear) {
+            (Implicit::EndStop, None) => self.joint_torque += stop,
+            (Implicit::EndStop, Some(_)) | (Implicit::None, _) => {}
+            (Implicit::All, _) => {
+                let rotor = self.rotor_velocity(dq, dt_s);
+                self.friction.step(rotor, dt_s);
+                self.joint_torque = torque;
+                if let Some(gear) = &mut self.gear {
+                    gear.end_step(rotor, dt_s);
+                    self.joint_torque -= stop;
+                }
+            }
         }
     }
 
-    /// Explicit step: returns the torque on the link (Nm, N), constant over the next `dt_s` (s).
-    fn step(&mut self, q: f64, dq: f64, dt_s: f64) -> f64 {
+    /// Explicit step: computes the torque of the joint on the link (Nm, N), without its end stop, constant over the next `dt_s` (s).
+    fn step(&mut self, q: f64, dq: f64, dt_s: f64) {
         let motor = self.motor_torque + self.gravity_torque;
-        let stop = self.end_stop.torque(q, dq);
         let Self { friction, brake, .. } = self;
-        if let Some(gear) = &mut self.gear {
-            let rotor = |q: f64, dq: f64, h: f64| motor - friction.step(dq, h) + brake.torque(q, dq);
-            self.joint_torque = gear.step(q, dq, dt_s, rotor);
-            return self.joint_torque + stop;
-        }
-        let friction = friction.step(dq, dt_s);
-        self.joint_torque = motor - friction + stop + brake.torque(q, dq);
-        self.joint_torque
+        self.joint_torque = match &mut self.gear {
+            Some(gear) => {
+                let rotor = |q: f64, dq: f64, h: f64| motor - friction.step(dq, h) + brake.torque(q, dq);
+                gear.step(q, dq, dt_s, rotor)
+            }
+            None => motor - friction.step(dq, dt_s) + brake.torque(q, dq),
+        };
     }
 
     /// Torque on the rotor (Nm, N), without that of the gear, if the rotor has velocity `v` (rad/s, m/s) at the end of a step
@@ -161,19 +222,25 @@ impl Drivetrain {
     /// Torque on the link (Nm, N) if it has velocity `v` (rad/s, m/s) at the end of a step of `h` (s).
     fn end_torque(&self, v: f64, h: f64) -> f64 {
         let stop = self.end_stop.torque(self.link + h * v, v);
+        if self.implicit == Implicit::EndStop {
+            return self.joint_torque + stop;
+        }
         match &self.gear {
             None => self.rotor_torque(v, h) + stop,
             Some(gear) => gear.end_torque(self.link, v, self.rotor_velocity(v, h), h) + stop,
         }
     }
 
-    /// Rate by which [`end_torque`](Self::end_torque) decreases with the velocity (Nms/rad, Ns/m).
-    fn end_slope(&self, v: f64, h: f64) -> f64 {
-        let stop = decrease(v, |v| self.end_stop.torque(self.link + h * v, v));
-        let Some(gear) = &self.gear else { return decrease(v, |v| self.rotor_torque(v, h)) + stop };
+    /// Rate by which [`end_torque`](Self::end_torque) decreases with the velocity on these sides (Nms/rad, Ns/m).
+    fn end_slope(&self, v: f64, side: Side, h: f64) -> f64 {
+        let stop = decrease(v, side, |v| self.end_stop.torque(self.link + h * v, v));
+        if self.implicit == Implicit::EndStop {
+            return stop;
+        }
+        let Some(gear) = &self.gear else { return decrease(v, side, |v| self.rotor_torque(v, h)) + stop };
         let rotor = self.rotor_velocity(v, h);
-        let gear_slope = decrease(v, |v| gear.end_torque(self.link, v, rotor, h));
-        let behind = gear.inertia() / h + decrease(rotor, |rotor| self.rotor_torque(rotor, h));
+        let gear_slope = decrease(v, side, |v| gear.end_torque(self.link, v, rotor, h));
+        let behind = gear.inertia() / h + decrease(rotor, side, |rotor| self.rotor_torque(rotor, h));
         gear_slope * behind / (gear_slope + behind) + stop
     }
 
@@ -271,6 +338,11 @@ impl EndStop {
             stiffness: parameters.stiffness_nm_per_rad.get(),
             damping: parameters.damping_nms_per_rad.get(),
         }
+    }
+
+    /// True if a joint that moves from `q` to `end` (rad, m) touches a stop.
+    fn is_touched(&self, q: f64, end: f64) -> bool {
+        q.min(end) < self.limits.lower || q.max(end) > self.limits.upper
     }
 
     fn torque(&self, q: f64, dq: f64) -> f64 {

@@ -74,19 +74,6 @@ pub enum SimulationError {
         /// Name of the joint.
         joint: String,
     },
-    /// Elastic gear with backlash that is too stiff for the physics rate.
-    #[error(
-        "the elastic gear of joint '{joint}' has backlash, and is too stiff for steps of physics_hz = {physics_hz}: {needed_hz:.0} \
-         is enough, or a gear without backlash"
-    )]
-    GearBacklash {
-        /// Name of the joint.
-        joint: String,
-        /// Physics rate `physics_hz`, Hz.
-        physics_hz: f64,
-        /// Physics rate that is enough, Hz.
-        needed_hz: f64,
-    },
     /// Joint that moves no inertia.
     #[error(
         "joint '{joint}' moves hardly any inertia, so that no torque determines its motion: give its link mass and inertia, or \
@@ -319,7 +306,6 @@ impl SimulationError {
             Self::Joints { .. } => Key::Robot(vec!["joint".into()]),
             Self::NoArm | Self::Coupling { .. } | Self::Plant(_) => Key::Task(Vec::new()),
             Self::PhysicsRate { .. } => Key::Robot(vec!["simulated".into(), "physics_hz".into()]),
-            Self::GearBacklash { .. } => Key::Robot(vec!["simulated".into(), "physics_hz".into()]),
             Self::HeldObject { object, mistake } => {
                 let path = ["objects", object].into_iter().chain(mistake.key.split_terminator('.'));
                 Key::Simulation(path.map(str::to_owned).collect())

@@ -53,9 +53,18 @@ impl GearConfig {
     /// act on the rotor in addition to those of the gear: friction and brake.
     #[must_use]
     pub fn steps(&self, dt_s: f64, stiffness: f64, damping: f64) -> f64 {
+        (self.rate(stiffness, damping) * dt_s / LARGEST_STEP).ceil().max(1.0)
+    }
+
+    /// Least rate of steps of the plant at which the gear alone needs one step of the rotor, Hz.
+    pub(crate) fn least_hz(&self) -> f64 {
+        self.rate(0.0, 0.0) / LARGEST_STEP
+    }
+
+    /// Fastest rate of the rotor with the link held, and with this stiffness and damping beside the gear's, rad/s.
+    fn rate(&self, stiffness: f64, damping: f64) -> f64 {
         let frequency = ((self.stiffness + stiffness) / self.inertia).sqrt();
-        let decay = (self.damping + damping) / self.inertia;
-        (frequency.max(decay) * dt_s / LARGEST_STEP).ceil().max(1.0)
+        frequency.max((self.damping + damping) / self.inertia)
     }
 }
 

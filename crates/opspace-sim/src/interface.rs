@@ -254,7 +254,12 @@ impl ArmInterface {
         self.timing.servo_tick += 1;
     }
 
-    /// Begins a physics step of `dt_s` (s) of the drives, and writes what acts on its links into the torques of all arms.
+    /// Runs the current loops of the motors for a physics step.
+    pub fn drive(&mut self) {
+        self.motors.drive();
+    }
+
+    /// Begins a step of `dt_s` (s) of the drives, and writes what acts on its links into the torques of all arms.
     pub fn begin_step(&mut self, plant: &dyn Plant, dt_s: f64, torques: &mut [JointTorque]) {
         let joints = self.joints.clone();
         let (q, dq) = (&plant.q()[joints.clone()], &plant.dq()[joints.clone()]);
@@ -266,17 +271,17 @@ impl ArmInterface {
         self.motors.is_implicit()
     }
 
-    /// Revises what acts on the links for the velocities `dq` of all arms (rad/s, m/s) at the end of a physics step of `dt_s` (s).
+    /// Revises what acts on the links for the velocities `dq` of all arms (rad/s, m/s) at the end of a step of `dt_s` (s).
     /// Returns true if something changes.
     pub fn revise_step(&mut self, dq: &[f64], dt_s: f64, torques: &mut [JointTorque]) -> bool {
         let joints = self.joints.clone();
         self.motors.revise_step(&dq[joints.clone()], dt_s, &mut torques[joints])
     }
 
-    /// Ends a physics step of `dt_s` (s) of the drives.
-    pub fn end_step(&mut self, plant: &dyn Plant, dt_s: f64) {
+    /// Ends a step of `dt_s` (s) of the drives, which is this share of a physics step.
+    pub fn end_step(&mut self, plant: &dyn Plant, dt_s: f64, share: f64) {
         self.motors.end_step(&plant.dq()[self.joints.clone()], dt_s);
-        let steps = f64::from(self.timing.steps_per_servo);
+        let steps = f64::from(self.timing.steps_per_servo) / share;
         for (sum, torque) in self.rows.servo_row().iter_mut().zip(self.motors.motor_torques()) {
             *sum += torque / steps;
         }

@@ -72,6 +72,7 @@ pub mod friction;
 pub mod gear;
 pub mod held_object;
 mod ideal;
+mod implicit_step;
 pub mod integrator;
 mod interface;
 pub mod motor;
@@ -99,6 +100,7 @@ pub mod torque_arm;
 mod torque_drives;
 mod torque_sensor;
 mod truth;
+mod turns;
 
 pub use arm::SimulatedArm;
 pub use bus::{Bus, BusParameters, DropoutParameters};

@@ -1,6 +1,7 @@
 //! Motors of a simulated arm with their drivetrains and encoders: what every kind of robot has.
 
 use crate::drivetrain::Drivetrain;
+use crate::implicit_step::ImplicitStep;
 use crate::own_gravity::OwnGravity;
 use crate::plant::JointTorque;
 use nalgebra::DVector;
@@ -17,6 +18,7 @@ pub(crate) struct Motors {
     asked: DVector<f64>,
     limited: bool,
     own_gravity: Option<OwnGravity>,
+    implicit: ImplicitStep,
 }
 
 impl Motors {
@@ -25,7 +27,8 @@ impl Motors {
         let n = q.len();
         let position = DVector::from_fn(n, |i, _| drivetrains[i].read_encoder(q[i]));
         let (reported, asked) = (DVector::zeros(n), DVector::zeros(n));
-        Self { drivetrains, limits, position, reported, asked, limited: false, own_gravity: None }
+        let (limited, own_gravity, implicit) = (false, None, ImplicitStep::default());
+        Self { drivetrains, limits, position, reported, asked, limited, own_gravity, implicit }
     }
 
     /// Lets the drives compensate gravity.
@@ -79,32 +82,34 @@ impl Motors {
         }
     }
 
-    /// Begins a physics step of `dt_s` (s) at the true `q` (n; rad, m) and `dq` (n; rad/s, m/s): writes what acts on the links
-    /// (n).
-    pub fn begin_step(&mut self, q: &[f64], dq: &[f64], dt_s: f64, torques: &mut [JointTorque]) {
-        for (i, joint) in self.drivetrains.iter_mut().enumerate() {
-            torques[i] = joint.begin_step(q[i], dq[i], dt_s, self.asked[i]);
+    /// Runs the current loops for a physics step.
+    pub fn drive(&mut self) {
+        for (joint, &asked) in self.drivetrains.iter_mut().zip(&self.asked) {
+            joint.drive(asked);
         }
     }
 
-    /// True if a joint is integrated implicitly.
+    /// Begins a step of `dt_s` (s) at the true `q` (n; rad, m) and `dq` (n; rad/s, m/s): writes what acts on the links
+    /// (n).
+    pub fn begin_step(&mut self, q: &[f64], dq: &[f64], dt_s: f64, torques: &mut [JointTorque]) {
+        self.implicit = ImplicitStep::default();
+        for (i, joint) in self.drivetrains.iter_mut().enumerate() {
+            torques[i] = joint.begin_step(q[i], dq[i], dt_s);
+        }
+    }
+
+    /// True if a joint is integrated implicitly in the present step.
     pub fn is_implicit(&self) -> bool {
         self.drivetrains.iter().any(Drivetrain::is_implicit)
     }
 
-    /// Revises what acts on the links (n) for the velocities `dq` (n; rad/s, m/s) at the end of a physics step of `dt_s` (s). Returns
+    /// Revises what acts on the links (n) for the velocities `dq` (n; rad/s, m/s) at the end of a step of `dt_s` (s). Returns
     /// true if something changes.
     pub fn revise_step(&mut self, dq: &[f64], dt_s: f64, torques: &mut [JointTorque]) -> bool {
-        let mut changes = false;
-        for ((joint, &dq), torque) in self.drivetrains.iter_mut().zip(dq).zip(torques) {
-            if let Some(revised) = joint.revise_step(dq, dt_s) {
-                (*torque, changes) = (revised, true);
-            }
-        }
-        changes
+        self.implicit.revise(&mut self.drivetrains, dq, dt_s, torques)
     }
 
-    /// Ends a physics step of `dt_s` (s) with the true `dq` (n; rad/s, m/s).
+    /// Ends a step of `dt_s` (s) with the true `dq` (n; rad/s, m/s).
     pub fn end_step(&mut self, dq: &[f64], dt_s: f64) {
         self.drivetrains.iter_mut().zip(dq).for_each(|(joint, &dq)| joint.end_step(dq, dt_s));
     }

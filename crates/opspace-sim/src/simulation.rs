@@ -17,6 +17,7 @@ use crate::plant::{
 use crate::rigid::RigidPlant;
 use crate::timing::Clock;
 use crate::truth::ContactSignals;
+use crate::turns::Turns;
 use nalgebra::Vector3;
 use opspace_backend::{DeviceFault, Sample, signal_names};
 use opspace_model::{FrameId, Model};
@@ -34,6 +35,7 @@ pub struct Simulation {
     torques: Vec<JointTorque>,
     /// Velocities of all arms at the end of a step, rad/s or m/s.
     end: Vec<f64>,
+    turns: Turns,
 }
 
 impl Simulation {
@@ -106,6 +108,7 @@ impl Simulation {
             tick: 0,
             torques: vec![JointTorque::default(); first_joint],
             end: vec![0.0; first_joint],
+            turns: Turns::new(first_joint),
         })
     }
 
@@ -175,17 +178,28 @@ impl Simulation {
         let dt_s = self.clock.step_s();
         let begin_s = (self.tick as f64 - self.rest_ticks) * period_s;
         for step in 0..self.clock.steps_per_tick {
-            for arm in &mut self.arms {
-                arm.begin_step(&*self.plant, dt_s, &mut self.torques);
-            }
+            self.arms.iter_mut().for_each(ArmInterface::drive);
             let time_s = begin_s + f64::from(step) * dt_s;
-            if self.arms.iter().any(ArmInterface::is_implicit) {
-                self.revise_torques(time_s, dt_s);
+            let mut left_s = dt_s;
+            while left_s > 0.0 {
+                let part_s = self.turns.part_s(self.plant.dq(), dt_s, left_s);
+                self.run_step(time_s + (dt_s - left_s), part_s, part_s / dt_s);
+                left_s = if part_s < left_s { left_s - part_s } else { 0.0 };
             }
-            self.plant.step(time_s, dt_s, &self.torques);
-            for arm in &mut self.arms {
-                arm.end_step(&*self.plant, dt_s);
-            }
+        }
+    }
+
+    /// Runs a step of `dt_s` (s) from the time `time_s` (s), which is this share of a physics step.
+    fn run_step(&mut self, time_s: f64, dt_s: f64, share: f64) {
+        for arm in &mut self.arms {
+            arm.begin_step(&*self.plant, dt_s, &mut self.torques);
+        }
+        if self.arms.iter().any(ArmInterface::is_implicit) {
+            self.revise_torques(time_s, dt_s);
+        }
+        self.plant.step(time_s, dt_s, &self.torques);
+        for arm in &mut self.arms {
+            arm.end_step(&*self.plant, dt_s, share);
         }
     }
 }

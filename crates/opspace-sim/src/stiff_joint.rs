@@ -1,27 +1,9 @@
-//! Joints whose brake, end stop, friction or gear is too stiff for the step of the plant: implicit integration of these
-//! elements.
-//!
-//! The elements of a joint give a torque F(v) on its link, which depends on the velocity v of the link at the end of the step
-//! of h: backward Euler, with the positions that follow from v. F is linearised about the velocity v* that the joint has
-//! alone, with its inertia I and the other torques of the last step:
-//!
-//! ```text
-//! I (v* − q̇) / h = F(v*) + others        torque on the link: τ − G q̈        G = −h F'(v*) ≥ 0        τ = F(v*) + (G/h) (v* − q̇)
-//! ```
-//!
-//! That is exact where F is linear. Where it is not, and the joints together lead to another velocity, F is linearised there again.
-//!
-//! The plant solves `(M + G) q̈ = τ − C q̇ − g` for all joints at once, as if G were the inertia of a rotor. Where F is linear, G ≥ 0 makes a
-//! step stable for any stiffness, damping and inertia; where it bends sharply for several joints at once, a few random arms in a thousand still
-//! gain energy (tests/all/stability.rs). The elements of an elastic gear with
-//! the inertia B of its rotor add at most B: as the gear gets stiffer, the joint becomes one with a rigid gear.
-//!
-//! The error of such a step is of first order, as that of an explicit step, but it dissipates energy: it damps a vibration that
-//! is too fast for the step.
+//! Joint whose brake, end stop, friction or gear is too stiff for the step of the plant: its part of an
+//! [implicit step](crate::implicit_step).
 
 use crate::plant::JointTorque;
 
-/// Largest number of evaluations that find an end of the search for a velocity, or the velocity.
+/// Largest number of evaluations that find an end of the search for a root, or the root.
 const EVALUATIONS: usize = 100;
 
 /// Joint that is integrated implicitly.
@@ -31,19 +13,24 @@ pub(crate) struct StiffJoint {
     inertia: f64,
     /// Torque of all but the elements of the joint, in the last step, Nm (N).
     others: f64,
-    /// Velocity before the present step, rad/s (m/s), and what acts in it.
-    step: (f64, JointTorque),
-    /// Velocity about which that is linearised, rad/s (m/s).
-    end: f64,
-    /// Number of linearisations in the present step.
-    count: u32,
+    /// Velocity before the present step, rad/s (m/s).
+    before: f64,
+    /// What acts in the present step.
+    linearised: JointTorque,
+    /// Best end of the step that is known.
+    best: End,
+    /// End to which the present linearisation leads.
+    led: End,
 }
 
-/// Number of linearisations in a step after which they approach each other: what meets or leaves a stop may go back and forth.
-const FREE_COUNT: u32 = 4;
-
-/// Largest number of linearisations in a step.
-const MOST_COUNT: u32 = 30;
+/// End of a step.
+#[derive(Clone, Copy, Debug, Default)]
+struct End {
+    /// Velocity of the link, rad/s (m/s).
+    velocity: f64,
+    /// Torque of the elements under which the joints have it, Nm (N).
+    torque: f64,
+}
 
 /// Difference between the linearised and the true torque that is enough, over their magnitudes.
 const TOLERANCE: f64 = 1e-6;
@@ -51,62 +38,90 @@ const TOLERANCE: f64 = 1e-6;
 impl StiffJoint {
     /// Returns a joint at rest whose link has this inertia (kg m², kg).
     pub fn new(inertia: f64) -> Self {
-        Self { inertia, others: 0.0, step: (0.0, JointTorque::default()), end: 0.0, count: 0 }
+        let (linearised, best, led) = (JointTorque::default(), End::default(), End::default());
+        Self { inertia, others: 0.0, before: 0.0, linearised, best, led }
     }
 
-    /// Linearises the torque of the elements (Nm, N) in a step of `h` (s) from the velocity `dq` (rad/s, m/s). `torque` and
-    /// `slope` get the velocity of the link at the end of the step.
+    /// Forgets the torque of all but the elements: the joint was not integrated implicitly.
+    pub fn forget(&mut self) {
+        self.others = 0.0;
+    }
+
+    /// Begins a step of `h` (s) from the velocity `dq` (rad/s, m/s), and linearises the torque of the elements. `torque` (Nm, N) and
+    /// `slope` (Nms/rad, Ns/m) get the velocity of the link at the end of the step.
     pub fn begin(
         &mut self,
         dq: f64,
         h: f64,
         torque: impl Fn(f64) -> f64,
-        slope: impl Fn(f64) -> f64,
+        slope: impl Fn(f64, Side) -> f64,
     ) -> JointTorque {
         let end = end_velocity(self.inertia / h, dq, |v| torque(v) + self.others);
-        self.step.0 = dq;
-        self.count = 0;
-        self.linearise(end, h, torque, slope)
+        self.before = dq;
+        self.linearise(End { velocity: end, torque: torque(end) }, h, slope(end, Side::Both))
     }
 
-    fn linearise(
-        &mut self,
-        end: f64,
-        h: f64,
-        torque: impl Fn(f64) -> f64,
-        slope: impl Fn(f64) -> f64,
-    ) -> JointTorque {
-        let inertia = h * slope(end);
-        let linearised = JointTorque { torque: torque(end) + inertia / h * (end - self.step.0), inertia };
-        self.step.1 = linearised;
-        self.end = end;
-        self.count += 1;
-        linearised
+    /// Returns a torque that leads to `end` if the other joints do not change, and decreases by `slope` about it.
+    fn linearise(&mut self, end: End, h: f64, slope: f64) -> JointTorque {
+        let inertia = h * slope;
+        let torque = end.torque + inertia / h * (end.velocity - self.before);
+        self.linearised = JointTorque { torque, inertia };
+        self.linearised
     }
 
-    /// Linearises the torque about the velocity `dq` (rad/s, m/s) to which the present linearisation leads; `None` if that is the
-    /// torque there.
-    pub fn revise(
-        &mut self,
-        dq: f64,
-        h: f64,
-        torque: impl Fn(f64) -> f64,
-        slope: impl Fn(f64) -> f64,
-    ) -> Option<JointTorque> {
-        let (before, JointTorque { torque: constant, inertia }) = self.step;
-        let (applied, actual) = (constant - inertia * (dq - before) / h, torque(dq));
-        let is_close = (applied - actual).abs() <= TOLERANCE * (applied.abs() + actual.abs());
-        if is_close || !actual.is_finite() || self.count >= MOST_COUNT {
-            return None;
+    /// Notes that the present linearisation leads to the velocity `dq` (rad/s, m/s). True if the torque there is the linearised one.
+    pub fn lead_to(&mut self, dq: f64, h: f64, torque: impl Fn(f64) -> f64) -> bool {
+        let JointTorque { torque: constant, inertia } = self.linearised;
+        self.led = End { velocity: dq, torque: constant - inertia * (dq - self.before) / h };
+        let (applied, actual) = (self.led.torque, torque(dq));
+        if !actual.is_finite() || (applied - actual).abs() <= TOLERANCE * (applied.abs() + actual.abs()) {
+            return true;
         }
-        let end = if self.count < FREE_COUNT { dq } else { 0.5 * (dq + self.end) };
-        Some(self.linearise(end, h, torque, slope))
+        // At a jump, each torque between those of the two sides is exact.
+        let (below, above) = (torque(dq - width(dq)), torque(dq + width(dq)));
+        (below.min(above)..=below.max(above)).contains(&applied)
+    }
+
+    /// End of the step at a share of the way from the best one to that of the linearisation.
+    fn between(&self, share: f64) -> End {
+        let part = |from: f64, to: f64| if share == 1.0 { to } else { from + share * (to - from) };
+        End {
+            velocity: part(self.best.velocity, self.led.velocity),
+            torque: part(self.best.torque, self.led.torque),
+        }
+    }
+
+    /// Power (W) that the torque lacks at a share of the way, for the way that is left.
+    pub fn gap(&self, share: f64, torque: impl Fn(f64) -> f64) -> f64 {
+        let end = self.between(share);
+        (self.led.velocity - self.best.velocity) * (end.torque - torque(end.velocity))
+    }
+
+    /// Moves the best end by a share of the way, and linearises the torque there.
+    pub fn advance(
+        &mut self,
+        share: f64,
+        h: f64,
+        torque: impl Fn(f64) -> f64,
+        slope: impl Fn(f64, Side) -> f64,
+    ) -> JointTorque {
+        self.best = self.between(share);
+        let velocity = self.best.velocity;
+        let actual = torque(velocity);
+        // At a jump of the torque, the side to which the joint goes decides.
+        let side = if actual > self.best.torque { Side::Above } else { Side::Below };
+        self.linearise(End { velocity, torque: actual }, h, slope(velocity, side))
+    }
+
+    /// Returns a torque that leads to the best end that is known.
+    pub fn settle(&mut self, h: f64, slope: impl Fn(f64, Side) -> f64) -> JointTorque {
+        self.linearise(self.best, h, slope(self.best.velocity, Side::Both))
     }
 
     /// Ends a step of `h` (s) with the velocity `dq` (rad/s, m/s). Returns the torque of the elements in the step (Nm, N).
     pub fn end(&mut self, dq: f64, h: f64) -> f64 {
-        let (before, JointTorque { torque, inertia }) = self.step;
-        let acceleration = (dq - before) / h;
+        let JointTorque { torque, inertia } = self.linearised;
+        let acceleration = (dq - self.before) / h;
         let torque = torque - inertia * acceleration;
         self.others = self.inertia * acceleration - torque;
         torque
@@ -134,6 +149,15 @@ pub(crate) fn end_velocity(rate: f64, before: f64, torque: impl Fn(f64) -> f64) 
         far += width;
         far_gap = gap(far);
     }
+    root_between((near, near_gap), (far, far_gap), gap)
+}
+
+/// Returns a root of `gap` between two arguments with their values, which have different signs.
+pub(crate) fn root_between(
+    (mut near, mut near_gap): (f64, f64),
+    (mut far, mut far_gap): (f64, f64),
+    gap: impl Fn(f64) -> f64,
+) -> f64 {
     // Regula falsi with Illinois weights, and halving where that is slow.
     for count in 0..EVALUATIONS {
         if far_gap == 0.0 || !far_gap.is_finite() || (far - near).abs() <= 1e-13 * (near.abs() + far.abs()) {
@@ -154,9 +178,24 @@ pub(crate) fn end_velocity(rate: f64, before: f64, torque: impl Fn(f64) -> f64) 
     far
 }
 
-/// Largest of the slopes to both sides by which `torque` decreases at the velocity `v`, not below zero.
-pub(crate) fn decrease(v: f64, torque: impl Fn(f64) -> f64) -> f64 {
-    let step = 1e-6 * v.abs() + 1e-9;
-    let at = torque(v);
-    ((torque(v - step) - at) / step).max((at - torque(v + step)) / step).max(0.0)
+/// Sides of a velocity on which the slope of a torque is computed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Side {
+    Below,
+    Above,
+    /// The side with the larger slope.
+    Both,
+}
+
+/// Width (rad/s, m/s) of a jump of the torque at the velocity `v`.
+fn width(v: f64) -> f64 {
+    1e-6 * v.abs() + 1e-9
+}
+
+/// Slope by which `torque` decreases at the velocity `v`, not below zero.
+pub(crate) fn decrease(v: f64, side: Side, torque: impl Fn(f64) -> f64) -> f64 {
+    let (step, at) = (width(v), torque(v));
+    let below = if side == Side::Above { 0.0 } else { (torque(v - step) - at) / step };
+    let above = if side == Side::Below { 0.0 } else { (at - torque(v + step)) / step };
+    below.max(above).max(0.0)
 }

@@ -22,7 +22,7 @@ const POSTURES: usize = 20;
 /// Stiffness (Nm/rad, N/m) and damping (Nms/rad, Ns/m) of the elements on the link of a joint.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct LinkElements {
-    /// Sums over end stop, and on a rigid gear over brake and friction.
+    /// Of brake and friction on a rigid gear; an end stop is implicit while it is touched.
     pub stiffness: f64,
     pub damping: f64,
     /// Damping that these springs lack for explicit steps: such a step makes a spring gain energy, at half of this over the inertia.
@@ -30,7 +30,7 @@ pub(crate) struct LinkElements {
     /// Elastic gear; zero if the gear is rigid.
     pub gear_stiffness: f64,
     pub gear_damping: f64,
-    /// True if the rotor on the elastic gear is too light for explicit steps.
+    /// True if the rotor on the elastic gear is too light for the step.
     pub has_light_rotor: bool,
 }
 
@@ -39,41 +39,38 @@ impl LinkElements {
     fn share(&self, h: f64) -> f64 {
         (h * h * self.stiffness + h * self.damping) / LARGEST_SHARE
     }
-}
 
-impl LinkElements {
-    /// Rate of explicit steps at which the elements on a link of this inertia (kg m², kg) are accurate, Hz.
-    pub fn explicit_hz(&self, inertia: f64) -> f64 {
-        let stiffness = self.gear_stiffness / LARGEST_GEAR_STEP.powi(2) + self.stiffness / LARGEST_SHARE;
-        let damping = self.gear_damping + self.damping / LARGEST_SHARE;
-        // h² k + h d = inertia, with h = 1/rate.
-        (damping + (damping * damping + 4.0 * stiffness * inertia).sqrt()) / (2.0 * inertia)
+    /// The same of the elastic gear.
+    fn gear_share(&self, h: f64) -> f64 {
+        (h / LARGEST_GEAR_STEP).powi(2) * self.gear_stiffness + h * self.gear_damping
     }
 }
 
-/// Returns for each joint the least inertia of its link with the other joints free, if its elements are integrated implicitly
-/// in steps of `h` (s); `None` without a positive definite mass matrix. `model` has the true bodies, and the rotors on rigid
-/// gears.
-pub(crate) fn implicit_joints(
+/// Integration of the elements on the link of a joint.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct LinkSteps {
+    /// Least inertia of the link with the other joints free, kg m² (kg).
+    pub inertia: f64,
+    /// True if its elements are too stiff for explicit steps.
+    pub is_stiff: bool,
+}
+
+/// Returns for each joint how its elements are integrated in steps of `h` (s); `None` without a positive definite mass matrix.
+/// `model` has the true bodies, and the rotors on rigid gears.
+pub(crate) fn link_steps(
     model: &Model,
     start: &[f64],
     elements: &[LinkElements],
     h: f64,
-) -> Option<Vec<Option<f64>>> {
+) -> Option<Vec<LinkSteps>> {
     let inverses = inverse_inertias(model, start)?;
     let least = |i: usize| 1.0 / inverses.iter().map(|inverse| inverse[(i, i)]).fold(0.0, f64::max);
     let mut implicit: Vec<bool> = elements.iter().map(|e| e.has_light_rotor).collect();
-    // The vibrations of links on elastic gears are those at the start.
-    let (start, all) = (&inverses[..1], &inverses[..]);
-    let of_elements = |e: &LinkElements| e.share(h);
-    let of_gear_stiffness = |e: &LinkElements| h * h * e.gear_stiffness / LARGEST_GEAR_STEP.powi(2);
-    let of_gear_damping = |e: &LinkElements| h * e.gear_damping;
-    let of_lacking_damping = |e: &LinkElements| 0.5 * e.lacking_damping / FASTEST_GAIN_PER_S;
-    limit_shares(all, elements, &mut implicit, &of_elements);
-    limit_shares(all, elements, &mut implicit, &of_lacking_damping);
-    limit_shares(start, elements, &mut implicit, &of_gear_stiffness);
-    limit_shares(start, elements, &mut implicit, &of_gear_damping);
-    Some(implicit.into_iter().enumerate().map(|(i, implicit)| implicit.then(|| least(i))).collect())
+    limit_shares(&inverses, elements, &mut implicit, &|e| e.share(h));
+    limit_shares(&inverses, elements, &mut implicit, &|e| e.gear_share(h));
+    limit_shares(&inverses, elements, &mut implicit, &|e| 0.5 * e.lacking_damping / FASTEST_GAIN_PER_S);
+    let steps = |(i, is_stiff)| LinkSteps { inertia: least(i), is_stiff };
+    Some(implicit.into_iter().enumerate().map(steps).collect())
 }
 
 /// Makes joints implicit until the largest eigenvalue of the inverse inertias times the shares of the others is at most one.
@@ -97,17 +94,20 @@ fn limit_shares(
     }
 }
 
-/// Lowest rate of explicit steps at which links on elastic gears are stable at the start, Hz; `None` without a positive definite
-/// mass matrix.
+/// Rate of explicit steps that is enough for the links on elastic gears, Hz; `None` without a positive definite mass matrix.
 pub(crate) fn explicit_gear_hz(model: &Model, start: &[f64], elements: &[LinkElements]) -> Option<f64> {
-    let inverse = inverse_inertia(model, start)?;
+    let inverses = inverse_inertias(model, start)?;
     let largest = |of: fn(&LinkElements) -> f64| {
         let root = |i: usize| of(&elements[i]).sqrt();
-        let scaled = DMatrix::from_fn(model.n(), model.n(), |i, j| root(i) * inverse[(i, j)] * root(j));
-        scaled.symmetric_eigenvalues().max()
+        let scaled = |inverse: &DMatrix<f64>| {
+            DMatrix::from_fn(model.n(), model.n(), |i, j| root(i) * inverse[(i, j)] * root(j))
+        };
+        inverses.iter().map(|inverse| scaled(inverse).symmetric_eigenvalues().max()).fold(0.0, f64::max)
     };
-    let by_stiffness = largest(|gear| gear.gear_stiffness).sqrt() / LARGEST_GEAR_STEP;
-    Some(by_stiffness.max(largest(|gear| gear.gear_damping)))
+    // h² k + h d = 1, with the largest eigenvalues k and d, and h = 1/rate.
+    let stiffness = largest(|gear| gear.gear_stiffness) / LARGEST_GEAR_STEP.powi(2);
+    let damping = largest(|gear| gear.gear_damping);
+    Some(0.5 * (damping + (damping * damping + 4.0 * stiffness).sqrt()))
 }
 
 /// Inverses of the mass matrix at the start and at other postures.

@@ -7,3 +7,6 @@ mod dynamics;
 mod plant;
 mod runs;
 mod scenes;
+mod stability;
+#[path = "../../../opspace-sim/tests/all/common/stiff_arms.rs"]
+mod stiff_arms;

@@ -50,7 +50,7 @@ fn frictionless_arm_conserves_energy() {
     let (mut drift, mut slowest, mut fastest) = (0.0_f64, f64::INFINITY, 0.0_f64);
     for step in 0..(5.0 * steps_per_s) as u32 {
         let torques: Vec<JointTorque> = (drivetrains.iter_mut().enumerate())
-            .map(|(i, joint)| joint.begin_step(plant.q()[i], plant.dq()[i], dt, 0.0))
+            .map(|(i, joint)| joint.begin_step(plant.q()[i], plant.dq()[i], dt))
             .collect();
         plant.step(f64::from(step) * dt, dt, &torques);
         if step % 20 == 0 {

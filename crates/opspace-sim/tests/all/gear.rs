@@ -180,7 +180,8 @@ fn small_rotor_is_stable() {
         }
         let (mut q, mut dq) = (0.0, 2.0);
         for _ in 0..20_000 {
-            let ddq = drivetrain.begin_step(q, dq, DT, 0.0).torque / LINK;
+            drivetrain.drive(0.0);
+            let ddq = drivetrain.begin_step(q, dq, DT).torque / LINK;
             q += DT * (dq + 0.5 * DT * ddq);
             dq += DT * ddq;
         }
@@ -305,7 +306,7 @@ fn swinging_elastic_arm_conserves_energy() {
     let (mut drift, mut fastest) = (0.0_f64, 0.0_f64);
     for step in 0..60_000_u32 {
         let torques: Vec<JointTorque> = (drivetrains.iter_mut().enumerate())
-            .map(|(i, joint)| joint.begin_step(plant.q()[i], plant.dq()[i], DT, 0.0))
+            .map(|(i, joint)| joint.begin_step(plant.q()[i], plant.dq()[i], DT))
             .collect();
         plant.step(f64::from(step) * DT, DT, &torques);
         let (kinetic, total) = energy(&plant, &drivetrains);

@@ -1,12 +1,13 @@
 //! Arms with random inertias, gears, friction, brakes and end stops over many orders of magnitude, and a motion of each that must
 //! not gain energy.
 
+use nalgebra::{DMatrix, DVector};
 use opspace_backend::quantity::{Count, NonNegative, Positive};
 use opspace_backend::{Backend, Capabilities, Command, CommandKind, DeviceFault, Sample};
 use opspace_model::{Data, Model, crba, kinematics, kinetic_energy};
 use opspace_sim::parameters::{BrakeParameters, BristleParameters, EndStopParameters, GearParameters};
 use opspace_sim::random::{RngStream, generator};
-use opspace_sim::{ArmConfig, SimulatedArm};
+use opspace_sim::{ArmConfig, SimulatedArm, SimulationError};
 use rand::RngExt as _;
 use std::fmt::Write as _;
 
@@ -47,11 +48,39 @@ impl Draw {
 /// Largest acceleration by the torques that drive a joint, rad/s²: what goes round in a few steps is no matter of stiffness.
 const FASTEST_RAD_PER_S2: f64 = 500.0;
 
+/// Largest acceleration of a joint by all torques together, rad/s²: the first step after the torques change is not divided.
+const FASTEST_START_RAD_PER_S2: f64 = 20_000.0;
+
 /// Range of each joint on both sides of zero, rad.
 const RANGE_RAD: f64 = 1.0;
 
+/// Largest energy of an arm over that which its motors, its weight and its gears can give it.
+const LARGEST_RATIO: f64 = 1.5;
+
+/// Draws each of which has shown a mistake: a stop on the link of an elastic gear in explicit steps, a rotor in several steps beside a
+/// light link, gears judged at the start only or by stiffness and damping one at a time, joints that turn far in a step, a search that
+/// creeps along a jump of the torque, and teeth that meet while several joints are stiff.
+pub const FORMER_MISTAKES: [u64; 18] = [
+    2, 96, 626, 1558, 1922, 2761, 3480, 4171, 4253, 5819, 6651, 9561, 9911, 13_018, 502_581, 506_693,
+    507_269, 508_850,
+];
+
+/// Draws an arm for each seed. Returns the seeds whose arm `build` refuses, or which get more energy than they can have.
+pub fn wrong_draws(
+    seeds: impl IntoIterator<Item = u64>,
+    build: impl Fn(ArmConfig) -> Result<SimulatedArm, SimulationError>,
+) -> Vec<(u64, String)> {
+    let result = |seed| {
+        let config = random_arm(seed);
+        let mut arm = build(config.clone()).map_err(|error| error.to_string())?;
+        let ratio = largest_energy_ratio(&config, &mut arm).map_err(|fault| fault.to_string())?;
+        if ratio < LARGEST_RATIO { Ok(()) } else { Err(format!("energy ratio {ratio}")) }
+    };
+    seeds.into_iter().filter_map(|seed| Some((seed, result(seed).err()?))).collect()
+}
+
 /// Returns an arm of one to three joints.
-pub fn random_arm(seed: u64) -> ArmConfig {
+fn random_arm(seed: u64) -> ArmConfig {
     let draw = &mut Draw::of(seed);
     let n = 1 + draw.within(0.0, 2.999) as usize;
     let mut urdf = "<robot name=\"random\"><link name=\"l0\"/>".to_owned();
@@ -138,7 +167,7 @@ pub fn random_arm(seed: u64) -> ArmConfig {
 ///
 /// # Errors
 /// The fault of the arm.
-pub fn largest_energy_ratio(config: &ArmConfig, arm: &mut SimulatedArm) -> Result<f64, DeviceFault> {
+fn largest_energy_ratio(config: &ArmConfig, arm: &mut SimulatedArm) -> Result<f64, DeviceFault> {
     let n = config.model.n();
     let draw = &mut Draw::of(config.seed ^ 0x5eed);
     let model = config.model.clone().with_rotor_inertia(&vec![0.0; n]);
@@ -150,7 +179,12 @@ pub fn largest_energy_ratio(config: &ArmConfig, arm: &mut SimulatedArm) -> Resul
         let limit = config.joints[i].torque_limit_nm.get().min(FASTEST_RAD_PER_S2 * inertia);
         limit * draw.within(-1.0, 1.0)
     };
-    let torques: Vec<f64> = (0..n).map(torque).collect();
+    let torques = DVector::from_iterator(n, (0..n).map(torque));
+    let rotors = DVector::from_column_slice(config.model.rotor_inertia());
+    let inertias = &data.mass_matrix + DMatrix::from_diagonal(&rotors);
+    let fastest = inertias.cholesky().map_or(0.0, |factor| factor.solve(&torques).amax());
+    let torques = torques * (FASTEST_START_RAD_PER_S2 / fastest).min(1.0);
+    let torques = torques.as_slice();
     let stop = config.simulated.end_stop.as_ref().map_or(0.0, |stop| stop.stiffness_nm_per_rad.get());
     let lengths = 0.5 * n as f64;
     let weight = model.total_mass() * 9.81;
@@ -173,7 +207,7 @@ pub fn largest_energy_ratio(config: &ArmConfig, arm: &mut SimulatedArm) -> Resul
         }
         worst = worst.max(energy / available);
         match cycle {
-            20..80 => arm.write(Command::Torque(&torques))?,
+            20..80 => arm.write(Command::Torque(torques))?,
             80 => arm.write(Command::Hold)?,
             _ => {}
         }
