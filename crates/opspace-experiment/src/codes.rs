@@ -147,6 +147,7 @@ codes! {
     EqualLimits "equal-limits" Effect::Reported,
     ZeroLimit "zero-limit" Effect::Reported,
     NegativeLimit "negative-limit" Effect::Reported,
+    FarLimit "far-limit" Effect::Reported,
     UndeclaredPrefix "undeclared-prefix" Effect::Reported,
     IgnoredMimic "ignored-mimic" Effect::Reported,
     FarCentre "far-centre" Effect::Reported,

@@ -83,13 +83,18 @@ impl Limits {
         effort: f64::INFINITY,
     };
 
-    /// Position range of a joint of this kind, rad or m; ±π rad or ±1 m where it has no limit.
+    /// Position range of a joint of this kind, rad or m; ±π rad or ±1 m where it has no limit, or twice that from a limit beyond it.
     #[must_use]
     pub fn range(&self, kind: JointKind) -> (f64, f64) {
         let far = if kind == JointKind::Prismatic { 1.0 } else { PI };
         let limited = kind != JointKind::Continuous;
         let or_far = |limit: f64, far: f64| if limited && limit.is_finite() { limit } else { far };
-        (or_far(self.lower, -far), or_far(self.upper, far))
+        let (lower, upper) = (or_far(self.lower, -far), or_far(self.upper, far));
+        if lower <= upper {
+            return (lower, upper);
+        }
+        // The only limit is beyond the range.
+        if self.lower.is_finite() { (lower, lower + 2.0 * far) } else { (upper - 2.0 * far, upper) }
     }
 }
 

@@ -90,7 +90,7 @@ impl TransformerName {
         let current = if measures_current { "measured" } else { "not measured" };
         if gears == Gears::Elastic {
             let why = format!(
-                "the gears are not declared rigid, the delay of setpoints is known ({delay} servo ticks), motor current \
+                "the gears are not declared rigid, the delay of setpoints is declared ({delay} servo ticks), motor current \
                  is {current}"
             );
             if takes == CommandKind::Velocity || measures_current {
@@ -105,7 +105,7 @@ impl TransformerName {
             Setpoints::Interpolated => (Self::INTERPOLATING, "interpolated"),
         };
         let why = format!(
-            "the gears are declared rigid, setpoints are {setpoints}, their delay is known ({delay} servo ticks), motor \
+            "the gears are declared rigid, setpoints are {setpoints}, their delay is declared ({delay} servo ticks), motor \
              current is {current}"
         );
         (method.with_current(measures_current), why)

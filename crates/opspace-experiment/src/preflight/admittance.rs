@@ -117,6 +117,9 @@ fn for_each_loop(
     }
 }
 
+/// Largest number of steps of a decomposition: it would not end if a number is not finite.
+const MAX_ITERATIONS: usize = 1000;
+
 impl ForceLoop {
     /// Creates the loop of an axis; `None` if the axis has no admittance, or for a robot without position servos.
     fn new(
@@ -134,7 +137,8 @@ impl ForceLoop {
         let mut jacobian = Matrix6xX::zeros(model.n());
         task.jacobian(model, data, &mut jacobian);
         let rows = jacobian.rows(0, task.rows()).into_owned();
-        let inverse = rows.clone().pseudo_inverse(1e-9).ok()?.column(row).into_owned();
+        let decomposed = rows.clone().try_svd(true, true, f64::EPSILON, MAX_ITERATIONS)?;
+        let inverse = decomposed.pseudo_inverse(1e-9).ok()?.column(row).into_owned();
         let controlled = parameters.controlled_frame(model).ok()?;
         let axes_frame = parameters.axes_frame.resolve(model, controlled).ok()?;
         let axes = controlled.coordinates(model, data) * axes_frame.rotation(model, data, controlled);

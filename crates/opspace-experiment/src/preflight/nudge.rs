@@ -39,7 +39,7 @@ const STEADY_PER_S: f64 = 0.1;
 const ACCURATE_STEPS: f64 = 3.0;
 
 /// Largest number of steps in place of one. Faster vibrations are damped by the simulation: they are not what a nudge looks for.
-const MAX_STEPS: f64 = 100.0;
+const MAX_STEPS: f64 = 20.0;
 
 /// Outcome of a nudge.
 pub(super) enum Nudge {

@@ -5,7 +5,7 @@ use crate::files::source::Source;
 use crate::setup::assumed_drives::LARGEST_POSITION;
 use crate::setup::own_body::{Contacts, OwnBody};
 use crate::setup::tip::{arms, tip};
-use nalgebra::{DMatrix, DVector, Matrix3, Matrix6xX, Vector3};
+use nalgebra::{DMatrix, DVector, Dyn, Matrix3, Matrix6xX, SVD, Vector3};
 use opspace_model::{
     Data, FrameId, JointKind, Model, Postures, forward_kinematics, frame_jacobian, frame_placement, gravity,
 };
@@ -322,7 +322,7 @@ impl<'a> Search<'a> {
             ControlledAxes::One => {
                 jacobian.row_iter().map(|row| row.norm()).fold(0.0, f64::max) / self.reach_m
             }
-            _ => jacobian.singular_values().min() / self.reach_m,
+            _ => decomposed(jacobian).map_or(0.0, |svd| svd.singular_values.min()) / self.reach_m,
         }
     }
 
@@ -361,11 +361,11 @@ impl<'a> Search<'a> {
                 let place = frame_placement(self.model, &self.data, self.frame);
                 let error =
                     self.error(axes, axis, &(goal - place.translation), &begin.rotation, &place.rotation);
-                let least = jacobian.singular_values().min() / self.reach_m;
-                if least < LEAST_SINGULAR_VALUE {
+                let decomposed = decomposed(jacobian)?;
+                if decomposed.singular_values.min() / self.reach_m < LEAST_SINGULAR_VALUE {
                     return None;
                 }
-                let inverse = jacobian.pseudo_inverse(1e-9).ok()?;
+                let inverse = decomposed.pseudo_inverse(1e-9).ok()?;
                 q.iter_mut().zip((inverse * error).iter()).for_each(|(q, change)| *q += change);
             }
             if self.score(&q, axes, clearance) <= 0.0 || !self.is_within_limits(&q) {
@@ -412,4 +412,11 @@ impl<'a> Search<'a> {
             !moves || joint.kind == JointKind::Continuous || (lower + margin..=upper - margin).contains(q)
         })
     }
+}
+
+/// Largest number of steps of a decomposition: it would not end if a number is not finite.
+const MAX_ITERATIONS: usize = 1000;
+
+fn decomposed(jacobian: DMatrix<f64>) -> Option<SVD<f64, Dyn, Dyn>> {
+    jacobian.try_svd(true, true, f64::EPSILON, MAX_ITERATIONS)
 }

@@ -92,6 +92,8 @@ struct SelectedPart<'a> {
     parsed: ParsedUrdf,
     /// Masses and inertias that are assumed.
     bodies: Vec<AssumedBody>,
+    /// Declared mass of the whole arm, kg.
+    arm_kg: Option<f64>,
 }
 
 /// Returns the files of a new robot. `urdf_name` is the name of the URDF beside robot.toml; `values` says where the values come
@@ -192,7 +194,18 @@ fn load<'a>(
         parsed.model = parsed.model.with_base(mount.placement());
     }
     let mount = part.mount;
-    Ok(SelectedPart { urdf, urdf_name, used, mount, locked_joints: locked, enforce_mimic, parsed, bodies })
+    let arm_kg = known.and_then(|known| known.arm_kg);
+    Ok(SelectedPart {
+        urdf,
+        urdf_name,
+        used,
+        mount,
+        locked_joints: locked,
+        enforce_mimic,
+        parsed,
+        bodies,
+        arm_kg,
+    })
 }
 
 /// Inertia as a file states it: with a few digits.
@@ -264,7 +277,7 @@ fn computed(
         stated: &stated,
         bodies: &loaded.bodies,
     };
-    notes.extend(note_of_bodies(&loaded.bodies));
+    notes.extend(note_of_bodies(&loaded.bodies, loaded.arm_kg));
     let robot_toml = match assume {
         true => {
             let kv = velocity_gains(model, &drives, &motion.start);
@@ -284,7 +297,7 @@ fn computed(
 }
 
 /// Names the links whose masses or inertias are assumed.
-fn note_of_bodies(bodies: &[AssumedBody]) -> Option<String> {
+fn note_of_bodies(bodies: &[AssumedBody], arm_kg: Option<f64>) -> Option<String> {
     if bodies.is_empty() {
         return None;
     }
@@ -293,9 +306,13 @@ fn note_of_bodies(bodies: &[AssumedBody]) -> Option<String> {
         _ => format!("{} {:.3} kg", body.link, body.inertia.mass),
     };
     let listed: Vec<String> = bodies.iter().map(body).collect();
+    let of_arm = match arm_kg {
+        Some(arm_kg) => format!("They are shares of {arm_kg} kg, with those of links that do not move"),
+        None => "If you know the mass of the arm from its data sheet, add `--mass` with it in kg".to_owned(),
+    };
     Some(format!(
-        "masses and inertias that the URDF does not state, or that no body has, are assumed: {}. If you know the mass of the arm \
-         from its data sheet, add `--mass` with it in kg; [link.NAME] of robot.toml has the values",
+        "masses and inertias that the URDF does not state, or that no body has, are assumed: {}. {of_arm}; [link.NAME] of \
+         robot.toml has the values",
         listed.join(", ")
     ))
 }
@@ -388,7 +405,7 @@ fn like_template(mut loaded: SelectedPart<'_>, template: &ArmTemplate) -> Result
         unmatched_joints: others,
         notes: notes(&loaded, &robot.model, &motion)
             .into_iter()
-            .chain(note_of_bodies(&loaded.bodies))
+            .chain(note_of_bodies(&loaded.bodies, loaded.arm_kg))
             .collect(),
         warnings: robot.warnings,
     })

@@ -268,13 +268,12 @@ impl Element<'_> {
             None => return Ok(Limits::NONE),
         };
         let [lower, upper] = match bounded {
-            true => limit.position,
+            true => [
+                self.position_limit("lower", limit.line, limit.position[0], warnings)?,
+                self.position_limit("upper", limit.line, limit.position[1], warnings)?,
+            ],
             false => [Limits::NONE.lower, Limits::NONE.upper],
         };
-        if bounded {
-            self.finite("<limit lower>", limit.line, &[lower])?;
-            self.finite("<limit upper>", limit.line, &[upper])?;
-        }
         if lower > upper {
             let element = self.words.clone();
             return Err(UrdfError::at(limit.line, UrdfErrorKind::LimitsSwapped { element, lower, upper }));
@@ -286,6 +285,23 @@ impl Element<'_> {
         let velocity = self.magnitude("velocity", limit.line, limit.velocity, warnings)?;
         let effort = self.magnitude("effort", limit.line, limit.effort, warnings)?;
         Ok(Limits { lower, upper, velocity, effort })
+    }
+
+    /// Returns a position limit; infinite if it is further than a robot moves.
+    fn position_limit(
+        &self,
+        limit: &'static str,
+        line: Line,
+        value: f64,
+        warnings: &mut Vec<UrdfWarning>,
+    ) -> Result<f64, UrdfError> {
+        self.finite(&format!("<limit {limit}>"), line, &[value])?;
+        if value.abs() <= FARTHEST_LIMIT {
+            return Ok(value);
+        }
+        let joint = self.name.to_owned();
+        warnings.push(UrdfWarning::at(line, UrdfWarningKind::FarLimit { joint, limit, value }));
+        Ok(f64::INFINITY.copysign(value))
     }
 
     /// Returns a velocity or effort limit; infinite for no limit.
@@ -345,6 +361,9 @@ impl Element<'_> {
         Err(UrdfError::at(line, UrdfErrorKind::BadNumber { element, place, value, wanted }))
     }
 }
+
+/// Position limit beyond which a joint has none, rad or m.
+const FARTHEST_LIMIT: f64 = 1e4;
 
 /// Largest magnitude of a position, an axis, an angle, a mass or a moment of inertia (m, 1, rad, kg, kg m²): squares and
 /// products of it are far from the largest number.

@@ -389,6 +389,16 @@ pub enum UrdfWarningKind {
         /// Value of the limit, rad/s or m/s, Nm or N.
         value: f64,
     },
+    /// Joint with a position limit that is further than a robot moves.
+    #[error("joint '{joint}': {limit} limit {value:?} is further than a robot moves: it is read as no limit")]
+    FarLimit {
+        /// Name of the joint.
+        joint: String,
+        /// Name of the limit: `lower` or `upper`.
+        limit: &'static str,
+        /// Value of the limit, rad or m.
+        value: f64,
+    },
     /// Prefix of a tag or attribute that the file does not declare.
     #[error("the XML prefix '{prefix}' is not declared, as XML requires: what it marks is ignored")]
     UndeclaredPrefix {
@@ -415,7 +425,7 @@ pub enum UrdfWarningKind {
 
 impl UrdfWarningKind {
     /// Codes of all kinds.
-    pub const CODES: [&'static str; 7] = [
+    pub const CODES: [&'static str; 8] = [
         "impossible-inertia",
         "fixed-link-inertia",
         "equal-limits",
@@ -423,12 +433,13 @@ impl UrdfWarningKind {
         "ignored-mimic",
         "negative-limit",
         "undeclared-prefix",
+        "far-limit",
     ];
 
     /// Returns the code of the kind, which remains the same when its text changes.
     #[must_use]
     pub fn code(&self) -> &'static str {
-        let [impossible, fixed, equal, zero, mimic, negative, prefix] = Self::CODES;
+        let [impossible, fixed, equal, zero, mimic, negative, prefix, far] = Self::CODES;
         match self {
             Self::ImpossibleInertia { .. } => impossible,
             Self::StandingInertia { .. } => fixed,
@@ -437,6 +448,7 @@ impl UrdfWarningKind {
             Self::Mimic { .. } => mimic,
             Self::NegativeLimit { .. } => negative,
             Self::UndeclaredPrefix { .. } => prefix,
+            Self::FarLimit { .. } => far,
         }
     }
 }

@@ -390,6 +390,24 @@ fn rod_and_plate_inertias_are_possible() {
     }
 }
 
+/// Limits beyond those of robots are none; the range of such a joint is finite and not reversed.
+#[test]
+fn limits_beyond_those_of_robots_are_none() {
+    for (lower, upper, range) in [
+        ("-1e16", "1e16", (-1.0, 1.0)),
+        ("-0.5", "1e300", (-0.5, 1.0)),
+        ("5000", "1e300", (5000.0, 5002.0)),
+        ("-1e300", "-5000", (-5002.0, -5000.0)),
+    ] {
+        let urdf = arm_with(ELBOW_LIMIT, &format!(r#"<limit lower="{lower}" upper="{upper}"/>"#));
+        let said = warnings(&urdf);
+        assert!(said[0].contains("joint 'elbow'") && said[0].contains("is read as no limit"), "{said:?}");
+        let model = Model::from_urdf(&urdf).unwrap().model;
+        let joint = &model.joints()[model.joint("elbow").unwrap()];
+        assert_eq!(joint.limits.range(joint.kind), range, "{lower} to {upper}");
+    }
+}
+
 #[test]
 fn warns_of_equal_limits() {
     let said = warnings(&arm_with(ELBOW_LIMIT, r#"<limit lower="0.5" upper="0.5"/>"#));

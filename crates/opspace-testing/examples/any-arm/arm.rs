@@ -23,6 +23,12 @@ const YIELD: f64 = 1.5;
 /// Square of the frequency of the first task, (rad/s)².
 const FREQUENCY_SQUARED: f64 = 225.0;
 
+/// Longest duration of a command, s.
+const MOST_S: &str = "120";
+
+/// Exit code of `timeout` for a program that it has stopped.
+const TIMED_OUT: i32 = 124;
+
 /// Program that is judged, and the plant of its runs.
 pub struct Judge {
     pub program: PathBuf,
@@ -147,9 +153,14 @@ impl Judge {
     }
 
     /// Runs a command of the program. Returns its last words if it fails.
-    fn run(&self, command: &str, arguments: &[&str]) -> Result<(), String> {
-        let output = Command::new(&self.program).arg(command).args(arguments).output();
+    pub fn run(&self, command: &str, arguments: &[&str]) -> Result<(), String> {
+        // What does not end is stopped.
+        let mut timed = Command::new("timeout");
+        let output = timed.arg(MOST_S).arg(&self.program).arg(command).args(arguments).output();
         let output = output.map_err(|error| format!("{}: {error}", self.program.display()))?;
+        if output.status.code() == Some(TIMED_OUT) {
+            return Err(format!("does not end in {MOST_S} s"));
+        }
         if output.status.success() {
             return Ok(());
         }

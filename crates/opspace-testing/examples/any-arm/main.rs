@@ -10,17 +10,21 @@
 //! failed. The program fails if fewer than `--least` arms pass all four commands and end within 10 mm of the goal, or if fewer than
 //! `--least-loaded` do so with the payload: neither run is stopped, both end within 2 mm of each other, and no further from the goal
 //! than 1.5 times the payload's weight over the stiffness of the task.
+//!
+//! `--mutate N --seed SEED` changes N generated URDFs at random: `new` must refuse each of them with an error and without a folder, or write
+//! a robot that `check` accepts.
 
 #![expect(clippy::print_stdout, clippy::print_stderr, reason = "a program for the terminal")]
 
 mod arm;
 mod generate;
+mod mutate;
 
 use arm::{Judge, Outcome};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Mutex, PoisonError};
 use std::{env, fs, thread};
 
 /// Number of arms that are tried at once.
@@ -30,6 +34,7 @@ const THREADS: usize = 2;
 struct Options {
     folder: Option<PathBuf>,
     generate: usize,
+    mutate: usize,
     seed: u64,
     drawn: Option<usize>,
     least: usize,
@@ -47,6 +52,7 @@ fn options() -> Result<Options, String> {
         let number = |text: String| text.parse::<usize>().map_err(|_| format!("'{text}' is no number"));
         match argument.as_str() {
             "--generate" => options.generate = number(value()?)?,
+            "--mutate" => options.mutate = number(value()?)?,
             "--seed" => options.seed = number(value()?)? as u64,
             "--drawn" => options.drawn = Some(number(value()?)?),
             "--least" => options.least = number(value()?)?,
@@ -67,11 +73,11 @@ fn urdfs(options: &Options, work: &Path) -> Result<Vec<PathBuf>, String> {
     let Some(folder) = &options.folder else {
         let folder = work.join("generated");
         fs::create_dir_all(&folder).map_err(|error| explain(&folder, error))?;
-        return (0..options.generate)
+        return (0..options.generate.max(options.mutate))
             .map(|number| {
                 let path = folder.join(format!("{number:03}-{}.urdf", generate::kind(number)));
-                fs::write(&path, generate::urdf(number, options.seed))
-                    .map_err(|error| explain(&path, error))?;
+                let text = if options.mutate > 0 { mutate::urdf } else { generate::urdf };
+                fs::write(&path, text(number, options.seed)).map_err(|error| explain(&path, error))?;
                 Ok(path)
             })
             .collect();
@@ -89,6 +95,30 @@ fn urdfs(options: &Options, work: &Path) -> Result<Vec<PathBuf>, String> {
     Ok(found)
 }
 
+/// Calls `judge` with each URDF and a folder for it, and prints the line that it returns with a result. Returns the results.
+fn try_all<T: Send>(
+    urdfs: &[PathBuf],
+    work: &Path,
+    judge: impl Fn(&Path, &Path, &str) -> (T, String) + Sync,
+) -> Vec<T> {
+    let (next, outcomes) = (AtomicUsize::new(0), Mutex::new(Vec::new()));
+    thread::scope(|scope| {
+        for _ in 0..THREADS {
+            scope.spawn(|| {
+                while let Some(urdf) = urdfs.get(next.fetch_add(1, Ordering::Relaxed)) {
+                    let name = urdf.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+                    let (outcome, line) = judge(urdf, &work.join(&name), &name);
+                    if !line.is_empty() {
+                        println!("{line}");
+                    }
+                    outcomes.lock().unwrap_or_else(PoisonError::into_inner).push(outcome);
+                }
+            });
+        }
+    });
+    outcomes.into_inner().unwrap_or_else(PoisonError::into_inner)
+}
+
 fn judge(options: &Options) -> Result<bool, String> {
     let work = options
         .keep
@@ -98,26 +128,24 @@ fn judge(options: &Options) -> Result<bool, String> {
     let beside = env::current_exe().ok().and_then(|path| Some(path.parent()?.parent()?.join("opspace")));
     let program = options.program.clone().or(beside).unwrap_or_else(|| "opspace".into());
     let judge = Judge { program, plant: options.plant.clone() };
-    let (next, outcomes) = (AtomicUsize::new(0), Mutex::new(Vec::new()));
-    thread::scope(|scope| {
-        for _ in 0..THREADS {
-            scope.spawn(|| {
-                while let Some(urdf) = urdfs.get(next.fetch_add(1, Ordering::Relaxed)) {
-                    let name = urdf.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-                    let outcome = judge.try_arm(urdf, &work.join(&name));
-                    println!("{}", outcome.line(&name));
-                    if let Ok(mut outcomes) = outcomes.lock() {
-                        outcomes.push(outcome);
-                    }
-                }
-            });
-        }
-    });
+    let passes = if options.mutate > 0 {
+        judge_mistakes(&judge, &urdfs, &work)
+    } else {
+        judge_arms(options, &judge, &urdfs, &work)
+    };
     if options.keep.is_none() {
         // What cannot be removed is in the folder for temporary files.
         drop(fs::remove_dir_all(&work));
     }
-    let outcomes = outcomes.into_inner().map_err(|error| error.to_string())?;
+    Ok(passes)
+}
+
+fn judge_arms(options: &Options, judge: &Judge, urdfs: &[PathBuf], work: &Path) -> bool {
+    let outcomes = try_all(urdfs, work, |urdf, folder, name| {
+        let outcome = judge.try_arm(urdf, folder);
+        let line = outcome.line(name);
+        (outcome, line)
+    });
     let passed = outcomes.iter().filter(|outcome| outcome.passed()).count();
     let loaded = outcomes.iter().filter(|outcome| outcome.passed_loaded()).count();
     println!("{passed} of {} pass, {loaded} also with an unknown payload", outcomes.len());
@@ -125,7 +153,30 @@ fn judge(options: &Options) -> Result<bool, String> {
         let failed = outcomes.iter().filter(|outcome| outcome.failed_at(step)).count();
         println!("{failed:4}  {step}");
     }
-    Ok(!outcomes.is_empty() && passed >= options.least && loaded >= options.least_loaded)
+    !outcomes.is_empty() && passed >= options.least && loaded >= options.least_loaded
+}
+
+/// Least share of the mutated files that is written, and that is refused: otherwise the trial shows little.
+const LEAST_SHARE: f64 = 0.1;
+
+fn judge_mistakes(judge: &Judge, urdfs: &[PathBuf], work: &Path) -> bool {
+    let outcomes = try_all(urdfs, work, |urdf, folder, name| {
+        let outcome = mutate::try_file(judge, urdf, folder);
+        let line = match &outcome {
+            mutate::Outcome::Wrong(words) => format!("{name:36} FAILED {words}"),
+            _ => String::new(),
+        };
+        (outcome, line)
+    });
+    let count = |is: fn(&mutate::Outcome) -> bool| outcomes.iter().filter(|outcome| is(outcome)).count();
+    let written = count(|outcome| matches!(outcome, mutate::Outcome::Written));
+    let refused = count(|outcome| matches!(outcome, mutate::Outcome::Refused));
+    println!(
+        "of {} changed files, {written} give a robot that `check` accepts, and {refused} are refused",
+        outcomes.len()
+    );
+    let least = LEAST_SHARE * outcomes.len() as f64;
+    written + refused == outcomes.len() && written.min(refused) as f64 >= least
 }
 
 fn main() -> ExitCode {
