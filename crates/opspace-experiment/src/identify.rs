@@ -18,7 +18,7 @@ use opspace_backend::{Backend, CommandKind};
 use opspace_identify::response::Point;
 use opspace_identify::session::{AbortReason, ExcitationSession};
 use opspace_identify::{ExcitationPlan, Identification, KnownParameters, TorqueScale, identify};
-use opspace_model::{Data, crba, kinematics};
+use opspace_model::{Data, JointKind, crba, kinematics};
 use opspace_sim::{ArmConfig, SimulatedArm};
 use opspace_transformer::{CascadedServo, IdentifiedKeys, ProfileParameters, ServoParameters};
 use serde::Serialize;
@@ -250,8 +250,8 @@ impl IdentificationJob {
             watch.ticks.store(ticks, Ordering::Relaxed);
             watch.interrupt.load(Ordering::Relaxed)
         };
-        let n = self.robot.model.n();
-        let mut session = ExcitationSession::begin(robot, n, &ended)?;
+        let kinds: Vec<JointKind> = self.robot.model.joints().iter().map(|joint| joint.kind).collect();
+        let mut session = ExcitationSession::begin(robot, &kinds, &ended)?;
         let mut joints = Vec::new();
         for (&joint, &structure) in self.joints.iter().zip(&self.structures) {
             let name = &self.robot.model.joints()[joint].name;

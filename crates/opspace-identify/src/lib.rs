@@ -16,7 +16,7 @@
 //! use opspace_backend::{Capabilities, CommandKind, Measured, Setpoints};
 //! use opspace_identify::session::ExcitationSession;
 //! use opspace_identify::{ExcitationPlan, KnownParameters, identify};
-//! use opspace_model::Model;
+//! use opspace_model::{JointKind, Model};
 //! use opspace_sim::{ArmConfig, SimulatedArm};
 //! use opspace_transformer::{CascadedServo, ServoParameters};
 //!
@@ -50,7 +50,7 @@
 //! };
 //! let plan = ExcitationPlan { period_s: 1.0, realisations: 1, speeds: 3, ..ExcitationPlan::default() };
 //! let interrupted = |_ticks: u64| false;
-//! let mut session = ExcitationSession::begin(&mut arm, 1, &interrupted)?;
+//! let mut session = ExcitationSession::begin(&mut arm, &[JointKind::Continuous], &interrupted)?;
 //! let found = identify(&mut session, &known, &plan)?;
 //! let servo = found.servo.ok_or("a servo is identified")?;
 //! assert!((servo.kp / 20.0 - 1.0).abs() < 0.01);

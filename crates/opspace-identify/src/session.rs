@@ -2,6 +2,7 @@
 //! cycle.
 
 use opspace_backend::{Backend, Command, DeviceFault, Sample};
+use opspace_model::JointKind;
 use thiserror::Error;
 
 /// Time over which speed is computed as a finite difference, s.
@@ -73,6 +74,8 @@ impl Record {
 pub struct ExcitationSession<'a> {
     robot: &'a mut dyn Backend,
     sample: Sample,
+    /// Kinds of the joints (n).
+    kinds: Vec<JointKind>,
     /// Position at which each joint is held (n; rad, m).
     posture: Vec<f64>,
     /// Offset of the setpoints from `posture` with which the servos hold the weight there (n; rad, m).
@@ -83,7 +86,8 @@ pub struct ExcitationSession<'a> {
 }
 
 impl<'a> ExcitationSession<'a> {
-    /// Takes control of the robot in its present position. With setpoints at the measured positions it sags by the
+    /// Takes control of the robot, whose joints are of these kinds (n), in its present position. Encoders of continuous joints may count
+    /// within one turn. With setpoints at the measured positions it sags by the
     /// error that the servos need to hold its weight; this error is then added to all setpoints. `ended` is called with
     /// the number of control cycles and returns true to stop.
     ///
@@ -91,14 +95,16 @@ impl<'a> ExcitationSession<'a> {
     /// If the robot fails, or the run is interrupted.
     pub fn begin(
         robot: &'a mut dyn Backend,
-        joints: usize,
+        kinds: &[JointKind],
         ended: &'a dyn Fn(u64) -> bool,
     ) -> Result<Self, AbortReason> {
         let sample = Sample::new(robot.capabilities());
+        let joints = kinds.len();
         let zero = vec![0.0; joints];
         let mut session = Self {
             robot,
             sample,
+            kinds: kinds.to_vec(),
             posture: zero.clone(),
             bias: zero.clone(),
             setpoints: zero,
@@ -222,6 +228,9 @@ impl<'a> ExcitationSession<'a> {
         self.robot.read(&mut self.sample)?;
         if let Some(joint) = self.sample.q.iter().position(|q| !q.is_finite()) {
             return Err(AbortReason::NotFinite(joint));
+        }
+        for (i, kind) in self.kinds.iter().enumerate() {
+            self.sample.q[i] = kind.nearest_turn(self.sample.q[i], self.posture[i]);
         }
         for i in 0..self.posture.len() {
             self.setpoints[i] = self.posture[i] + self.bias[i];

@@ -6,7 +6,7 @@
 //! forces are part of the [plant](crate::plant).
 //!
 //! The torques above are constant over a step, and computed at its begin, unless they are too stiff for that: such torques, and
-//! those of an end stop that is touched, are part of an [implicit step](crate::implicit_step).
+//! those of an end stop that is touched, are part of an implicit step: see `implicit_step.rs`.
 
 use crate::friction::LuGre;
 use crate::gear::ElasticGear;

@@ -15,7 +15,7 @@ pub(crate) struct StiffJoint {
     others: f64,
     /// Velocity before the present step, rad/s (m/s).
     before: f64,
-    /// What acts in the present step.
+    /// Torque and inertia in the present step.
     linearised: JointTorque,
     /// Best end of the step that is known.
     best: End,

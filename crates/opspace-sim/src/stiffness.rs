@@ -22,7 +22,7 @@ const POSTURES: usize = 20;
 /// Stiffness (Nm/rad, N/m) and damping (Nms/rad, Ns/m) of the elements on the link of a joint.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct LinkElements {
-    /// Of brake and friction on a rigid gear; an end stop is implicit while it is touched.
+    /// Sums over brake and friction on a rigid gear; an end stop is implicit while it is touched.
     pub stiffness: f64,
     pub damping: f64,
     /// Damping that these springs lack for explicit steps: such a step makes a spring gain energy, at half of this over the inertia.
@@ -40,7 +40,7 @@ impl LinkElements {
         (h * h * self.stiffness + h * self.damping) / LARGEST_SHARE
     }
 
-    /// The same of the elastic gear.
+    /// Share of the elastic gear in the inertia of a link of 1 kg m² (kg).
     fn gear_share(&self, h: f64) -> f64 {
         (h / LARGEST_GEAR_STEP).powi(2) * self.gear_stiffness + h * self.gear_damping
     }

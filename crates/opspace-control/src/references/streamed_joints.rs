@@ -10,7 +10,7 @@ use crate::references::streamed::{
 use crate::references::target::BLEND_S;
 use crate::targets::TaskTarget;
 use opspace_backend::quantity::Positive;
-use opspace_model::Model;
+use opspace_model::{JointKind, Model};
 #[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::Deserialize;
@@ -117,6 +117,8 @@ pub(crate) struct StreamedJoints {
     freshness: Freshness,
     /// Joints in the order of the inputs.
     joints: Vec<usize>,
+    /// Kind of each joint (n).
+    kinds: Vec<JointKind>,
     /// Reference of each joint (n).
     plans: Vec<Plan>,
     /// End of the blend that follows a start, a hold or a stale target, s on the robot's clock. Blends to newer targets
@@ -176,6 +178,7 @@ impl StreamedJoints {
             limits,
             freshness: Freshness::new(reference.timeout_s, reference.on_timeout),
             joints,
+            kinds: model.joints().iter().map(|joint| joint.kind).collect(),
             plans: vec![rest; model.n()],
             joined_s: 0.0,
         })
@@ -226,7 +229,9 @@ impl StreamedJoints {
         let now = self.at(joint, clock_s);
         let value =
             |input: usize| target.values.get(input * count + place).copied().filter(|v| v.is_finite());
-        let (position, velocity) = (value(0), value(1));
+        // A continuous joint takes the shortest way.
+        let position = value(0).map(|position| self.kinds[joint].nearest_turn(position, now[0]));
+        let velocity = value(1);
         if position.is_none() && velocity.is_none() {
             if !matches!(self.plans[joint], Plan::Move { stopping: true, .. }) {
                 self.stop(joint, now, clock_s);

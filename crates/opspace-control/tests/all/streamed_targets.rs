@@ -11,6 +11,7 @@ use opspace_control::{
 use opspace_model::{Data, Model, Placement, frame_placement};
 use opspace_testing::allocation::allocations;
 use std::collections::BTreeMap;
+use std::f64::consts::TAU;
 
 const PERIOD_S: f64 = 1e-3;
 
@@ -75,7 +76,8 @@ impl Bench {
     }
 
     fn with_controller(model: Model, mut controller: OperationalSpaceController) -> Self {
-        let (data, measurement) = at_state(&model, &Q, &[0.0; 7], 0.0);
+        let n = model.n();
+        let (data, measurement) = at_state(&model, &Q[..n], &vec![0.0; n], 0.0);
         let targets = controller.targets();
         let (base, row) = (common::input(&model, &data, &measurement), row(&controller));
         controller.start(&ControlInput { targets: &targets, clock_s: CLOCK_S, ..base });
@@ -84,7 +86,7 @@ impl Bench {
             measurement,
             controller,
             targets,
-            torque: vec![0.0; 7],
+            torque: vec![0.0; n],
             row,
             clock_s: CLOCK_S,
             period_s: PERIOD_S,
@@ -468,6 +470,39 @@ fn invalid_raw_targets_are_ignored() {
     assert_eq!(reference(&bench), [home, Vector3::zeros()]);
     assert_eq!(bench.signal("hand.modes"), [0.0, 0.0, 0.0, 3.0, 3.0, 3.0]);
     assert!(bench.torque.iter().all(|torque| torque.is_finite()));
+}
+
+/// Compared: the reference of a joint after a target that is more than half a turn away with the target, less a turn if the joint is
+/// continuous.
+#[test]
+fn streamed_targets_of_continuous_joints_take_the_shortest_way() {
+    const AWAY_RAD: f64 = 4.0;
+    for reference in [
+        "streamed = {}",
+        "streamed = { shape = 'generated', velocity_rad_per_s = 8.0, acceleration_rad_per_s2 = 50.0, jerk_rad_per_s3 = 1000.0 }",
+    ] {
+        for (kind, end) in [("continuous", Q[0] + AWAY_RAD - TAU), ("revolute", Q[0] + AWAY_RAD)] {
+            let urdf = format!(
+                "<robot name='one'><link name='base'/><joint name='j1' type='{kind}'><parent link='base'/><child link='hand'/>\
+                 <limit lower='-9' upper='9' velocity='9' effort='9'/></joint><link name='hand'><inertial><mass value='1'/>\
+                 <inertia ixx='1' iyy='1' izz='1' ixy='0' ixz='0' iyz='0'/></inertial></link></robot>"
+            );
+            let model = Model::from_urdf(&urdf).expect("a URDF").model;
+            let all = controller(&model, &joints(reference));
+            let mut bench = Bench::with_controller(model, all);
+            let mut target = JointTarget::of(&bench.targets, "all").expect("a task");
+            for _ in 0..3000 {
+                target.position(&[Q[0] + AWAY_RAD]).expect("finite");
+                target.write(&mut bench.targets, bench.clock_s).expect("good values");
+                bench.cycle();
+            }
+            assert!(
+                (bench.signal("all.reference")[0] - end).abs() < JOINED,
+                "{kind}: {:?}",
+                bench.signal("all.reference")
+            );
+        }
+    }
 }
 
 /// Compared: joint references that are streamed in every cycle with the motion itself, and the velocity after the last

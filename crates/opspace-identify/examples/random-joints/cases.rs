@@ -7,7 +7,7 @@ use opspace_backend::quantity::{Count, Fraction, NonNegative, Positive};
 use opspace_backend::{Capabilities, CommandKind, Measured, Setpoints};
 use opspace_identify::session::ExcitationSession;
 use opspace_identify::{ExcitationPlan, Identification, KnownParameters, identify};
-use opspace_model::Model;
+use opspace_model::{JointKind, Model};
 use opspace_sim::parameters::{
     CurrentMeasurementParameters, GearParameters, ScaleParameters, SimulatedParameters,
 };
@@ -164,8 +164,8 @@ impl Case {
         let mut arm = self.arm();
         let plan = ExcitationPlan { seed: self.seed, ..ExcitationPlan::default() };
         let interrupted = |_ticks: u64| false;
-        let mut session =
-            ExcitationSession::begin(&mut arm, 1, &interrupted).expect("a robot that holds itself");
+        let mut session = ExcitationSession::begin(&mut arm, &[JointKind::Revolute], &interrupted)
+            .expect("a robot that holds itself");
         identify(&mut session, &self.known(), &plan).expect("a robot without faults")
     }
 

@@ -6,6 +6,7 @@ mod cases;
 #[expect(dead_code, reason = "the example uses all of it")]
 #[path = "../../examples/random-joints/tally.rs"]
 mod tally;
+mod wrapped;
 
 use cases::{Case, Deceit, Kind};
 use std::thread;

@@ -169,7 +169,7 @@ fn judge_mistakes(judge: &Judge, urdfs: &[PathBuf], work: &Path) -> bool {
         (outcome, line)
     });
     let count = |is: fn(&mutate::Outcome) -> bool| outcomes.iter().filter(|outcome| is(outcome)).count();
-    let written = count(|outcome| matches!(outcome, mutate::Outcome::Written));
+    let written = count(|outcome| matches!(outcome, mutate::Outcome::Accepted));
     let refused = count(|outcome| matches!(outcome, mutate::Outcome::Refused));
     println!(
         "of {} changed files, {written} give a robot that `check` accepts, and {refused} are refused",

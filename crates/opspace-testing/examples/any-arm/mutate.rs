@@ -124,7 +124,7 @@ fn with_other_line(text: &str, random: &mut Random) -> String {
 /// Outcome of the trial of a file.
 pub enum Outcome {
     /// `new` wrote a robot that `check` accepts.
-    Written,
+    Accepted,
     /// `new` refused the file, said why, and wrote nothing.
     Refused,
     Wrong(String),
@@ -142,7 +142,7 @@ pub fn try_file(judge: &Judge, urdf: &Path, folder: &Path) -> Outcome {
         Err(words) if words.contains("error") && words.ends_with("exit code 2") => Outcome::Refused,
         Err(words) => Outcome::Wrong(format!("new: {words}")),
         Ok(()) => match judge.run("check", &[&text(&robot), &text(&task)]) {
-            Ok(()) => Outcome::Written,
+            Ok(()) => Outcome::Accepted,
             Err(words) => Outcome::Wrong(format!("check refuses it: {words}")),
         },
     }
