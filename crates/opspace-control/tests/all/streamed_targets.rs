@@ -472,6 +472,39 @@ fn invalid_raw_targets_are_ignored() {
     assert!(bench.torque.iter().all(|torque| torque.is_finite()));
 }
 
+/// Compared: references of arms on a wall, a ceiling and a slope with the streamed poses, which are in the world, and their torques in a
+/// world without gravity with those of the upright arm under the same motion of its base frame.
+#[test]
+fn streamed_poses_of_mounted_arms_are_in_the_world() {
+    const ROUNDING: f64 = 1e-9;
+    let text = streamed(ALL, "");
+    let in_base = |base: Placement| {
+        let model = seven_joints().with_gravity(Vector3::zeros()).with_base(base);
+        let controller = controller(&model, &text);
+        let mut bench = Bench::with_controller(model, controller);
+        let (home, mut target) = (bench.placement(), bench.hand());
+        let way = base.rotation * Vector3::new(0.05, -0.03, 0.02);
+        let goal = Placement { translation: home.translation + way, ..home };
+        let mut torques = Vec::new();
+        for _ in 0..2000 {
+            let clock_s = bench.clock_s;
+            write(&mut target, &Target::at_rest(goal), &mut bench.targets, clock_s);
+            bench.cycle();
+            torques.extend_from_slice(&bench.torque);
+        }
+        assert!((reference(&bench)[0] - goal.translation).norm() < JOINED);
+        torques
+    };
+    let upright = in_base(Placement::identity());
+    let largest = upright.iter().fold(0.0_f64, |most, torque| most.max(torque.abs()));
+    for rpy_rad in [[0.0, 1.570_796_327, 0.0], [3.141_592_654, 0.0, 0.0], [0.3, -0.4, 1.2]] {
+        let mounted = in_base(Placement::from_rpy(rpy_rad, [0.4, -0.2, 2.5]));
+        let errors = mounted.iter().zip(&upright).map(|(mounted, upright)| (mounted - upright).abs());
+        let error = errors.fold(0.0, f64::max);
+        assert!(largest > 1.0 && error < ROUNDING * largest, "{rpy_rad:?}: {error} of {largest} Nm");
+    }
+}
+
 /// Compared: the reference of a joint after a target that is more than half a turn away with the target, less a turn if the joint is
 /// continuous.
 #[test]
