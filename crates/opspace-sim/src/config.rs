@@ -284,27 +284,25 @@ impl ArmConfig {
         ];
         let [brake, mut bristle] = springs;
         bristle.1 += scale * self.true_friction(joint).viscous_nms_per_rad.get();
-        let lacking = |springs: &[(f64, f64)]| -> f64 {
-            springs.iter().map(|(stiffness, damping)| (dt * stiffness - damping).max(0.0)).sum()
-        };
         let Some(gear) = self.gear(joint) else {
             return LinkElements {
                 stiffness: brake.0 + bristle.0,
                 damping: brake.1 + bristle.1,
-                lacking_damping: lacking(&springs),
+                lacking_damping: springs
+                    .iter()
+                    .map(|(stiffness, damping)| (dt * stiffness - damping).max(0.0))
+                    .sum(),
                 ..LinkElements::default()
             };
         };
         // Brake and friction act on the rotor, which makes steps of its own.
         LinkElements {
-            stiffness: 0.0,
-            damping: 0.0,
-            lacking_damping: 0.0,
             gear_stiffness: gear.stiffness,
             gear_damping: gear.damping,
             // The gear of such a rotor takes several steps while the link goes on at its velocity: without damping, both gain energy.
             has_light_rotor: gear.steps(dt, 0.0, 0.0) > 1.0
                 || gear.steps(dt, brake.0 + bristle.0, brake.1 + bristle.1) > MAX_STEPS,
+            ..LinkElements::default()
         }
     }
 

@@ -11,7 +11,7 @@ use opspace_control::{
 use opspace_model::{Data, Model, Placement, frame_placement};
 use opspace_testing::allocation::allocations;
 use std::collections::BTreeMap;
-use std::f64::consts::TAU;
+use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
 const PERIOD_S: f64 = 1e-3;
 
@@ -497,7 +497,7 @@ fn streamed_poses_of_mounted_arms_are_in_the_world() {
     };
     let upright = in_base(Placement::identity());
     let largest = upright.iter().fold(0.0_f64, |most, torque| most.max(torque.abs()));
-    for rpy_rad in [[0.0, 1.570_796_327, 0.0], [3.141_592_654, 0.0, 0.0], [0.3, -0.4, 1.2]] {
+    for rpy_rad in [[0.0, FRAC_PI_2, 0.0], [PI, 0.0, 0.0], [0.3, -0.4, 1.2]] {
         let mounted = in_base(Placement::from_rpy(rpy_rad, [0.4, -0.2, 2.5]));
         let errors = mounted.iter().zip(&upright).map(|(mounted, upright)| (mounted - upright).abs());
         let error = errors.fold(0.0, f64::max);

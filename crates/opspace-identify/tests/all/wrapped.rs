@@ -22,6 +22,11 @@ const START_RAD: f64 = PI - 0.01;
 /// Rounding of positions near half a turn, in the gains that follow from them.
 const ROUNDING: f64 = 1e-6;
 
+/// Gains of the servo: position, 1/s, and velocity, Nms/rad; and the largest relative error of their estimates.
+const KP_PER_S: f64 = 20.0;
+const KV_NMS_PER_RAD: f64 = 30.0;
+const ESTIMATED_WITHIN: f64 = 0.01;
+
 /// A robot whose encoder reads `START_RAD` at the start, and whose drive takes setpoints of any turn.
 struct Turned {
     arm: SimulatedArm,
@@ -55,8 +60,8 @@ impl Backend for Turned {
 /// Returns the gains (1/s; Nms/rad) that are identified.
 fn gains(is_wrapped: bool) -> [f64; 2] {
     let servo = ServoParameters::Cascaded(CascadedServo::new(
-        Positive::literal(20.0),
-        Positive::literal(30.0),
+        Positive::literal(KP_PER_S),
+        Positive::literal(KV_NMS_PER_RAD),
         Positive::literal(600.0),
     ));
     let capabilities = Capabilities::new(["hinge"], CommandKind::Position, 1e-3)
@@ -91,7 +96,8 @@ fn gains(is_wrapped: bool) -> [f64; 2] {
 #[test]
 fn encoder_within_a_turn_gives_the_same_gains() {
     let [kp, kv] = gains(false);
-    assert!((kp / 20.0 - 1.0).abs() < 0.01 && (kv / 30.0 - 1.0).abs() < 0.01, "{kp} {kv}");
+    let errors = [kp / KP_PER_S - 1.0, kv / KV_NMS_PER_RAD - 1.0];
+    assert!(errors.iter().all(|error| error.abs() < ESTIMATED_WITHIN), "{kp} {kv}");
     let [wrapped_kp, wrapped_kv] = gains(true);
     assert!(
         (wrapped_kp / kp - 1.0).abs() < ROUNDING && (wrapped_kv / kv - 1.0).abs() < ROUNDING,
