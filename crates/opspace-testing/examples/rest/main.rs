@@ -4,6 +4,9 @@
 //! cargo run --release -p opspace-testing --example rest -- [CASES [SEED [ALLOWED [CASE ...]]]]
 //! ```
 //!
+//! With `brisk` before the numbers, it compares brisk motion of position robots on elastic gears with that of torque
+//! robots: see [`brisk`].
+//!
 //! (the seed is drawn and printed if it is absent; with numbers of cases, only these run) prints a line per case: true speed and mean torque rate at the end at an unreachable goal, the remaining error with
 //! what a descent from there still gains, and speed and torque rate of the same arm at a reachable goal. A case counts
 //! as restless if its speed is above 1e-3 rad/s and above twice that at the reachable goal, or likewise for the torque
@@ -13,9 +16,12 @@
 
 #![expect(clippy::print_stdout, reason = "a program for the terminal")]
 
+mod brisk;
 mod cases;
 mod outcome;
+mod search;
 
+use brisk::Compared;
 use cases::{Case, GoalKind};
 use outcome::Outcome;
 use std::process::ExitCode;
@@ -43,26 +49,45 @@ impl Line {
     }
 }
 
-fn outcomes(cases: &[usize], seed: u64) -> Vec<Line> {
+/// Results of all cases, computed on all cores, in their order.
+fn outcomes<T: Send>(cases: &[usize], of: impl Fn(usize) -> T + Sync) -> Vec<T> {
     let next = AtomicUsize::new(0);
     let work = || {
         let mut found = Vec::new();
         loop {
-            let Some(&number) = cases.get(next.fetch_add(1, Ordering::Relaxed)) else { return found };
-            found.push(Line::of(number, seed));
+            let place = next.fetch_add(1, Ordering::Relaxed);
+            let Some(&number) = cases.get(place) else { return found };
+            found.push((place, of(number)));
         }
     };
     let threads = thread::available_parallelism().map_or(1, usize::from);
-    let mut lines: Vec<Line> = thread::scope(|scope| {
+    let mut results: Vec<(usize, T)> = thread::scope(|scope| {
         let running: Vec<_> = (0..threads).map(|_| scope.spawn(work)).collect();
         running.into_iter().flat_map(|thread| thread.join().expect("a thread")).collect()
     });
-    lines.sort_by_key(|line| line.number);
-    lines
+    results.sort_by_key(|(place, _)| *place);
+    results.into_iter().map(|(_, result)| result).collect()
+}
+
+/// Compares brisk motion of position robots on elastic gears with that of torque robots.
+fn brisk(cases: &[usize], seed: u64) -> ExitCode {
+    let all = outcomes(cases, |number| Compared::of(number, seed));
+    all.iter().for_each(|goal| println!("{}", goal.line));
+    let count = |is: fn(&Compared) -> bool| all.iter().filter(|goal| is(goal)).count();
+    let counts = [count(|goal| goal.is_stopped), count(|goal| goal.crosses), count(|goal| goal.moves)];
+    let [stopped, crosses, moves] = counts;
+    println!(
+        "seed {seed}: of {} goals, where the torque robot does not, {stopped} are stopped, {crosses} cross a limit, \
+         {moves} do not come to rest",
+        all.len()
+    );
+    if counts == [0; 3] { ExitCode::SUCCESS } else { ExitCode::FAILURE }
 }
 
 fn main() -> ExitCode {
-    let mut arguments = std::env::args().skip(1).map(|argument| argument.parse::<u64>().expect("a number"));
+    let mut arguments = std::env::args().skip(1).peekable();
+    let is_brisk = arguments.next_if_eq("brisk").is_some();
+    let mut arguments = arguments.map(|argument| argument.parse::<u64>().expect("a number"));
     let cases = arguments.next().unwrap_or(60) as usize;
     let seed = arguments.next().unwrap_or_else(|| {
         u64::from(SystemTime::now().duration_since(UNIX_EPOCH).expect("a clock").subsec_micros())
@@ -71,7 +96,11 @@ fn main() -> ExitCode {
     println!("seed {seed}");
     let chosen: Vec<usize> = arguments.map(|number| number as usize).collect();
     let all: Vec<usize> = (0..cases).collect();
-    let lines = outcomes(if chosen.is_empty() { &all } else { &chosen }, seed);
+    let chosen = if chosen.is_empty() { &all } else { &chosen };
+    if is_brisk {
+        return brisk(chosen, seed);
+    }
+    let lines = outcomes(chosen, |number| Line::of(number, seed));
     let (mut restless, mut still, mut faults) = (0, 0, 0);
     for Line { number, name, far, near, there } in &lines {
         faults += usize::from(far.fault.is_some() || near.fault.is_some());
