@@ -170,7 +170,7 @@ fn transformer_of_seven_joints(bencher: Bencher, name: &str) {
             *q = 0.3 * f64::sin(time_s + i as f64);
         }
         transformer.observe(black_box(&sample));
-        transformer.set_reference_velocity(&torque);
+        transformer.set_reference_acceleration(&torque);
         transformer.transform(&data, &torque, &mut setpoint);
         transformer.sent(&data, &setpoint);
     });

@@ -42,6 +42,11 @@ pub trait Controller: Observable + Send {
         false
     }
 
+    /// Joint accelerations that the last [`update`](Self::update) commands, if they are known.
+    fn commanded_acceleration(&self) -> Option<CommandedAcceleration<'_>> {
+        None
+    }
+
     /// Processes a cycle in which the robot is held and the controller commands nothing. Must not allocate.
     fn observe_while_held(&mut self, _input: &ControlInput<'_>) {}
 
@@ -66,6 +71,15 @@ pub trait Controller: Observable + Send {
     fn stale_target(&self) -> Option<StaleTarget> {
         None
     }
+}
+
+/// Joint accelerations that a command causes without external forces.
+#[derive(Clone, Copy, Debug)]
+pub struct CommandedAcceleration<'a> {
+    /// Accelerations (n; rad/s² or m/s²).
+    pub acceleration: &'a [f64],
+    /// True if a limit changed the command.
+    pub is_limited: bool,
 }
 
 /// A streamed target that was not renewed before its timeout.

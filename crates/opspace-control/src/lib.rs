@@ -96,7 +96,7 @@ pub mod tasks;
 
 pub use axis_mode::AxisMode;
 pub use context::ControlContext;
-pub use controller::{ControlInput, Controller, StaleTarget};
+pub use controller::{CommandedAcceleration, ControlInput, Controller, StaleTarget};
 pub use error::{ControlError, Reason};
 pub use hierarchy::contact_condition::ContactCondition;
 pub use hierarchy::rank;

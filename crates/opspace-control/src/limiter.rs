@@ -326,6 +326,11 @@ impl Limiter {
         hierarchy.set_slack(self.demanded.as_mut_slice());
     }
 
+    /// Joint accelerations that the last command causes (n; rad/s² or m/s²).
+    pub(crate) fn commanded_acceleration(&self) -> &[f64] {
+        self.push.commanded()
+    }
+
     /// Returns true if a limit changed the last command.
     pub(crate) fn is_limited(&self) -> bool {
         self.solver != Solver::Unlimited

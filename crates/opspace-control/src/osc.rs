@@ -15,7 +15,7 @@
 
 use crate::algebra::multiply;
 use crate::context::ControlContext;
-use crate::controller::{ControlInput, Controller, StaleTarget};
+use crate::controller::{CommandedAcceleration, ControlInput, Controller, StaleTarget};
 use crate::error::ControlError;
 use crate::hierarchy::contact_condition::ContactCondition;
 use crate::hierarchy::priority_level::PriorityLevel;
@@ -362,6 +362,14 @@ impl Controller for OperationalSpaceController {
     fn reference_velocity(&mut self, input: &ControlInput<'_>, velocity: &mut [f64]) -> bool {
         self.schedule.current().0.reference_velocity(input, velocity, self.scratch.as_mut_slice());
         true
+    }
+
+    fn commanded_acceleration(&self) -> Option<CommandedAcceleration<'_>> {
+        let limiter = self.limiter.as_ref()?;
+        Some(CommandedAcceleration {
+            acceleration: limiter.commanded_acceleration(),
+            is_limited: limiter.is_limited(),
+        })
     }
 
     fn observe_while_held(&mut self, input: &ControlInput<'_>) {

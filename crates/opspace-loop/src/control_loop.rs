@@ -27,7 +27,9 @@ use crate::fault::Fault;
 use crate::guard::Guard;
 use crate::loop_config::{LoopConfig, LoopError};
 use crate::phase::{Phase, Standstill};
+use crate::reference_motion::ReferenceMotion;
 use crate::state_estimator::StateEstimator;
+use crate::watchdog::Watchdog;
 use nalgebra::DVector;
 use opspace_backend::signal_names::{COMMAND, FAULT, PHASE, TICK_CHANNEL, TORQUE_DESIRED, TORQUE_SATURATED};
 use opspace_backend::{
@@ -65,8 +67,8 @@ pub struct ControlLoop {
     guard: Option<Guard>,
     friction: FrictionCompensation,
     external_torque: Option<ExternalTorque>,
-    /// Joint velocities that the references ask for (n; rad/s, m/s).
-    reference_velocity: DVector<f64>,
+    /// Motion that the references ask for.
+    reference: ReferenceMotion,
     torque_limits: Vec<f64>,
     ramp_s: f64,
     rest_cycles: u64,
@@ -133,13 +135,17 @@ impl ControlLoop {
             let sensors = config.sensors;
             StateEstimator::new(&model, &capabilities, &config.estimator, &safety, sensors, forces)?
         };
+        let speeds: Vec<f64> = model.joints().iter().map(|joint| joint.limits.velocity).collect();
+        let added_inertia = transformer.added_inertia();
+        let watchdog =
+            Watchdog::new(&safety.watchdog, &config.torque_limits, &speeds, added_inertia, period_s);
         let guard = Guard::new(
             capabilities.command,
             &model,
             &config.servo_gains,
             &config.torque_limits,
             &config.setpoint_limits,
-            &safety.watchdog,
+            watchdog,
             period_s,
         );
         let mut new = Self {
@@ -160,7 +166,7 @@ impl ControlLoop {
             saturated: DVector::zeros(n),
             outgoing: Outgoing::None,
             torque_limits: config.torque_limits,
-            reference_velocity: DVector::zeros(config.friction.joints()),
+            reference: ReferenceMotion::new(config.friction.joints()),
             friction: config.friction,
             external_torque,
             capabilities,
@@ -353,6 +359,7 @@ impl ControlLoop {
     fn hold(&mut self, targets: &Targets) -> Result<(), Fault> {
         self.controller.observe_while_held(&self.state.input(targets));
         self.friction.reset();
+        self.reference.end();
         if !self.held {
             // The transformer is not told what the drives do in a hold.
             self.transformer.reset();
@@ -462,20 +469,32 @@ impl ControlLoop {
         }
     }
 
-    /// Tells the transformer, and the friction compensation of the next cycle, the velocity of the references.
+    /// Announces the motion of the references to the transformer, and to the friction compensation of the next cycle.
     fn announce_reference(&mut self, targets: &Targets) {
-        let velocity = self.reference_velocity.as_mut_slice();
-        let is_used = self.friction.follows_reference() || self.transformer.uses_reference_velocity();
+        let anticipates = self.transformer.uses_reference_acceleration();
+        let reference = &mut self.reference;
+        reference.begin();
+        let velocity = reference.velocity.as_mut_slice();
         let is_known = match self.external_torque.as_ref().filter(|external| external.is_reacting()) {
             Some(external) => {
                 external.reaction_velocity(velocity);
                 true
             }
-            None => is_used && self.controller.reference_velocity(&self.state.input(targets), velocity),
+            None => {
+                let is_used = self.friction.follows_reference() || anticipates;
+                is_used && self.controller.reference_velocity(&self.state.input(targets), velocity)
+            }
         };
         if is_known {
-            self.friction.set_reference_velocity(velocity);
-            self.transformer.set_reference_velocity(velocity);
+            let periods = self.state.estimator.missed().saturating_add(1);
+            let commanded = if self.is_reacting() { None } else { self.controller.commanded_acceleration() };
+            self.reference.finish(periods as f64 * self.capabilities.period_s, commanded);
+            self.friction.set_reference_velocity(self.reference.velocity.as_slice());
+        } else {
+            self.reference.end();
+        }
+        if anticipates {
+            self.transformer.set_reference_acceleration(self.reference.acceleration.as_slice());
         }
     }
 

@@ -5,7 +5,7 @@
 //! A torque robot needs no guard: its torques are clamped before.
 
 use crate::fault::Fault;
-use crate::watchdog::{Watchdog, WatchdogParameters};
+use crate::watchdog::Watchdog;
 use nalgebra::DVector;
 use opspace_backend::signal_names::{
     DQ_DESIRED, Q_DESIRED, SETPOINT_ACCELERATION, SETPOINT_CLAMPED, SETPOINT_SPEED,
@@ -54,7 +54,7 @@ impl Guard {
         gains: &[ServoGains],
         torque_limits: &[f64],
         setpoint_limits: &[JointSetpointLimits],
-        parameters: &WatchdogParameters,
+        watchdog: Watchdog,
         period_s: f64,
     ) -> Option<Self> {
         let n = model.n();
@@ -81,7 +81,7 @@ impl Guard {
             rate: DVector::zeros(n),
             clamped: DVector::zeros(n),
             is_set: false,
-            watchdog: Watchdog::new(parameters, torque_limits, &speeds, period_s),
+            watchdog,
             torque_desired: DVector::zeros(n),
             watching: false,
         })

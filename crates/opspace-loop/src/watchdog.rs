@@ -8,6 +8,10 @@
 //! ```text
 //! |τ_motor − τ_desired|        and        (τ_motor − τ_desired) q̇
 //! ```
+//!
+//! A transformer that knows the motion of its joint late makes the drive add an inertia m to the joint. In brisk motion, it takes
+//! and returns kinetic energy, which a correction by current returns late. The bound of the power is larger by as much as this
+//! energy changed within the time constant: the largest of `|m q̇²/2 − mean|`, which decays with it, over [`MEMORY_S`].
 
 use crate::fault::Fault;
 use nalgebra::DVector;
@@ -45,10 +49,10 @@ const fn default_deviation() -> Positive {
     Positive::literal(0.6)
 }
 
-/// Default bound on the power: ten times the power with nominal servos, or with an error that measured current
+/// Default bound on the power: eight times the power with nominal servos, or with an error that measured current
 /// corrects. A servo with a kp 30 % above the nominal one reaches it within 0.1 to 0.3 s.
 const fn default_power() -> Positive {
-    Positive::literal(0.05)
+    Positive::literal(0.04)
 }
 
 /// Watchdog of motor torque and power, updated every cycle; allocates nothing.
@@ -59,16 +63,22 @@ pub struct Watchdog {
     power_limits: DVector<f64>,
     deviation: DVector<f64>,
     power: DVector<f64>,
+    added_inertia: DVector<f64>,
+    /// Mean kinetic energy of the added inertia (n; J).
+    added_energy: DVector<f64>,
+    /// Energy that the added inertia took or returned within the time constant (n; J).
+    exchanged: DVector<f64>,
 }
 
 impl Watchdog {
-    /// Returns a watchdog for joints with these limits of torque (n; Nm, N) and speed (n; rad/s, m/s), updated every
-    /// `period_s` (s).
+    /// Returns a watchdog for joints with these limits of torque (n; Nm, N) and speed (n; rad/s, m/s) and with drives that add
+    /// these inertias (n; kg m², kg; none if empty), updated every `period_s` (s).
     #[must_use]
     pub fn new(
         parameters: &WatchdogParameters,
         torque_limits: &[f64],
         speed_limits: &[f64],
+        added_inertia: &[f64],
         period_s: f64,
     ) -> Self {
         let n = torque_limits.len();
@@ -80,6 +90,9 @@ impl Watchdog {
             power_limits: DVector::from_fn(n, |i, _| power * torque_limits[i] * speed_limits[i]),
             deviation: DVector::zeros(n),
             power: DVector::zeros(n),
+            added_inertia: DVector::from_fn(n, |i, _| added_inertia.get(i).copied().unwrap_or(0.0)),
+            added_energy: DVector::zeros(n),
+            exchanged: DVector::zeros(n),
         }
     }
 
@@ -87,6 +100,8 @@ impl Watchdog {
     pub fn reset(&mut self) {
         self.deviation.fill(0.0);
         self.power.fill(0.0);
+        self.added_energy.fill(0.0);
+        self.exchanged.fill(0.0);
     }
 
     /// Updates the means with the motor torques since the last cycle and the desired torques (each n; Nm, N), and the
@@ -108,7 +123,12 @@ impl Watchdog {
             if deviation.abs() > limit {
                 return Err(Fault::TorqueDeviation { joint, deviation, limit });
             }
-            let (power, limit) = (self.power[joint], self.power_limits[joint]);
+            let energy = 0.5 * self.added_inertia[joint] * dq[joint] * dq[joint];
+            self.added_energy[joint] += self.gain * (energy - self.added_energy[joint]);
+            let change = (energy - self.added_energy[joint]).abs();
+            self.exchanged[joint] = change.max((1.0 - self.gain) * self.exchanged[joint]);
+            let limit = self.power_limits[joint] + self.exchanged[joint] / MEMORY_S;
+            let power = self.power[joint];
             if power > limit {
                 return Err(Fault::ExcessPower { joint, power, limit });
             }

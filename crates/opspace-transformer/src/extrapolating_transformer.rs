@@ -100,6 +100,12 @@ const OF_ACCELERATION: f64 = 0.08;
 /// value at most: by 55 % of the limit.
 const OF_JERK: f64 = 0.16;
 
+/// Cycles after which an estimate of a constant acceleration has settled.
+const SETTLING_CYCLES: u32 = 2000;
+
+/// Fraction of the torque limit above which a drive counts as saturated.
+const SATURATED: f64 = 0.97;
+
 /// Bound on δ, as a multiple of the torque limit.
 const LIMIT: f64 = 3.0;
 
@@ -156,6 +162,8 @@ impl SetpointNoise {
 pub struct ExtrapolatingTransformer {
     takes: CommandKind,
     joints: Vec<Joint>,
+    /// Inertia that each drive adds to its joint (n; kg m², kg).
+    added_inertia: Vec<f64>,
     ticks: DriveTiming,
     /// Time between two interface cycles, s.
     period_s: f64,
@@ -179,45 +187,40 @@ pub struct ExtrapolatingTransformer {
     known: u32,
 }
 
-/// Motion of a joint's reference, estimated as that of the joint is.
+/// Motion of a joint's reference, estimated as that of the joint is. Position and velocity are relative to the estimate: only
+/// the acceleration matters.
 #[derive(Clone, Copy, Debug)]
 struct Reference {
-    /// Velocities at the present and at the last sample, rad/s (m/s).
-    now: f64,
-    before: f64,
-    /// Position since the start of the reference, rad (m).
-    position: f64,
+    /// Acceleration since the last sample, rad/s² (m/s²).
+    acceleration: f64,
+    /// Velocity that the estimate lacks, because it lags behind, rad/s (m/s).
+    anticipated: f64,
+    /// Position that it lacks, rad (m).
+    ahead: f64,
     estimate: MotionEstimator,
-    /// True if there was a reference in the last cycle.
-    is_continued: bool,
 }
 
 impl Reference {
     fn new(gains: MotionGains, period_s: f64) -> Self {
-        let estimate = MotionEstimator::new(gains, period_s);
-        Self { now: 0.0, before: 0.0, position: 0.0, estimate, is_continued: false }
+        let mut estimate = MotionEstimator::new(gains, period_s);
+        estimate.start(0.0, 0.0);
+        Self { acceleration: 0.0, anticipated: 0.0, ahead: 0.0, estimate }
     }
 
-    fn advance(&mut self, velocity: f64, period_s: f64) {
-        if !std::mem::replace(&mut self.is_continued, true) {
-            self.estimate.start(0.0, velocity);
-            self.now = velocity;
-        } else {
-            self.position += 0.5 * period_s * (self.now + velocity);
-            self.estimate.update(1, self.position);
-        }
-        self.before = std::mem::replace(&mut self.now, velocity);
-    }
-
-    /// Velocity that the estimate lacks, because it lags behind.
-    fn anticipated(&self) -> f64 {
-        if self.is_continued { self.now - self.estimate.velocity } else { 0.0 }
+    fn advance(&mut self, acceleration: f64, period_s: f64) {
+        let before = self.anticipated;
+        self.acceleration = acceleration;
+        self.anticipated += period_s * acceleration;
+        self.ahead += 0.5 * period_s * (before + self.anticipated);
+        self.estimate.update(1, self.ahead);
+        self.anticipated -= self.estimate.velocity;
+        self.ahead -= self.estimate.position;
+        self.estimate.start(0.0, 0.0);
     }
 
     /// Ends the reference: the joint goes on at the velocity that it has.
     fn end(&mut self) {
-        self.is_continued = false;
-        [self.now, self.before, self.position] = [0.0; 3];
+        [self.acceleration, self.anticipated, self.ahead] = [0.0; 3];
     }
 }
 
@@ -279,6 +282,8 @@ struct Estimation {
 #[derive(Clone, Copy, Debug, Default)]
 struct Interval {
     torque: f64,
+    /// Torque beyond the torque limit of the drive.
+    clipped: f64,
     /// Difference of setpoint and position.
     error: f64,
     /// Velocity of the setpoint.
@@ -329,6 +334,9 @@ impl Joint {
     /// those of this transformer; the torque of others is emulated.
     fn correct(&mut self, ticks: DriveTiming, measured: f64, interval: Interval, was_asked: bool) {
         let Some(current) = &mut self.current else { return };
+        // A drive at its torque limit shows no longer what it would produce: its law does.
+        let is_saturated = measured * interval.clipped.signum() > SATURATED * self.torque_limit;
+        let measured = if is_saturated { measured + interval.clipped } else { measured };
         let mut unsettled = 0.0;
         if let Some(estimation) = &mut current.estimation {
             unsettled = estimation.update(&mut self.law, measured, interval, ticks.servo_period_s)
@@ -437,6 +445,28 @@ impl Estimation {
     }
 }
 
+/// Inertia that the drive adds to a joint of constant acceleration, whose position and velocity the estimate knows late, and
+/// whose acceleration it does not know.
+fn added_inertia(joint: &Joint, ticks: DriveTiming) -> f64 {
+    let period_s = ticks.period_s();
+    let mut estimate = joint.motion;
+    estimate.start(0.0, 0.0);
+    for cycle in 1..=SETTLING_CYCLES {
+        let t = f64::from(cycle) * period_s;
+        estimate.update(1, 0.5 * t * t);
+    }
+    let t = f64::from(SETTLING_CYCLES) * period_s;
+    let (behind, slower) = (0.5 * t * t - estimate.position, t - estimate.velocity);
+    let mut memory = [0.0; MAX_ORDER];
+    let mut torque = 0.0;
+    for tick in 0..ticks.delay + ticks.servo_ticks_per_cycle {
+        let t = f64::from(tick) * ticks.servo_period_s;
+        let now = joint.law.step(&mut memory, 0.0, behind + t * (slower + 0.5 * t));
+        torque += if tick < ticks.delay { 0.0 } else { now };
+    }
+    (-torque / f64::from(ticks.servo_ticks_per_cycle)).max(0.0)
+}
+
 /// Sum of the torques of `horizon` intervals per unit of setpoint.
 fn response(law: &ServoLaw, timing: DriveTiming, horizon: u32) -> f64 {
     let ratio = timing.servo_ticks_per_cycle;
@@ -478,9 +508,11 @@ impl ExtrapolatingTransformer {
         };
         let period_s = setup.timing.period_s();
         let zero = DVector::zeros(n);
+        let joints = (0..n).map(joint).collect::<Result<Vec<_>, _>>()?;
         Ok(Self {
             takes,
-            joints: (0..n).map(joint).collect::<Result<_, _>>()?,
+            added_inertia: joints.iter().map(|joint| added_inertia(joint, ticks)).collect(),
+            joints,
             ticks,
             period_s,
             gravity_compensated_by: setup.gravity_compensated_by,
@@ -520,7 +552,9 @@ impl ExtrapolatingTransformer {
                 let new = self.was_sent.then_some(self.sent.as_slice());
                 let setpoint = joint.average.step(self.active.during(ticks, i, tick, new));
                 let position = from + step * f64::from(tick);
-                mean.torque += share * joint.law.step(&mut joint.memory, setpoint, position);
+                let torque = joint.law.step(&mut joint.memory, setpoint, position);
+                mean.torque += share * torque;
+                mean.clipped += share * (torque - torque.clamp(-joint.torque_limit, joint.torque_limit));
                 mean.error += share * (setpoint - position);
                 joint.setpoint = setpoint;
             }
@@ -564,13 +598,17 @@ impl Transformer for ExtrapolatingTransformer {
         self.filters_positions.then_some(self.velocity.as_slice())
     }
 
-    fn uses_reference_velocity(&self) -> bool {
+    fn added_inertia(&self) -> &[f64] {
+        &self.added_inertia
+    }
+
+    fn uses_reference_acceleration(&self) -> bool {
         true
     }
 
-    fn set_reference_velocity(&mut self, velocity: &[f64]) {
+    fn set_reference_acceleration(&mut self, acceleration: &[f64]) {
         let period_s = self.period_s;
-        self.joints.iter_mut().zip(velocity).for_each(|(joint, &v)| joint.reference.advance(v, period_s));
+        self.joints.iter_mut().zip(acceleration).for_each(|(joint, &a)| joint.reference.advance(a, period_s));
     }
 
     fn transform(&mut self, data: &Data, tau: &[f64], q_desired: &mut [f64]) {
@@ -582,8 +620,8 @@ impl Transformer for ExtrapolatingTransformer {
         for (i, joint) in self.joints.iter_mut().enumerate() {
             let torque = tau[i] - joint.excess();
             let (q, reference) = (joint.motion.position, &joint.reference);
-            let v = joint.motion.velocity + reference.anticipated();
-            let acceleration = (reference.now - reference.before) / self.period_s;
+            let v = joint.motion.velocity + reference.anticipated;
+            let acceleration = reference.acceleration;
             let position = |tick: u32| {
                 let t = f64::from(tick) * ticks.servo_period_s;
                 q + t * (v + 0.5 * t * acceleration)

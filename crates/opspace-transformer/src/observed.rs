@@ -30,12 +30,16 @@ impl Transformer for ObservedTransformer {
         self.observer.observe(sample)
     }
 
-    fn uses_reference_velocity(&self) -> bool {
-        self.inner.uses_reference_velocity()
+    fn added_inertia(&self) -> &[f64] {
+        self.inner.added_inertia()
     }
 
-    fn set_reference_velocity(&mut self, velocity: &[f64]) {
-        self.inner.set_reference_velocity(velocity);
+    fn uses_reference_acceleration(&self) -> bool {
+        self.inner.uses_reference_acceleration()
+    }
+
+    fn set_reference_acceleration(&mut self, acceleration: &[f64]) {
+        self.inner.set_reference_acceleration(acceleration);
     }
 
     fn transform(&mut self, data: &Data, torque: &[f64], command: &mut [f64]) {

@@ -183,14 +183,21 @@ pub trait Transformer: Send {
         None
     }
 
-    /// Returns true if the transformer uses the velocities of the references.
-    fn uses_reference_velocity(&self) -> bool {
+    /// Returns true if the transformer uses the accelerations of the references.
+    fn uses_reference_acceleration(&self) -> bool {
         false
     }
 
-    /// Announces the joint velocities of the references (n; rad/s, m/s) at the present sample. They depend on time and not
-    /// on the measured motion, so that their use adds no feedback.
-    fn set_reference_velocity(&mut self, _velocity: &[f64]) {}
+    /// Announces the joint accelerations of the references (n; rad/s², m/s²) since the last sample, zero without a reference.
+    /// They depend on time and not on the measured motion, so that their use adds no feedback, except that they do not
+    /// exceed what limits leave of the command.
+    fn set_reference_acceleration(&mut self, _acceleration: &[f64]) {}
+
+    /// Inertia that the drives add to the joints at low frequency (n; kg m², kg), because the transformer knows their motion
+    /// late; empty if it is not known.
+    fn added_inertia(&self) -> &[f64] {
+        &[]
+    }
 
     /// Computes the command (n; Nm, N or rad/s, m/s or rad, m) that makes the servos produce `torque` (n; Nm, N) in the
     /// state of `data`. Allocates nothing.

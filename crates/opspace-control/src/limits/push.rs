@@ -71,6 +71,11 @@ impl Push {
         self.known = true;
     }
 
+    /// Acceleration that the last command causes, rad/s² or m/s² (n).
+    pub(crate) fn commanded(&self) -> &[f64] {
+        self.commanded.as_slice()
+    }
+
     /// Acceleration by external forces, rad/s² or m/s² (n).
     pub(crate) fn acceleration(&self) -> &[f64] {
         self.acceleration.as_slice()

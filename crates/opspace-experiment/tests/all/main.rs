@@ -14,6 +14,7 @@ mod coupled_logs;
 mod coupled_restarts;
 mod coupled_robots;
 mod diagnostics;
+mod drive_faults;
 mod drives;
 mod log_header;
 mod margins;

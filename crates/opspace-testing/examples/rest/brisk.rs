@@ -121,7 +121,9 @@ impl Brisk {
         if is_elastic {
             let gears = arm.gears.iter().map(|(joint, stiffness)| {
                 let damping = GEAR_DAMPING_S * stiffness;
-                format!("{joint} = {{ stiffness_nm_per_rad = {stiffness:.1}, damping_nms_per_rad = {damping} }}")
+                format!(
+                    "{joint} = {{ stiffness_nm_per_rad = {stiffness:.1}, damping_nms_per_rad = {damping} }}"
+                )
             });
             settings.push(format!("robot.simulated.gear={{ {} }}", gears.collect::<Vec<_>>().join(", ")));
         }
@@ -144,7 +146,7 @@ impl Brisk {
         std::fs::write(format!("{folder}/{number}.set"), self.settings.join("\n")).expect("written");
     }
 
-    fn run(&self, backend: CommandKind) -> Ending {
+    fn run(&self, backend: CommandKind) -> FinalMotion {
         let source = Source::new("brisk.toml", self.task.clone());
         let task = TaskDefinition::from_sources(source, |_| -> Result<_, FileError> {
             unreachable!("the task has no path")
@@ -152,11 +154,13 @@ impl Brisk {
         .unwrap_or_else(|error| panic!("{error}"));
         let robot = RobotDefinition::load(Files::Disk, &self.arm.file(), &self.settings)
             .unwrap_or_else(|error| panic!("{error}"));
-        let limits: Vec<_> = robot.model.joints().iter().map(|joint| joint.limits.clone()).collect();
+        let limits: Vec<_> = robot.model.joints().iter().map(|joint| joint.limits).collect();
         let steps: Vec<f64> = robot
             .joints()
             .iter()
-            .map(|joint| TAU / (f64::from(joint.rotor.encoder_counts_per_turn.get()) * joint.rotor.gear_ratio.get()))
+            .map(|joint| {
+                TAU / (f64::from(joint.rotor.encoder_counts_per_turn.get()) * joint.rotor.gear_ratio.get())
+            })
             .collect();
         let options = RunOptions { backend, ..RunOptions::default() };
         let experiment =
@@ -168,7 +172,7 @@ impl Brisk {
         let tick = log.tick().expect("rows");
         let from = (truth.len() as f64 * (1.0 - REST_S / DURATION_S)) as usize;
         let period_s = DURATION_S / tick.len() as f64;
-        let mut ending = Ending { fault: finished.record.fault.clone(), crossed: None, moves: 0.0 };
+        let mut ending = FinalMotion { fault: finished.record.fault.clone(), crossed: None, moves: 0.0 };
         for k in 0..truth.len() {
             for (i, limits) in limits.iter().enumerate() {
                 let (q, v) = (q.row(k)[i], dq.row(k)[i]);
@@ -189,8 +193,8 @@ impl Brisk {
     }
 }
 
-/// How a run ended.
-struct Ending {
+/// Motion and limits of a run.
+struct FinalMotion {
     fault: Option<String>,
     /// Limit that was exceeded the most, and by how much.
     crossed: Option<(f64, String)>,
@@ -198,7 +202,7 @@ struct Ending {
     moves: f64,
 }
 
-impl Ending {
+impl FinalMotion {
     fn cross(&mut self, joint: usize, over: f64, limit: &str) {
         if self.crossed.as_ref().is_none_or(|(most, _)| over > *most) {
             self.crossed = Some((over, format!("{limit} of joint {} exceeded by {over:.2e}", joint + 1)));
@@ -206,7 +210,7 @@ impl Ending {
     }
 }
 
-impl fmt::Display for Ending {
+impl fmt::Display for FinalMotion {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         if let Some(fault) = &self.fault {
             write!(f, "STOPPED {fault}; ")?;
@@ -218,7 +222,7 @@ impl fmt::Display for Ending {
     }
 }
 
-/// What the position robot does at a goal, and the torque robot does not.
+/// Differences of the position robot from the torque robot at a goal.
 pub struct Compared {
     pub line: String,
     pub is_stopped: bool,
