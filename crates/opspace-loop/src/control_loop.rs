@@ -200,7 +200,7 @@ impl ControlLoop {
     /// Stops because the robot could not be read or rejected a command. The result has the last command if the state is
     /// known.
     pub fn fail(&mut self, fault: DeviceFault) -> Step<'_> {
-        self.outgoing = Outgoing::None;
+        self.take_back();
         if self.phase == Phase::Stopped {
             return self.result();
         }
@@ -209,7 +209,7 @@ impl ControlLoop {
 
     /// Stops on request. The result has the last command, which replaces the command of this cycle.
     pub fn stop(&mut self) -> Step<'_> {
-        self.outgoing = Outgoing::None;
+        self.take_back();
         if self.phase != Phase::Stopped {
             self.enter_stop();
         }
@@ -520,6 +520,14 @@ impl ControlLoop {
             GravityCompensation::Controller => self.state.data.gravity[joint],
             GravityCompensation::Robot => 0.0,
         }
+    }
+
+    /// Takes back the command of this cycle, which another one replaces.
+    fn take_back(&mut self) {
+        if let Some(guard) = self.guard.as_mut().filter(|_| self.outgoing == Outgoing::Setpoint) {
+            guard.replace();
+        }
+        self.outgoing = Outgoing::None;
     }
 
     /// Latches the fault, fills the row and stops.

@@ -31,6 +31,8 @@ pub(crate) struct Guard {
     damping: Vec<f64>,
     /// Limits of the drives (n); empty if there are none.
     governors: Vec<GovernedSetpoint>,
+    /// The same before the present setpoints.
+    governors_before: Vec<GovernedSetpoint>,
     setpoint: DVector<f64>,
     /// Rate of change of the setpoints (n; rad/s, m/s or rad/s², m/s²); while a cycle is computed, the previous
     /// setpoints.
@@ -68,6 +70,8 @@ impl Guard {
             // Inner loop of (K9): velocity error at which the servo produces full torque.
             CommandKind::Velocity => |gains, torque, _| torque / gains.damping,
         };
+        let governors: Vec<_> =
+            setpoint_limits.iter().map(|l| GovernedSetpoint::new(l, kind, period_s)).collect();
         Some(Self {
             kind,
             joints: model.joints().iter().map(|j| j.name.clone()).collect(),
@@ -76,7 +80,8 @@ impl Guard {
             step: DVector::from_fn(n, |i, _| speeds[i] * period_s),
             period_s,
             damping: gains.iter().map(|servo| servo.damping).collect(),
-            governors: setpoint_limits.iter().map(|l| GovernedSetpoint::new(l, kind, period_s)).collect(),
+            governors: governors.clone(),
+            governors_before: governors,
             setpoint: DVector::from_element(n, f64::NAN),
             rate: DVector::zeros(n),
             clamped: DVector::zeros(n),
@@ -145,6 +150,12 @@ impl Guard {
     pub(crate) fn begin(&mut self, measurement: &Measurement) {
         let before = if self.is_set { &self.setpoint } else { measured(self.kind, measurement) };
         self.rate.copy_from(before);
+        self.governors_before.copy_from_slice(&self.governors);
+    }
+
+    /// Takes back the setpoints of this cycle, which others replace.
+    pub(crate) fn replace(&mut self) {
+        self.governors.copy_from_slice(&self.governors_before);
     }
 
     /// Sets the desired torques from which setpoints are computed (n; Nm, N), and enables the watchdogs.

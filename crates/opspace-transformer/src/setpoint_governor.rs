@@ -6,12 +6,16 @@
 //! and the period T, it chooses the acceleration a' of the next one, v' = v + T a', x' = x + T v':
 //!
 //! ```text
-//! u = (x_desired − x_desired₋)/T        e = x_desired − x − T u
-//! v_want = u + sign(e) min(|e|/T, √(2 A |e|)), within ±V
-//! a_want = s(v_want − v)        s(m) = sign(m) min(|m|/T, J (√(T²/4 + 2 |m|/J) − T/2))
-//! a' = (v_desired − v)/T if within the limits; else a_want, limited:
+//! u = (x_desired − x_desired₋)/T        v' = (x_desired − x)/T, if within the limits; else
+//! a' is the largest acceleration with   D(v' − u, a') ≤ x_desired − x − T (v' − u) − T u
 //! a' within ±A, within a ± J T, and between s(−V − v) and s(V − v)
+//! s(m) = sign(m) min(|m|/T, J (√(T²/4 + 2 |m|/J) − T/2))
 //! ```
+//!
+//! D is the distance in which a motion comes to rest, relative to the desired setpoint, as fast as A and J allow: the
+//! acceleration falls to a peak −p at the rate J, stays there if p = A, and returns to zero. The acceleration that brakes is thus
+//! there in time, whatever the ratio of J to A. With a braking distance v²/2A, which supposes that A is there at once, setpoints
+//! oscillated for J/A below 500/s. D is computed with a fraction of A and J (0.8): the desired setpoint accelerates, too.
 //!
 //! s(m) is the largest acceleration that can be taken back at the jerk J before the velocity has changed by m. Hence the
 //! limits of velocity and jerk never contradict each other. Transformers work from the setpoints that were really sent,
@@ -23,6 +27,12 @@ use opspace_backend::quantity::Positive;
 
 /// Fraction of the limits that is used: rounding must not exceed them.
 const USED: f64 = 1.0 - 1e-4;
+
+/// Fraction of the limits with which coming to rest is planned. The rest is for what the desired setpoint does meanwhile.
+const PLANNED: f64 = 0.8;
+
+/// Halvings of the range of accelerations.
+const BISECTIONS: u32 = 16;
 
 /// Setpoint of one joint, within the limits of its drive: see the [module](self).
 #[derive(Clone, Copy, Debug)]
@@ -59,7 +69,6 @@ impl GovernedSetpoint {
 
     fn limited(&self, desired: f64) -> f64 {
         let Some([setpoint, velocity, before]) = self.last else { return desired };
-        let want = self.wanted_velocity(desired, setpoint).clamp(-self.velocity_limit, self.velocity_limit);
         let reached = self.jerk_limit * self.period_s;
         // A whole number of steps changes the velocity by up to J T²/8 more than s assumes.
         let spare = if reached.is_finite() { 0.125 * reached * self.period_s } else { 0.0 };
@@ -76,12 +85,61 @@ impl GovernedSetpoint {
         if allowed(exact) == exact {
             return desired;
         }
-        let acceleration = allowed(self.towards(want - velocity, 0.0));
+        let acceleration = if self.takes == CommandKind::Velocity || self.acceleration_limit.is_infinite() {
+            allowed(self.towards(self.velocity_to(desired, setpoint) - velocity, 0.0))
+        } else {
+            self.approaching(desired, setpoint, velocity, [f64::NEG_INFINITY, f64::INFINITY].map(allowed))
+        };
         let velocity = velocity + self.period_s * acceleration;
         match self.takes {
             CommandKind::Velocity => velocity,
             CommandKind::Position | CommandKind::Torque => setpoint + self.period_s * velocity,
         }
+    }
+
+    /// Acceleration within `range` from which the setpoint comes to rest relative to the desired one at no distance, or at the
+    /// least. The desired setpoint moves on at its own velocity.
+    fn approaching(&self, desired: f64, setpoint: f64, velocity: f64, range: [f64; 2]) -> f64 {
+        let period_s = self.period_s;
+        let moving = (desired - self.desired) / period_s;
+        let overshoot = |acceleration: f64| {
+            let relative = velocity + period_s * acceleration - moving;
+            let left = desired - setpoint - period_s * (relative + moving);
+            self.rest_distance(relative, acceleration) - left
+        };
+        let [mut low, mut high] = range;
+        if overshoot(low) >= 0.0 {
+            return low;
+        }
+        if overshoot(high) <= 0.0 {
+            return high;
+        }
+        for _ in 0..BISECTIONS {
+            let middle = 0.5 * (low + high);
+            if overshoot(middle) > 0.0 { high = middle } else { low = middle }
+        }
+        low
+    }
+
+    /// Distance within which a motion at this velocity and acceleration comes to rest as soon as the limits allow.
+    fn rest_distance(&self, velocity: f64, acceleration: f64) -> f64 {
+        let (a_limit, jerk) = (PLANNED * self.acceleration_limit, PLANNED * self.jerk_limit);
+        if self.jerk_limit.is_infinite() {
+            return 0.5 * velocity * velocity.abs() / a_limit;
+        }
+        // The sign of the velocity that remains when the acceleration has been taken back.
+        let sign = (velocity + 0.5 * acceleration * acceleration.abs() / jerk).signum();
+        let (v, a) = (sign * velocity, sign * acceleration);
+        let peak = (0.5 * a * a + jerk * v).max(0.0).sqrt().min(a_limit.max(-a));
+        let constant_s = ((v + (0.5 * a * a - peak * peak) / jerk) / peak).max(0.0);
+        // From a to -peak, constant, and from -peak to 0.
+        let first_s = (a + peak) / jerk;
+        let v_first = v + 0.5 * (a * a - peak * peak) / jerk;
+        let x_first = first_s * (v + first_s * (0.5 * a - first_s * jerk / 6.0));
+        let x_constant = constant_s * (v_first - 0.5 * peak * constant_s);
+        let last_s = peak / jerk;
+        let x_last = jerk * last_s * last_s * last_s / 6.0;
+        sign * (x_first + if peak > 0.0 { x_constant } else { 0.0 } + x_last)
     }
 
     /// Velocity with which the next setpoint is `desired`.
@@ -90,17 +148,6 @@ impl GovernedSetpoint {
             CommandKind::Velocity => desired,
             CommandKind::Position | CommandKind::Torque => (desired - setpoint) / self.period_s,
         }
-    }
-
-    /// Velocity at which the desired setpoint, which moves on at its own velocity, is reached without overshoot.
-    fn wanted_velocity(&self, desired: f64, setpoint: f64) -> f64 {
-        if self.takes == CommandKind::Velocity || self.acceleration_limit.is_infinite() {
-            return self.velocity_to(desired, setpoint);
-        }
-        let moving = (desired - self.desired) / self.period_s;
-        let error = desired - setpoint - self.period_s * moving;
-        let braking = (2.0 * self.acceleration_limit * error.abs()).sqrt();
-        moving + (error.abs() / self.period_s).min(braking).copysign(error)
     }
 
     /// Largest acceleration that can be taken back before the velocity has changed by `change`.

@@ -16,6 +16,7 @@ mod coupled_robots;
 mod diagnostics;
 mod drive_faults;
 mod drives;
+mod limited_setpoints;
 mod log_header;
 mod margins;
 mod metric_table;
