@@ -31,7 +31,7 @@ pub(crate) struct Guard {
     damping: Vec<f64>,
     /// Limits of the drives (n); empty if there are none.
     governors: Vec<GovernedSetpoint>,
-    /// The same before the present setpoints.
+    /// Limits of the drives before the present setpoints (n).
     governors_before: Vec<GovernedSetpoint>,
     setpoint: DVector<f64>,
     /// Rate of change of the setpoints (n; rad/s, m/s or rad/s², m/s²); while a cycle is computed, the previous
