@@ -80,9 +80,9 @@ impl GovernedSetpoint {
                 .clamp(before - reached, before + reached)
                 .clamp(lowest.min(highest), highest.max(lowest))
         };
-        // What is within the limits is followed exactly.
+        // What is within the limits is followed exactly. What is not a number stays one, so that it stops the run.
         let exact = (self.velocity_to(desired, setpoint) - velocity) / self.period_s;
-        if allowed(exact) == exact {
+        if allowed(exact) == exact || exact.is_nan() {
             return desired;
         }
         let acceleration = if self.takes == CommandKind::Velocity || self.acceleration_limit.is_infinite() {

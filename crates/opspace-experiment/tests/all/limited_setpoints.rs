@@ -2,52 +2,12 @@
 #![expect(clippy::unwrap_used, reason = "a test that can't go on has failed")]
 
 use crate::coupled_common::project;
+use crate::tapped_arm::TappedArm;
 use opspace_backend::quantity::Positive;
-use opspace_backend::{Backend, Capabilities, Command, CommandKind, DeviceFault, GroundTruth, Sample};
+use opspace_backend::{Command, CommandKind, Sample};
 use opspace_experiment::{Experiment, Files, Progress, RunOptions};
-use opspace_sim::SimulatedArm;
 use opspace_transformer::setpoint_limits::{JointSetpointLimits, SetpointStream};
 use std::io;
-
-/// Simulated arm that compares each setpoint with limits.
-struct Checked {
-    arm: SimulatedArm,
-    streams: Vec<SetpointStream>,
-    /// Number of commands, and those of them that exceed a limit.
-    commands: usize,
-    beyond: Vec<usize>,
-}
-
-impl Backend for Checked {
-    fn capabilities(&self) -> &Capabilities {
-        self.arm.capabilities()
-    }
-
-    fn read(&mut self, sample: &mut Sample) -> Result<(), DeviceFault> {
-        self.arm.read(sample)
-    }
-
-    fn write(&mut self, command: Command<'_>) -> Result<(), DeviceFault> {
-        if let Command::Position(setpoints) = command {
-            self.commands += 1;
-            for (stream, &setpoint) in self.streams.iter_mut().zip(setpoints) {
-                if stream.exceeds(setpoint).is_some() {
-                    self.beyond.push(self.commands);
-                }
-                stream.take(setpoint);
-            }
-        }
-        self.arm.write(command)
-    }
-
-    fn stop(&mut self) {
-        self.arm.stop();
-    }
-
-    fn ground_truth(&self) -> Option<&dyn GroundTruth> {
-        self.arm.ground_truth()
-    }
-}
 
 /// Ends of runs in the middle of a motion.
 #[test]
@@ -75,13 +35,25 @@ fn no_setpoint_of_a_run_exceeds_a_limit() {
         declared.velocity_rad_per_s = Some(Positive::literal(v));
         declared.acceleration_rad_per_s2 = Some(Positive::literal(a));
         declared.jerk_rad_per_s3 = Some(Positive::literal(j));
-        let streams =
+        let mut streams: Vec<SetpointStream> =
             (0..7).map(|_| SetpointStream::new(&declared, CommandKind::Position, period_s)).collect();
         let arm = experiment.simulated_arm().unwrap();
-        let mut robot = Checked { arm, streams, commands: 0, beyond: Vec::new() };
+        // Number of commands, and those of them that exceed a limit.
+        let (mut commands, mut beyond) = (0, Vec::new());
+        let on_command = |command: Command<'_>| {
+            let Command::Position(setpoints) = command else { return };
+            commands += 1;
+            for (stream, &setpoint) in streams.iter_mut().zip(setpoints) {
+                if stream.exceeds(setpoint).is_some() {
+                    beyond.push(commands);
+                }
+                stream.take(setpoint);
+            }
+        };
+        let mut robot = TappedArm { arm, on_sample: |_: &mut Sample| {}, on_command };
         let finished = experiment.run_on(&mut robot, io::sink(), &Progress::default()).unwrap();
         assert!(finished.record.fault.is_none(), "{limits:?}: {:?}", finished.record.fault);
-        assert!(robot.commands > 500, "{}", robot.commands);
-        assert_eq!(robot.beyond, [0_usize; 0], "{limits:?}, of {} commands", robot.commands);
+        assert!(commands > 500, "{}", commands);
+        assert_eq!(beyond, [0_usize; 0], "{limits:?}, of {} commands", commands);
     }
 }

@@ -40,6 +40,7 @@ mod singular_postures;
 mod source;
 mod streamed;
 mod surface_axes;
+mod tapped_arm;
 mod task_kinds;
 mod task_metrics;
 mod time_optimal_paths;

@@ -113,3 +113,17 @@ fn governed_setpoints_do_not_oscillate() {
         assert!(passes <= 1, "{name}: {passes}");
     }
 }
+
+/// A desired setpoint that is not a number does not become one.
+#[test]
+fn governor_passes_what_is_not_a_number() {
+    for takes in [CommandKind::Position, CommandKind::Velocity] {
+        for values in
+            [[Some(2.0), Some(10.0), Some(5000.0)], [Some(2.0), Some(10.0), None], [Some(1.0), None, None]]
+        {
+            let mut governor = GovernedSetpoint::new(&limits(values), takes, PERIOD_S);
+            governor.take(0.0);
+            assert!(governor.follow(f64::NAN).is_nan(), "{takes:?} {values:?}");
+        }
+    }
+}
