@@ -13,7 +13,7 @@ use opspace::model::{
 };
 use opspace::transformer::{
     CascadedServo, DriveTiming, EstimatorParameters, ExtrapolatingTransformer, ExtrapolationSetup,
-    GainAdaptationParameters, Gears, PaperTransformer, ServoParameters, Transformer,
+    GainAdaptationParameters, Gears, PaperTransformer, RemainingDamping, ServoParameters, Transformer,
 };
 use opspace_testing::oracle::urdf;
 use std::cell::RefCell;
@@ -141,6 +141,7 @@ fn transformer_of_seven_joints(bencher: Bencher, name: &str) {
             ExtrapolatingTransformer::new(&ExtrapolationSetup {
                 servos: vec![servo; n],
                 torque_limits: vec![80.0; n],
+                remaining_damping: vec![RemainingDamping::default(); n],
                 timing: DriveTiming {
                     servo_period_s: period_s,
                     servo_ticks_per_cycle: 5,
@@ -170,7 +171,7 @@ fn transformer_of_seven_joints(bencher: Bencher, name: &str) {
             *q = 0.3 * f64::sin(time_s + i as f64);
         }
         transformer.observe(black_box(&sample));
-        transformer.set_reference_acceleration(&torque);
+        transformer.set_reference_motion(&torque, &torque);
         transformer.transform(&data, &torque, &mut setpoint);
         transformer.sent(&data, &setpoint);
     });

@@ -160,6 +160,7 @@ pub fn results(console: Console, summaries: &[Summary], metrics: &[Metric]) -> S
     if let [one] = summaries {
         one.findings.of(Code::GoalNotReached).for_each(|goal| text += &format!("NOTE {goal}\n"));
         one.findings.of(Code::IgnoredCompliance).for_each(|task| text += &format!("NOTE {task}\n"));
+        one.findings.of(Code::DampedCompliance).for_each(|left| text += &format!("NOTE {left}\n"));
         one.findings.of(Code::ReferenceLimited).for_each(|reference| text += &format!("NOTE {reference}\n"));
         final_notes(one).iter().for_each(|note| text += &format!("NOTE {note}\n"));
         one.findings.of(Code::EscapedSingularity).for_each(|escape| text += &format!("NOTE {escape}\n"));

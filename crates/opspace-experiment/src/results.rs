@@ -2,4 +2,5 @@
 
 pub mod folder;
 mod move_to_start;
+pub mod other_transformer;
 mod scenario_run;

@@ -25,6 +25,7 @@ pub mod robot_logs;
 pub(crate) mod rollout;
 pub mod scenario;
 mod segments;
+pub mod servo_damping;
 mod start;
 pub(crate) mod start_positions;
 mod transformer;

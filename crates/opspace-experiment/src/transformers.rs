@@ -1,6 +1,7 @@
 //! Transformers that a program knows by name: the built-in ones, and those of the user.
 
 pub mod entry;
+pub mod gain_interval;
 pub mod setup;
 
 use crate::codes::COMPARISONS;

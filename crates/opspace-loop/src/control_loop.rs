@@ -471,7 +471,7 @@ impl ControlLoop {
 
     /// Announces the motion of the references to the transformer, and to the friction compensation of the next cycle.
     fn announce_reference(&mut self, targets: &Targets) {
-        let anticipates = self.transformer.uses_reference_acceleration();
+        let anticipates = self.transformer.uses_reference_motion();
         let reference = &mut self.reference;
         reference.begin();
         let velocity = reference.velocity.as_mut_slice();
@@ -494,7 +494,8 @@ impl ControlLoop {
             self.reference.end();
         }
         if anticipates {
-            self.transformer.set_reference_acceleration(self.reference.acceleration.as_slice());
+            let ReferenceMotion { velocity, acceleration, .. } = &self.reference;
+            self.transformer.set_reference_motion(velocity.as_slice(), acceleration.as_slice());
         }
     }
 

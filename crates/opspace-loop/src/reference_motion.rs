@@ -52,6 +52,7 @@ impl ReferenceMotion {
 
     /// Ends the references.
     pub(crate) fn end(&mut self) {
+        self.velocity.fill(0.0);
         self.acceleration.fill(0.0);
         self.is_continued = false;
     }

@@ -55,6 +55,8 @@ use crate::drive_timing::DriveTiming;
 use crate::estimator::EstimatorParameters;
 use crate::gain_adaptation::{GainAdaptation, GainAdaptationParameters};
 use crate::motion_estimator::{MotionEstimator, MotionGains};
+use crate::reference::Reference;
+use crate::remaining_damping::RemainingDamping;
 use crate::servo::ServoParameters;
 use crate::servo_gains::ServoGains;
 use crate::servo_inversion::{EmulationError, quiet_horizon};
@@ -133,6 +135,8 @@ pub struct ExtrapolationSetup {
     /// Limits of the noise of setpoints (n); `None`, or empty, for joints whose drives do not limit the acceleration of
     /// setpoints.
     pub setpoint_noise: Vec<Option<SetpointNoise>>,
+    /// Damping that is left to each joint (n), because the true gains are not known exactly.
+    pub remaining_damping: Vec<RemainingDamping>,
     /// Estimation of gains from measured motor torques and correction by them, if motor torques are measured.
     pub current: Option<GainAdaptationParameters>,
 }
@@ -187,43 +191,6 @@ pub struct ExtrapolatingTransformer {
     known: u32,
 }
 
-/// Motion of a joint's reference, estimated as that of the joint is. Position and velocity are relative to the estimate: only
-/// the acceleration matters.
-#[derive(Clone, Copy, Debug)]
-struct Reference {
-    /// Acceleration since the last sample, rad/s² (m/s²).
-    acceleration: f64,
-    /// Velocity that the estimate lacks, because it lags behind, rad/s (m/s).
-    anticipated: f64,
-    /// Position that it lacks, rad (m).
-    ahead: f64,
-    estimate: MotionEstimator,
-}
-
-impl Reference {
-    fn new(gains: MotionGains, period_s: f64) -> Self {
-        let mut estimate = MotionEstimator::new(gains, period_s);
-        estimate.start(0.0, 0.0);
-        Self { acceleration: 0.0, anticipated: 0.0, ahead: 0.0, estimate }
-    }
-
-    fn advance(&mut self, acceleration: f64, period_s: f64) {
-        let before = self.anticipated;
-        self.acceleration = acceleration;
-        self.anticipated += period_s * acceleration;
-        self.ahead += 0.5 * period_s * (before + self.anticipated);
-        self.estimate.update(1, self.ahead);
-        self.anticipated -= self.estimate.velocity;
-        self.ahead -= self.estimate.position;
-        self.estimate.start(0.0, 0.0);
-    }
-
-    /// Ends the reference: the joint goes on at the velocity that it has.
-    fn end(&mut self) {
-        [self.acceleration, self.anticipated, self.ahead] = [0.0; 3];
-    }
-}
-
 /// One joint: its drive, and the correction.
 #[derive(Clone, Debug)]
 struct Joint {
@@ -243,6 +210,8 @@ struct Joint {
     lead_s: f64,
     /// Sum of the torques of these intervals per unit of setpoint.
     response: f64,
+    /// Damping that is left to the joint.
+    remaining_damping: RemainingDamping,
     torque_limit: f64,
     current: Option<Correction>,
 }
@@ -316,6 +285,7 @@ impl Joint {
             average: law.setpoint_average(),
             ahead: law.setpoint_average(),
             setpoint: 0.0,
+            remaining_damping: setup.remaining_damping[i],
             torque_limit: setup.torque_limits[i],
             current: setup.current.map(|parameters| Correction::new(setup, i, &law, horizon, &parameters)),
             law,
@@ -602,13 +572,15 @@ impl Transformer for ExtrapolatingTransformer {
         &self.added_inertia
     }
 
-    fn uses_reference_acceleration(&self) -> bool {
+    fn uses_reference_motion(&self) -> bool {
         true
     }
 
-    fn set_reference_acceleration(&mut self, acceleration: &[f64]) {
-        let period_s = self.period_s;
-        self.joints.iter_mut().zip(acceleration).for_each(|(joint, &a)| joint.reference.advance(a, period_s));
+    fn set_reference_motion(&mut self, velocity: &[f64], acceleration: &[f64]) {
+        for (joint, (&v, &a)) in self.joints.iter_mut().zip(velocity.iter().zip(acceleration)) {
+            joint.reference.velocity = v;
+            joint.reference.advance(a, self.period_s);
+        }
     }
 
     fn transform(&mut self, data: &Data, tau: &[f64], q_desired: &mut [f64]) {
@@ -618,9 +590,9 @@ impl Transformer for ExtrapolatingTransformer {
         let ticks = self.ticks;
         let ratio = ticks.servo_ticks_per_cycle;
         for (i, joint) in self.joints.iter_mut().enumerate() {
-            let torque = tau[i] - joint.excess();
             let (q, reference) = (joint.motion.position, &joint.reference);
             let v = joint.motion.velocity + reference.anticipated;
+            let torque = tau[i] - joint.excess() - joint.remaining_damping.torque(v, reference.velocity);
             let acceleration = reference.acceleration;
             let position = |tick: u32| {
                 let t = f64::from(tick) * ticks.servo_period_s;

@@ -34,12 +34,12 @@ impl Transformer for ObservedTransformer {
         self.inner.added_inertia()
     }
 
-    fn uses_reference_acceleration(&self) -> bool {
-        self.inner.uses_reference_acceleration()
+    fn uses_reference_motion(&self) -> bool {
+        self.inner.uses_reference_motion()
     }
 
-    fn set_reference_acceleration(&mut self, acceleration: &[f64]) {
-        self.inner.set_reference_acceleration(acceleration);
+    fn set_reference_motion(&mut self, velocity: &[f64], acceleration: &[f64]) {
+        self.inner.set_reference_motion(velocity, acceleration);
     }
 
     fn transform(&mut self, data: &Data, torque: &[f64], command: &mut [f64]) {

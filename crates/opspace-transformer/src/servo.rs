@@ -4,6 +4,7 @@
 
 use crate::cascaded_servo::CascadedServo;
 use crate::pid_servo::PidServo;
+use crate::remaining_damping::RemainingDamping;
 use crate::servo_gains::ServoGains;
 use crate::servo_law::{ServoError, ServoLaw};
 use crate::servo_structure::ServoStructure;
@@ -108,6 +109,19 @@ impl ServoParameters {
     #[must_use]
     pub fn velocity_feed_forward(&self) -> f64 {
         self.structure().setpoint().velocity_feed_forward
+    }
+
+    /// Half-width of the interval in which the true gains lie, as a fraction of the stated ones; `None` if it is not stated.
+    #[must_use]
+    pub fn gain_uncertainty(&self) -> Option<f64> {
+        self.structure().gain_uncertainty()
+    }
+
+    /// Least damping that a transformer without motor current leaves to the joint so that no gains within `gain_uncertainty` of
+    /// the stated ones (a fraction of them) drive it.
+    #[must_use]
+    pub fn remaining_damping(&self, gain_uncertainty: f64) -> RemainingDamping {
+        self.structure().remaining_damping(gain_uncertainty)
     }
 
     /// Torque fed forward per acceleration of the setpoint, kg m² (kg); 0 for a transfer function and a velocity servo.

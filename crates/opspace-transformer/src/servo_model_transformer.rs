@@ -29,6 +29,7 @@ use crate::drive_timing::DriveTiming;
 use crate::friction::FrictionCompensation;
 use crate::gain_adaptation::{GainAdaptation, GainAdaptationParameters};
 use crate::observer::{ObservedJoint, ObserverGain};
+use crate::remaining_damping::RemainingDamping;
 use crate::servo::ServoParameters;
 use crate::servo_gains::ServoGains;
 use crate::servo_inversion::{EmulationError, TorqueObjective, check_inverse};
@@ -67,6 +68,8 @@ pub struct EmulationSetup {
     /// True if brakes hold a velocity robot, with motors off, until its first setpoint acts. Ignored for a position
     /// robot, which its servos hold.
     pub has_brakes: bool,
+    /// Damping that is left to each joint (n), because the true gains are not known exactly.
+    pub remaining_damping: Vec<RemainingDamping>,
     /// True if measured motor torques are used.
     pub current: bool,
     /// Adaptation of gains from measured motor torques, if any; not applied to velocity servos.
@@ -93,6 +96,8 @@ pub struct EmulatingTransformer {
     /// Unmodelled joint accelerations (n; rad/s², m/s²).
     disturbance: DVector<f64>,
     in_force: ActiveSetpoints,
+    /// Velocities of the references (n; rad/s, m/s).
+    reference_velocity: Vec<f64>,
     /// True after the first setpoint was sent; before, the robot holds itself.
     begun: bool,
     /// M⁻¹ (n × n), and the accelerations without motor torque (n; rad/s², m/s²).
@@ -120,6 +125,8 @@ pub struct EmulatingTransformer {
 struct Drive {
     law: ServoLaw,
     torque_limit: f64,
+    /// Damping that is left to the joint.
+    remaining_damping: RemainingDamping,
     gain: ObserverGain,
     adapted: Option<AdaptedDrive>,
 }
@@ -248,7 +255,8 @@ impl EmulatingTransformer {
                 let adaptation = GainAdaptation::new(&parameters, setup.torque_limits[i], interface_s);
                 AdaptedDrive { adaptation, nominal: gains, now: gains }
             });
-            Ok(Drive { law, torque_limit: setup.torque_limits[i], gain, adapted })
+            let (torque_limit, remaining_damping) = (setup.torque_limits[i], setup.remaining_damping[i]);
+            Ok(Drive { law, torque_limit, remaining_damping, gain, adapted })
         };
         let drives: Vec<Drive> = (0..n).map(|i| drive(i).map_err(|e| (i, e))).collect::<Result<_, _>>()?;
         let zero = DVector::zeros(n);
@@ -268,6 +276,7 @@ impl EmulatingTransformer {
             drives,
             disturbance: zero.clone(),
             in_force: ActiveSetpoints::new(n, ticks),
+            reference_velocity: vec![0.0; n],
             begun: false,
             mass_inverse: matrix.clone(),
             free: zero.clone(),
@@ -445,6 +454,14 @@ impl Transformer for EmulatingTransformer {
         Some(self.state.dq.as_slice())
     }
 
+    fn uses_reference_motion(&self) -> bool {
+        self.drives.iter().any(|drive| drive.remaining_damping.along_reference > 0.0)
+    }
+
+    fn set_reference_motion(&mut self, velocity: &[f64], _acceleration: &[f64]) {
+        self.reference_velocity.copy_from_slice(velocity);
+    }
+
     fn transform(&mut self, data: &Data, tau: &[f64], q_desired: &mut [f64]) {
         self.freeze(data);
         self.respond();
@@ -465,7 +482,10 @@ impl Transformer for EmulatingTransformer {
                 ticks.setpoints.at(in_force.left(ticks, i), about[i], tick, ticks.servo_ticks_per_cycle)
             });
             for (i, tau) in tau.iter().enumerate() {
-                self.missing[tick as usize][i] = tau - self.torque_disturbance()[i] - self.rollout.torque[i];
+                let damping = self.drives[i].remaining_damping;
+                let left = damping.torque(self.rollout.dq[i], self.reference_velocity[i]);
+                self.missing[tick as usize][i] =
+                    tau - left - self.torque_disturbance()[i] - self.rollout.torque[i];
             }
             self.rollout.travel(&self.mass_inverse, &self.free, ticks.servo_period_s);
         }
@@ -498,6 +518,7 @@ impl Transformer for EmulatingTransformer {
 
     fn reset(&mut self) {
         self.begun = false;
+        self.reference_velocity.fill(0.0);
         self.friction.reset();
         self.disturbance.fill(0.0);
         if let Some(current) = &mut self.current {

@@ -4,6 +4,7 @@
 //! [`pid_servo`](crate::pid_servo), [`transfer_function_servo`](crate::transfer_function_servo) and
 //! [`velocity_servo`](crate::velocity_servo). The list of them is in [`servo`](crate::servo).
 
+use crate::remaining_damping::RemainingDamping;
 use crate::servo_gains::ServoGains;
 use crate::servo_law::{ServoError, ServoLaw, SetpointParameters};
 use opspace_backend::CommandKind;
@@ -39,6 +40,17 @@ pub trait ServoStructure {
     /// Time by which the setpoint for a constant torque leads a joint of constant velocity, without feed-forward and filter, s.
     fn lead_s(&self) -> f64 {
         0.0
+    }
+
+    /// Half-width of the interval in which the true gains lie, as a fraction of the stated ones; `None` if it is not stated.
+    fn gain_uncertainty(&self) -> Option<f64> {
+        None
+    }
+
+    /// Least damping that a transformer leaves to the joint so that no gains of the interval of this half-width drive it; none by
+    /// default.
+    fn remaining_damping(&self, _gain_uncertainty: f64) -> RemainingDamping {
+        RemainingDamping::default()
     }
 
     /// Multiplies the gain of the position loop by `kp`, and the gain of the whole servo by `kv`.

@@ -74,14 +74,15 @@ impl TransformerName {
     /// | unknown | | | `paper`, which works with any delay |
     /// | known | rigid | | `emulation` or `interpolating`, with `+current` if it is measured |
     /// | known | elastic or unknown | measured | `extrapolation+current` |
-    /// | known | elastic or unknown | not measured | `paper` for a position robot, `extrapolation` for a velocity robot |
+    /// | known | elastic or unknown | not measured | `extrapolation` |
     ///
-    /// Emulation makes elastic gears oscillate. Extrapolation removes the damping of a position servo, so that without
-    /// measured current a position loop with a gain above the nominal one drives the joint; the paper's transformer
-    /// leaves a part of the damping. A wrong gain of a velocity loop only scales the torque.
+    /// Emulation makes elastic gears oscillate. Extrapolation removes the damping of a position servo, except for the
+    /// [part](crate::remaining_damping) without which gains within their interval drive the joint. The paper's transformer leaves a part
+    /// that follows from the timing of the drives: too little for wrong gains, or more than they need. A wrong gain of
+    /// a velocity loop only scales the torque.
     #[must_use]
     pub fn best(robot: &DeclaredProperties) -> (Self, String) {
-        let DeclaredProperties { takes, setpoints, delay_servo_ticks, measures_current, gears } = *robot;
+        let DeclaredProperties { setpoints, delay_servo_ticks, measures_current, gears } = *robot;
         let Some(delay) = delay_servo_ticks else {
             let why =
                 "the delay of setpoints is unknown, and this transformer works with any delay".to_owned();
@@ -93,12 +94,7 @@ impl TransformerName {
                 "the gears are not declared rigid, the delay of setpoints is declared ({delay} servo ticks), motor current \
                  is {current}"
             );
-            if takes == CommandKind::Velocity || measures_current {
-                return (Self::EXTRAPOLATION.with_current(measures_current), why);
-            }
-            let why = why
-                + ": this transformer keeps a part of the servo's damping, so that a wrong gain does less harm";
-            return (Self::PAPER, why);
+            return (Self::EXTRAPOLATION.with_current(measures_current), why);
         }
         let (method, setpoints) = match setpoints {
             Setpoints::Held => (Self::EMULATION, "held"),
@@ -128,8 +124,6 @@ pub enum Gears {
 /// Declared properties of a robot that determine its [best](TransformerName::best) transformer.
 #[derive(Clone, Copy, Debug)]
 pub struct DeclaredProperties {
-    /// Quantity of its setpoints: position or velocity.
-    pub takes: CommandKind,
     /// Behaviour of the drives between two setpoints.
     pub setpoints: Setpoints,
     /// Delay until a setpoint acts, in servo ticks; `None` if unknown.
@@ -183,15 +177,16 @@ pub trait Transformer: Send {
         None
     }
 
-    /// Returns true if the transformer uses the accelerations of the references.
-    fn uses_reference_acceleration(&self) -> bool {
+    /// Returns true if the transformer uses the motion of the references.
+    fn uses_reference_motion(&self) -> bool {
         false
     }
 
-    /// Announces the joint accelerations of the references (n; rad/s², m/s²) since the last sample, zero without a reference.
-    /// They depend on time and not on the measured motion, so that their use adds no feedback, except that they do not
-    /// exceed what limits leave of the command.
-    fn set_reference_acceleration(&mut self, _acceleration: &[f64]) {}
+    /// Announces the joint velocities of the references (n; rad/s, m/s), and their accelerations (n; rad/s², m/s²) since the last
+    /// sample; zero without a reference. Accelerations depend on time and not on the measured motion, so that their use adds
+    /// no feedback, except that they do not exceed what limits leave of the command. Velocities depend on the measured posture,
+    /// and are large near singular poses.
+    fn set_reference_motion(&mut self, _velocity: &[f64], _acceleration: &[f64]) {}
 
     /// Inertia that the drives add to the joints at low frequency (n; kg m², kg), because the transformer knows their motion
     /// late; empty if it is not known.

@@ -70,6 +70,7 @@ pub fn run(args: &RunArgs, extensions: &Extensions, console: Console) -> Outcome
             say_end(robot, console);
             let expected = scenario.single().map_or(0, |experiment| experiment.task().file.expect.len());
             say_expectations(robot, expected, console);
+            say_other_transformer(&scenario, robot, &progress, console);
             say_written(robot, folder, console);
         }
         None => say_end_of_robots(&summary, folder, console),
@@ -205,6 +206,21 @@ fn say_expectations(summary: &Summary, number: usize, console: Console) {
             1 => "the expectation is met".to_owned(),
             _ => format!("all {number} expectations are met"),
         });
+    }
+}
+
+/// Names the transformer to try after a run whose torque error is large, and what a repeated simulation gives with it.
+fn say_other_transformer(scenario: &Scenario, summary: &Summary, progress: &Progress, console: Console) {
+    let is_complete = summary.faulted.is_none() && !summary.interrupted;
+    if console.quiet || !is_complete {
+        return;
+    }
+    match scenario.other_transformer(summary, progress) {
+        Ok(None) => {}
+        Ok(Some(other)) => console.note(&format!("NOTE {other}")),
+        Err(error) => {
+            console.note(&format!("NOTE the torque error is large, but no other transformer suits: {error}"))
+        }
     }
 }
 

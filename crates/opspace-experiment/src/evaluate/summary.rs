@@ -79,7 +79,7 @@ pub struct Summary {
     /// Expectations of the task file that the run missed.
     pub missed_expectations: Vec<String>,
     /// Findings of the run: failures that no single metric shows, goals that tasks did not reach, moving references that they did
-    /// not follow, escapes from singular poses, and compliance that the controller ignores.
+    /// not follow, escapes from singular poses, compliance that the controller ignores, and damping that the transformer leaves.
     #[serde(flatten)]
     pub findings: Findings,
     /// Metrics of the run.
@@ -180,6 +180,7 @@ impl Experiment {
     ) -> Summary {
         let Evaluated { evaluation, mut findings, interruptions, times } = evaluated;
         findings.extend(self.ignored_compliance());
+        findings.extend(self.damped_by_servos());
         Summary {
             task: self.task().name(),
             robot: self.robot().name(),

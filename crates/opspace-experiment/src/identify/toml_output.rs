@@ -2,6 +2,7 @@
 
 use super::{IdentificationResults, JointIdentification};
 use crate::files::source::{FileError, KeyPath};
+use crate::transformers::gain_interval::ASSUMED;
 use opspace_identify::identification::Servo;
 use opspace_identify::interval::SetpointFilterModel;
 use opspace_identify::{Interval95, TorqueScale};
@@ -256,9 +257,20 @@ fn servo(joint: &JointIdentification) -> Value {
             values.insert(key, rounded(value));
         }
         add_setpoint_path(&mut values, servo);
+        values.insert("gain_uncertainty", gain_uncertainty(servo, joint.structure.name).into());
         kind.insert(joint.structure.name, values.into());
     }
     kind.into()
+}
+
+/// Half-width of the interval of the gains, as a fraction of them, in thousandths. For a cascade it is that of kp, because kv only
+/// scales the torque. For other servos, stiffness over damping is kp at the ends of both intervals. Gains without an interval are as
+/// uncertain as assumed ones.
+fn gain_uncertainty(servo: &Servo, structure: &str) -> f64 {
+    let Servo { kp, .. } = *servo;
+    let half_width = servo.intervals.kp.map_or(ASSUMED, |i| (i.upper - kp).max(kp - i.lower) / kp);
+    let of_each = if structure == "cascaded" { half_width } else { half_width / (2.0 + half_width) };
+    (1e3 * of_each).ceil().clamp(1.0, 1e3) / 1e3
 }
 
 /// Adds feed-forward and filter of the setpoint.

@@ -6,6 +6,7 @@ use crate::files::controller_kind::ControllerKind;
 use crate::finding::Finding;
 use crate::run::compliance::compliance;
 use crate::run::experiment::Experiment;
+use crate::run::servo_damping::SERVO_DAMPING_NOTED;
 use opspace_transformer::TransformerName;
 
 /// Reports each task whose compliance the controller ignores, or the transformer damps, once.
@@ -24,15 +25,11 @@ pub(crate) fn ignored(case: &PreflightCase<'_>) -> Vec<Finding> {
             }
             let Some((what, key)) = compliance(parameters) else { continue };
             let key = case.key(number, name, &[parameters.kind(), key]);
-            if let Some(reason) = &damping {
+            if let Some((reason, help)) = &damping {
                 let message = format!(
-                    "task '{name}': {what} is damped by transformer 'paper', the default because {reason}; the hand yields more \
-                     slowly than that of a torque robot"
+                    "task '{name}': {what} is damped by the servos: {reason}; the hand yields more slowly than that of a torque robot"
                 );
-                let help = "compare with --backend torque; after `opspace identify`, --transformer extrapolation damps less; gears \
-                            that are rigid, or a measured motor current, have other defaults"
-                    .to_owned();
-                found.push((name, Finding::new(Code::DampedCompliance, &key, message, help)));
+                found.push((name, Finding::new(Code::DampedCompliance, &key, message, help.clone())));
                 continue;
             }
             let message = format!(
@@ -46,11 +43,20 @@ pub(crate) fn ignored(case: &PreflightCase<'_>) -> Vec<Finding> {
     found.into_iter().map(|(_, diagnostic)| diagnostic).collect()
 }
 
-/// Reason for which the transformer is by default one that keeps a part of the servo's damping; `None` if it is not.
-fn damping(experiment: &Experiment) -> Option<String> {
+/// Reason for which the transformer leaves a part of the servos' damping, and the remedy; `None` if it leaves none, or less than a
+/// hand feels.
+fn damping(experiment: &Experiment) -> Option<(String, String)> {
+    if let Some(left) = experiment.servo_damping().ok()? {
+        let help = format!("compare with --backend torque; {}", experiment.help_of_servo_damping(&left));
+        return (left.share >= SERVO_DAMPING_NOTED).then(|| (left.to_string(), help));
+    }
     let name = experiment.transformer_name()?;
     let is_default =
         experiment.options().transformer.is_none() && experiment.profile().1.transformer.is_none();
-    let is_paper = name == TransformerName::PAPER;
-    if is_paper && is_default { experiment.transformer_reason() } else { None }
+    if name != TransformerName::PAPER || !is_default {
+        return None;
+    }
+    let reason = format!("transformer 'paper' is the default because {}", experiment.transformer_reason()?);
+    let help = "compare with --backend torque; measure the delay of setpoints: with it, other transformers are the default";
+    Some((reason, help.to_owned()))
 }

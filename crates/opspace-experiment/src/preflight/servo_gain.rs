@@ -146,7 +146,10 @@ impl GainMargin {
     /// Returns a diagnostic if the margin is too small.
     #[must_use]
     pub fn finding(&self, experiment: &Experiment) -> Option<Finding> {
-        let excess = self.excess.filter(|excess| *excess < LEAST_EXCESS)?;
+        // Gains with a narrower interval need no larger margin, which the damping that is left provides.
+        let left = experiment.servo_damping().ok()?;
+        let least = left.map_or(LEAST_EXCESS, |left| left.interval.half_width - RESOLUTION).min(LEAST_EXCESS);
+        let excess = self.excess.filter(|excess| *excess < least)?;
         let joint = self.joint.as_ref()?;
         let message = format!(
             "{} tolerate {} more gain than nominal, with transformer '{}': beyond that the run is unstable, joint \

@@ -84,7 +84,9 @@ impl RunSection {
             summary.missed_expectations.iter().map(|missed| format!("Expectation missed: {missed}.")),
         );
         warnings.extend(summary.findings.of(Code::GoalNotReached).map(|goal| format!("Note: {goal}.")));
-        warnings.extend(summary.findings.of(Code::IgnoredCompliance).map(|task| format!("Note: {task}.")));
+        let damped = [Code::IgnoredCompliance, Code::DampedCompliance];
+        let damped = damped.into_iter().flat_map(|code| summary.findings.of(code));
+        warnings.extend(damped.map(|finding| format!("Note: {finding}.")));
         warnings.extend(
             summary.findings.of(Code::ReferenceLimited).map(|reference| format!("Note: {reference}.")),
         );

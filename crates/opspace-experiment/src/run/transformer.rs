@@ -23,10 +23,12 @@ impl Experiment {
         self.uses_transformer().then(|| self.chosen_transformer().0)
     }
 
-    /// Reason for the choice of the transformer.
+    /// Reason for the choice of the transformer, and what it leaves of the servos' damping.
     #[must_use]
     pub fn transformer_reason(&self) -> Option<String> {
-        self.uses_transformer().then(|| self.chosen_transformer().1)
+        let reason = self.uses_transformer().then(|| self.chosen_transformer().1)?;
+        let left = self.servo_damping().ok().flatten();
+        Some(left.map_or(reason.clone(), |left| format!("{reason}; {left}")))
     }
 
     /// Requirements and properties of the transformer in use; `None` if commands pass unchanged.
@@ -50,13 +52,38 @@ impl Experiment {
         if let Some(name) = &self.profile.transformer {
             return (name.clone(), format!("set in profile '{}'", self.profile_name));
         }
+        self.default_transformer()
+    }
+
+    /// Best transformer for the declared properties of the robot, and the reason.
+    fn default_transformer(&self) -> (TransformerName, String) {
         TransformerName::best(&DeclaredProperties {
-            takes: self.options.backend,
             setpoints: self.robot.file.interface.setpoints,
             delay_servo_ticks: self.profile.delay_servo_ticks,
             measures_current: self.measures_current(),
             gears: self.robot.gears(),
         })
+    }
+
+    /// Transformer to try in place of the one in use: the default one, or for rigid gears the one that elastic gears bear.
+    pub(crate) fn other_transformer(&self) -> Option<TransformerName> {
+        let used = self.transformer_name()?;
+        let best = self.default_transformer().0;
+        let knows_delay = self.profile.delay_servo_ticks.is_some();
+        let extrapolation = TransformerName::EXTRAPOLATION.with_current(best.has_current());
+        let candidates = [Some(best), knows_delay.then_some(extrapolation)];
+        candidates.into_iter().flatten().find(|candidate| *candidate != used)
+    }
+
+    /// Returns the experiment with another transformer.
+    ///
+    /// # Errors
+    /// A robot that the transformer does not suit.
+    pub(crate) fn with_transformer(&self, name: &TransformerName) -> Result<Self, FileError> {
+        let mut changed = self.clone();
+        changed.options.transformer = Some(name.clone());
+        changed.check_transformer(name)?;
+        Ok(changed)
     }
 
     pub(crate) fn measures_current(&self) -> bool {
@@ -72,7 +99,7 @@ impl Experiment {
     }
 
     /// Robot for which a transformer is built.
-    fn setup<'a>(&'a self, name: &'a TransformerName) -> Result<TransformerSetup<'a>, FileError> {
+    pub(crate) fn setup<'a>(&'a self, name: &'a TransformerName) -> Result<TransformerSetup<'a>, FileError> {
         Ok(TransformerSetup {
             name,
             robot: &self.robot,

@@ -2,16 +2,17 @@
 
 use crate::files::robot::RobotDefinition;
 use crate::files::source::FileError;
+use crate::transformers::gain_interval::GainInterval;
 use nalgebra::DMatrix;
 use opspace_backend::quantity::{NonNegative, Positive};
 use opspace_backend::{CommandKind, GravityCompensation};
-use opspace_model::{Data, Model, update};
+use opspace_model::{Data, Joint, Model, update};
 use opspace_transformer::setpoint_limits::JointSetpointLimits;
 use opspace_transformer::{
     ClosedLoopModel, CurrentFeedback, DriveTiming, EmulationSetup, EstimatorParameters, ExtrapolationSetup,
     FrictionCompensation, FrictionCompensationParameters, FrictionLaw, GainAdaptationParameters,
-    JointParameters, ProfileParameters, ServoGains, ServoParameters, SetpointNoise, TorqueObjective,
-    Transformer, TransformerName,
+    JointParameters, ProfileParameters, RemainingDamping, ServoGains, ServoParameters, SetpointNoise,
+    TorqueObjective, Transformer, TransformerName,
 };
 use std::f64::consts::TAU;
 
@@ -144,6 +145,7 @@ impl TransformerSetup<'_> {
             delay: self.profile.delay(),
             setpoints: self.robot.file.interface.setpoints,
             matching,
+            remaining_damping: self.remaining_damping(current)?,
             gravity_compensated_by: self.gravity_compensated_by(),
             current,
             adapt_gains: self.profile.adapt_gains,
@@ -165,8 +167,39 @@ impl TransformerSetup<'_> {
             gears: self.robot.gears(),
             antiresonance_hz: self.lowest_antiresonance_hz()?,
             setpoint_noise: self.setpoint_noise(),
+            remaining_damping: self.remaining_damping(current)?,
             current: current.then(|| self.profile.adapt_gains.unwrap_or(GainAdaptationParameters::usual())),
         })
+    }
+
+    /// Damping that is left to each joint (n), so that no gains of their intervals drive it; zero if measured
+    /// `current` corrects them.
+    ///
+    /// # Errors
+    /// As [`servos`](Self::servos).
+    pub fn remaining_damping(&self, current: bool) -> Result<Vec<RemainingDamping>, FileError> {
+        if current {
+            return Ok(vec![RemainingDamping::default(); self.robot.model.n()]);
+        }
+        let limits = self.torque_limits().into_iter().zip(self.robot.model.joints());
+        let least =
+            |((servo, interval), (torque, joint)): ((&ServoParameters, GainInterval), (f64, &Joint))| {
+                let width = interval.half_width;
+                servo.remaining_damping(width).with_limits(width, torque, joint.limits.velocity)
+            };
+        Ok(self.servos()?.iter().zip(self.gain_intervals()?).zip(limits).map(least).collect())
+    }
+
+    /// Intervals of the true gains of the servos (n).
+    ///
+    /// # Errors
+    /// As [`servos`](Self::servos).
+    pub fn gain_intervals(&self) -> Result<Vec<GainInterval>, FileError> {
+        let place = [self.profile_name, self.servo_table()];
+        let of = |(joint, servo): (&Joint, &ServoParameters)| {
+            GainInterval::of(self.robot, place, &joint.name, servo)
+        };
+        Ok(self.robot.model.joints().iter().zip(&self.servos()?).map(of).collect())
     }
 
     /// Returns a transformer whose torques measured motor current corrects.

@@ -1,6 +1,7 @@
 //! Brisk motion to random goals on elastic gears, within reach or not: the transformer that a real arm gets, beside the
 //! torque robot.
 
+use crate::arms::{ARMS, Arm};
 use crate::search::Search;
 use nalgebra::Vector3;
 use opspace_backend::CommandKind;
@@ -14,7 +15,6 @@ use rand_chacha::ChaCha8Rng;
 use std::f64::consts::TAU;
 use std::fmt;
 use std::io::Cursor;
-use std::path::Path;
 
 /// Duration of a run, s.
 const DURATION_S: f64 = 9.0;
@@ -22,48 +22,6 @@ const DURATION_S: f64 = 9.0;
 const REST_S: f64 = 1.0;
 /// True speed below which a joint is at rest, beyond a step of its encoder per cycle, rad/s.
 const REST_RAD_PER_S: f64 = 1e-3;
-
-/// An arm with the stiffness of its gears, Nm/rad: those of the suite `servos-matrix`.
-struct Arm {
-    folder: &'static str,
-    frame: &'static str,
-    /// Length that scales rotations to displacements, m.
-    reach_m: f64,
-    gears: &'static [(&'static str, f64)],
-}
-
-const ARMS: [Arm; 2] = [
-    Arm {
-        folder: "panda",
-        frame: "flange",
-        reach_m: 0.9,
-        gears: &[
-            ("joint1", 20e3),
-            ("joint2", 16e3),
-            ("joint3", 12e3),
-            ("joint4", 10e3),
-            ("joint5", 8e3),
-            ("joint6", 6e3),
-            ("joint7", 5e3),
-        ],
-    },
-    Arm {
-        folder: "ur5e",
-        frame: "flange",
-        reach_m: 0.95,
-        gears: &[
-            ("base", 20e3),
-            ("shoulder", 15e3),
-            ("elbow", 12e3),
-            ("wrist_1", 8e3),
-            ("wrist_2", 6e3),
-            ("wrist_3", 5e3),
-        ],
-    },
-];
-
-/// Damping of a gear, as a share of its stiffness, s.
-const GEAR_DAMPING_S: f64 = 0.25e-3;
 
 /// A goal for an arm.
 pub struct Brisk {
@@ -119,13 +77,7 @@ impl Brisk {
         let is_elastic: bool = random.random();
         let mut settings = vec!["robot.interface.gears=\"elastic\"".to_owned()];
         if is_elastic {
-            let gears = arm.gears.iter().map(|(joint, stiffness)| {
-                let damping = GEAR_DAMPING_S * stiffness;
-                format!(
-                    "{joint} = {{ stiffness_nm_per_rad = {stiffness:.1}, damping_nms_per_rad = {damping} }}"
-                )
-            });
-            settings.push(format!("robot.simulated.gear={{ {} }}", gears.collect::<Vec<_>>().join(", ")));
+            settings.push(arm.elastic_gears(1.0));
         }
         let name = format!(
             "{:5} {} {frequency:2} rad/s {duration_s:.2} s {}{}",
@@ -242,11 +194,5 @@ impl Compared {
         let moves = !is_stopped && position.moves > 1.0 && torque.moves <= 1.0 && torque.fault.is_none();
         let line = format!("{number:3} {:42} {position} | torque robot: {torque}", goal.name);
         Self { line, is_stopped, crosses, moves }
-    }
-}
-
-impl Arm {
-    fn file(&self) -> std::path::PathBuf {
-        Path::new(env!("CARGO_MANIFEST_DIR")).join("../../robots").join(self.folder).join("robot.toml")
     }
 }

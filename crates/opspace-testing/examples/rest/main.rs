@@ -16,6 +16,7 @@
 
 #![expect(clippy::print_stdout, reason = "a program for the terminal")]
 
+mod arms;
 mod brisk;
 mod cases;
 mod outcome;

@@ -7,7 +7,8 @@ use opspace_backend::{Capabilities, CommandKind, GravityCompensation, Measured, 
 use opspace_model::{Data, Inertia, Joint, JointKind, Limits, Model, Placement, update};
 use opspace_transformer::{
     EmulatingTransformer, EmulationError, EmulationSetup, FrictionCompensation,
-    FrictionCompensationParameters, FrictionParameters, ServoParameters, TorqueObjective, Transformer,
+    FrictionCompensationParameters, FrictionParameters, RemainingDamping, ServoParameters, TorqueObjective,
+    Transformer,
 };
 use std::f64::consts::TAU;
 use std::ops::Range;
@@ -136,6 +137,7 @@ fn setup(case: Case) -> EmulationSetup {
         // Inertia of each joint while the other is free.
         inertias: vec![0.3, 0.12],
         torque_limits: vec![10.0; 2],
+        remaining_damping: vec![RemainingDamping::default(); 2],
         servo_period_s: SERVO_S,
         servo_ticks_per_cycle: RATIO,
         delay: case.delay,

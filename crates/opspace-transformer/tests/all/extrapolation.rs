@@ -11,7 +11,7 @@ use opspace_transformer::estimator::VelocityEstimator;
 use opspace_transformer::moving_joint::{MovingJoint, SampledDrive};
 use opspace_transformer::{
     EstimatorParameters, ExtrapolatingTransformer, ExtrapolationSetup, GainAdaptationParameters, Gears,
-    ServoLaw, ServoParameters, SetpointNoise, Transformer,
+    RemainingDamping, ServoLaw, ServoParameters, SetpointNoise, Transformer,
 };
 use std::f64::consts::TAU;
 
@@ -22,6 +22,7 @@ fn setup(case: Case) -> ExtrapolationSetup {
     ExtrapolationSetup {
         servos: case.servo.parameters(),
         torque_limits: vec![10.0; 2],
+        remaining_damping: vec![RemainingDamping::default(); 2],
         timing: DriveTiming {
             servo_period_s: SERVO_S,
             servo_ticks_per_cycle: RATIO,

@@ -13,8 +13,8 @@ use opspace_transformer::moving_joint::MovingJoint;
 use opspace_transformer::torque_response::torque_response;
 use opspace_transformer::{
     CascadedServo, EstimatorParameters, ExtrapolatingTransformer, ExtrapolationSetup,
-    GainAdaptationParameters, Gears, PaperTransformer, ServoLaw, ServoParameters, SetpointFilter,
-    Transformer,
+    GainAdaptationParameters, Gears, PaperTransformer, RemainingDamping, ServoLaw, ServoParameters,
+    SetpointFilter, Transformer,
 };
 use std::f64::consts::TAU;
 
@@ -136,6 +136,7 @@ fn setup(servo: &ServoParameters, estimator_hz: f64, timing: DriveTiming) -> Ext
     ExtrapolationSetup {
         servos: vec![servo.clone(); 2],
         torque_limits: vec![100.0; 2],
+        remaining_damping: vec![RemainingDamping::default(); 2],
         timing,
         estimator: estimator(estimator_hz),
         gravity_compensated_by: GravityCompensation::Controller,
@@ -192,6 +193,49 @@ fn extrapolation_is_passive() {
             let least = worst.1.re / kv;
             let allowed = if current { 0.25 } else { 0.0 };
             assert!(least > -allowed - ROUNDING, "{timing:?}: {least} kv at {} Hz", worst.0);
+        }
+    }
+}
+
+/// Largest real part that the least damping leaves with the gains at the upper end of their interval, at the lowest frequency, as a
+/// fraction of kv: what the estimate of the velocity lacks there.
+const LEFT_AT_THE_EDGE: f64 = 0.07;
+
+/// Drives of random parameters whose true gains are at the ends of intervals of 0 to 30 %: with the damping that is left to them,
+/// extrapolation does not drive the joint at any frequency. With the largest kp the damping at the lowest frequency is zero: less
+/// would not do. A drive that takes a setpoint at each servo tick, without delay, is excepted: above some hundred hertz, the filter of
+/// its velocity and that of the estimate differ, and nothing else damps.
+#[test]
+fn gains_within_their_interval_do_not_drive_the_joint() {
+    let mut state = 54_321_u64;
+    let mut random = |low: f64, high: f64| {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        low + (high - low) * (state >> 11) as f64 / (1_u64 << 53) as f64
+    };
+    for _ in 0..40 {
+        let (servo, estimator_hz, timing) = random_drive(&mut random);
+        if timing.servo_ticks_per_cycle == 1 && timing.delay == 0 {
+            continue;
+        }
+        let half_width = random(0.0, 0.3);
+        let remaining = servo.remaining_damping(half_width);
+        let setup = ExtrapolationSetup {
+            remaining_damping: vec![remaining; 2],
+            ..setup(&servo, estimator_hz, timing)
+        };
+        let nyquist = 0.5 / timing.period_s();
+        let hz = [0.01, 0.03, 0.06, 0.1, 0.2, 0.3, 0.4, 0.5].map(|x| x * nyquist);
+        for (kp, kv) in [(1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)] {
+            let truth = servo.scaled(1.0 + kp * half_width, 1.0 + kv * half_width);
+            let mut extrapolation = ExtrapolatingTransformer::new(&setup).unwrap();
+            let z = measure(&truth, estimator_hz, &mut extrapolation, timing, false, &hz);
+            let damping = truth.gains(timing.servo_period_s).damping;
+            let worst = z.iter().min_by(|a, b| a.1.re.total_cmp(&b.1.re)).unwrap();
+            let least = worst.1.re / damping;
+            let case = format!("{timing:?}, {half_width}, {kp}, {kv}");
+            assert!(least > -ROUNDING, "{case}: {least} kv at {} Hz", worst.0);
+            let slow = z[0].1.re / damping;
+            assert!(kp < 0.0 || slow < LEFT_AT_THE_EDGE, "{case}: {slow} kv at {} Hz", z[0].0);
         }
     }
 }

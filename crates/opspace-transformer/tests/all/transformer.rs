@@ -271,21 +271,16 @@ fn friction_compensation_supplies_the_energy_of_its_bristles() {
 /// The table in the documentation of `best`, and the reasons for the choice.
 #[test]
 fn best_transformer_emulates_rigid_gears_only() {
-    use CommandKind::{Position, Velocity};
     use Gears::{Elastic, Rigid};
     use Setpoints::{Held, Interpolated};
-    for (takes, setpoints, delay_servo_ticks, measures_current, gears, expected, reason) in [
-        (Position, Held, None, true, Rigid, "paper", "delay of setpoints is unknown"),
-        (Velocity, Held, None, true, Elastic, "paper", "delay of setpoints is unknown"),
-        (Position, Held, Some(1), true, Rigid, "emulation+current", "gears are declared rigid"),
-        (Velocity, Held, Some(1), false, Rigid, "emulation", "gears are declared rigid"),
-        (Position, Interpolated, Some(0), true, Rigid, "interpolating+current", "gears are declared rigid"),
-        (Position, Held, Some(1), true, Elastic, "extrapolation+current", "gears are not declared rigid"),
-        (Velocity, Held, Some(1), true, Elastic, "extrapolation+current", "gears are not declared rigid"),
-        (Position, Interpolated, Some(1), false, Elastic, "paper", "keeps a part of the servo's damping"),
-        (Velocity, Held, Some(1), false, Elastic, "extrapolation", "motor current is not measured"),
+    for (setpoints, delay_servo_ticks, measures_current, gears, expected, reason) in [
+        (Held, None, true, Rigid, "paper", "delay of setpoints is unknown"),
+        (Held, Some(1), true, Rigid, "emulation+current", "gears are declared rigid"),
+        (Interpolated, Some(0), true, Rigid, "interpolating+current", "gears are declared rigid"),
+        (Held, Some(1), true, Elastic, "extrapolation+current", "gears are not declared rigid"),
+        (Interpolated, Some(1), false, Elastic, "extrapolation", "motor current is not measured"),
     ] {
-        let robot = DeclaredProperties { takes, setpoints, delay_servo_ticks, measures_current, gears };
+        let robot = DeclaredProperties { setpoints, delay_servo_ticks, measures_current, gears };
         let (best, why) = TransformerName::best(&robot);
         assert_eq!(best.as_str(), expected, "{robot:?}");
         assert!(why.contains(reason), "{robot:?}: {why}");

@@ -6,7 +6,7 @@ use opspace_backend::{Capabilities, CommandKind, GravityCompensation, Measured, 
 use opspace_model::{Data, Inertia, Joint, JointKind, Limits, Model, Placement, update};
 use opspace_transformer::{
     EmulatingTransformer, EmulationSetup, FrictionCompensation, FrictionCompensationParameters,
-    FrictionParameters, TorqueObjective, Transformer,
+    FrictionParameters, RemainingDamping, TorqueObjective, Transformer,
 };
 use std::f64::consts::TAU;
 
@@ -56,6 +56,7 @@ impl Case {
             resolution_rad: vec![TAU / 1.6e6],
             inertias: vec![MASS],
             torque_limits: vec![1e6],
+            remaining_damping: vec![RemainingDamping::default()],
             servo_period_s: 1.0 / SERVO_HZ,
             servo_ticks_per_cycle: self.ratio,
             delay: self.delay,
