@@ -10,7 +10,7 @@
 //! | 1 | references | speed, acceleration and jerk of generated motion; age of streamed targets | `TASK.target_stale` |
 //! | 2 | controller | joint position, speed, acceleration, torque, its rate; task speed | `limited`, `limits_solver` |
 //! | 3 | loop | torque ramp; τ_s = clamp(τ_eff + n̂), equation (K11) | `phase`, `torque_saturated` |
-//! | 4 | guard | distance of setpoints; following error; watchdogs of torque and power | `setpoint_clamped`, `fault` |
+//! | 4 | guard | distance of setpoints; following error; watchdogs of torque, power and oscillation | `setpoint_clamped`, `fault` |
 //! | 5 | device | limits of the robot itself | `device_limited`, `fault` |
 //!
 //! The limits of row 2 have an order of priority; its torque limits include the friction compensation n̂ of row 3.

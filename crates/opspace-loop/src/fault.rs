@@ -144,6 +144,20 @@ pub enum Fault {
         /// Limit, W.
         limit: f64,
     },
+    /// The motor torque of a position or velocity robot oscillates about the desired torque.
+    #[error(
+        "joint {joint}: the motor's torque oscillates about the desired torque by {} Nm rms above 15 Hz, limit {} Nm; declare delay and gears as they are, or lower the gains; `opspace check` prints the margins",
+        Rounded(*rms),
+        Rounded(*limit)
+    )]
+    TorqueOscillation {
+        /// Joint index.
+        joint: usize,
+        /// Rms of measured minus desired torque above 15 Hz over 0.4 s, Nm or N.
+        rms: f64,
+        /// Limit, Nm or N.
+        limit: f64,
+    },
     /// The mass matrix cannot be factorized.
     #[error("the mass matrix is not positive definite at the measured position")]
     MassMatrix,
@@ -198,6 +212,7 @@ impl Fault {
             Self::Panicked => 19,
             Self::Collision { .. } => 20,
             Self::UnsolvedLimits { .. } => 21,
+            Self::TorqueOscillation { .. } => 22,
         }
     }
 
@@ -215,6 +230,7 @@ impl Fault {
             | Self::PositionJump { joint, .. }
             | Self::TorqueDeviation { joint, .. }
             | Self::ExcessPower { joint, .. }
+            | Self::TorqueOscillation { joint, .. }
             | Self::Collision { joint, .. } => joint,
             _ => return text,
         };

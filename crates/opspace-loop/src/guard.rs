@@ -1,6 +1,6 @@
 //! Guard between transformer and robot: clamps setpoints around the measured state and to the limits of
 //! the drives, checks the following error, and
-//! runs the watchdogs of motor torque and power.
+//! runs the watchdogs of motor torque, power and oscillation.
 //!
 //! A torque robot needs no guard: its torques are clamped before.
 

@@ -28,7 +28,7 @@ pub struct SafetyParameters {
     /// Longest time without a sample, and longest time to come to rest afterwards, s. A longer time is a fault.
     #[serde(default = "default_max_dropout_s")]
     pub max_dropout_s: NonNegative,
-    /// Watchdogs of motor torque and power, for a position or velocity robot with measured motor torque.
+    /// Watchdogs of motor torque, power and oscillation, for a position or velocity robot with measured motor torque.
     #[serde(default)]
     pub watchdog: WatchdogParameters,
 }

@@ -13,6 +13,7 @@ use opspace_backend::signal_names::{
 };
 use opspace_control::{AxesFrame, ControlledFrame, TaskParameters, orientation};
 use opspace_log::{Column, Recording};
+use opspace_loop::high_pass::HighPass;
 use opspace_model::FrameId;
 use opspace_sim::{EnvironmentObjectParameters, HeldObjectParameters, OperatorMotion, ProbeMotion};
 use std::f64::consts::{PI, TAU};
@@ -406,12 +407,14 @@ impl Track<'_> {
     /// Largest rms over a window of the velocity above 20 Hz, m/s.
     fn fast_velocity(&self, [from_s, until_s]: [f64; 2]) -> Option<f64> {
         let period_s = self.experiment.profile().1.period_s();
-        let mut filter = HighPass::new(FAST_HZ, period_s);
+        let high_pass = HighPass::new(FAST_HZ, period_s)?;
+        let mut filters = [high_pass.clone(), high_pass.clone(), high_pass];
         let window = ((WINDOW_S[0] / period_s).round() as usize).max(1);
         let (mut squares, mut sum, mut most) = (Vec::new(), 0.0, None::<f64>);
         for k in 1..self.position.len() {
             let velocity = (self.position[k] - self.position[k - 1]) / period_s;
-            let square = filter.update(velocity).norm_squared();
+            let fast = Vector3::from_fn(|i, _| filters[i].update(velocity[i]));
+            let square = fast.norm_squared();
             squares.push(square);
             sum += square;
             if squares.len() > window {
@@ -439,43 +442,4 @@ fn felt(lines: &[f64], force: &[Harmonics], motion: &[Harmonics]) -> Vec<FeltLin
             }
         })
         .collect()
-}
-
-/// High pass of fourth order (Butterworth): two of second order.
-struct HighPass([SecondOrder; 2]);
-
-/// High pass of second order (bilinear transform).
-struct SecondOrder {
-    gain: f64,
-    a: [f64; 2],
-    input: [Vector3<f64>; 2],
-    output: [Vector3<f64>; 2],
-}
-
-impl HighPass {
-    fn new(corner_hz: f64, period_s: f64) -> Self {
-        let w = (PI * corner_hz * period_s).tan();
-        // Damping of the two pairs of poles: 2 cos(π/8) and 2 cos(3π/8).
-        Self([1.0, 3.0].map(|k| SecondOrder::new(w, 2.0 * (k * PI / 8.0).cos())))
-    }
-
-    fn update(&mut self, x: Vector3<f64>) -> Vector3<f64> {
-        self.0.iter_mut().fold(x, |x, part| part.update(x))
-    }
-}
-
-impl SecondOrder {
-    fn new(w: f64, damping: f64) -> Self {
-        let norm = 1.0 / (1.0 + damping * w + w * w);
-        let zero = [Vector3::zeros(); 2];
-        let a = [2.0 * (w * w - 1.0) * norm, (1.0 - damping * w + w * w) * norm];
-        Self { gain: norm, a, input: zero, output: zero }
-    }
-
-    fn update(&mut self, x: Vector3<f64>) -> Vector3<f64> {
-        let ([x1, x2], [y1, y2]) = (self.input, self.output);
-        let y = (x - x1 * 2.0 + x2) * self.gain - y1 * self.a[0] - y2 * self.a[1];
-        (self.input, self.output) = ([x, x1], [y, y1]);
-        y
-    }
 }

@@ -22,6 +22,7 @@ mod margins;
 mod metric_table;
 mod metrics;
 mod moment_axes;
+mod oscillation;
 mod overrides;
 mod panicking_task;
 mod path_following;
