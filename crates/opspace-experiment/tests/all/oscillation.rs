@@ -24,7 +24,7 @@ const UR5E_GEARS: &str = "robot.simulated.gear={ \
     wrist_3 = { stiffness_nm_per_rad = 5000.0, damping_nms_per_rad = 1.2 } }";
 
 /// Interface with a delay of a whole cycle, on elastic gears.
-struct Case {
+struct Interface {
     task: &'static str,
     profile: &'static str,
     gears: &'static str,
@@ -32,10 +32,10 @@ struct Case {
 }
 
 /// Interfaces of 125, 250 and 125 Hz.
-const CASES: [Case; 3] = [
-    Case { task: "compliant-x", profile: "a-med", gears: ASIMO_GEARS, servo_ticks_per_cycle: 40 },
-    Case { task: "ur5e-compliant", profile: "rtde-500hz", gears: UR5E_GEARS, servo_ticks_per_cycle: 10 },
-    Case { task: "ur5e-tracking", profile: "rtde-500hz", gears: UR5E_GEARS, servo_ticks_per_cycle: 20 },
+const INTERFACES: [Interface; 3] = [
+    Interface { task: "compliant-x", profile: "a-med", gears: ASIMO_GEARS, servo_ticks_per_cycle: 40 },
+    Interface { task: "ur5e-compliant", profile: "rtde-500hz", gears: UR5E_GEARS, servo_ticks_per_cycle: 10 },
+    Interface { task: "ur5e-tracking", profile: "rtde-500hz", gears: UR5E_GEARS, servo_ticks_per_cycle: 20 },
 ];
 
 /// Bound on the rms as a fraction of the torque limit, by default.
@@ -45,7 +45,7 @@ const MOST_S: f64 = 0.5;
 /// Duration of the windows in which an oscillation begins, s: a period at 15 Hz.
 const WINDOW_S: f64 = 1.0 / 15.0;
 
-impl Case {
+impl Interface {
     fn experiment(&self, share: f64) -> Experiment {
         let (profile, ticks) = (self.profile, self.servo_ticks_per_cycle);
         let settings = [
@@ -103,17 +103,17 @@ fn begins_s(experiment: &Experiment, log: &Recording) -> f64 {
 /// planned.
 #[test]
 fn oscillation_is_stopped_within_half_a_second() {
-    for case in CASES {
-        let unwatched = case.experiment(100.0);
+    for interface in INTERFACES {
+        let unwatched = interface.experiment(100.0);
         let (outcome, log) = run(&unwatched);
-        assert_eq!(outcome, RunOutcome::Completed, "{}", case.task);
+        assert_eq!(outcome, RunOutcome::Completed, "{}", interface.task);
         let begins_s = begins_s(&unwatched, &log);
-        let (outcome, _) = run(&case.experiment(SHARE));
+        let (outcome, _) = run(&interface.experiment(SHARE));
         let RunOutcome::Faulted { fault: Fault::TorqueOscillation { rms, limit, .. }, time_s } = outcome
         else {
-            panic!("{}: {outcome:?}", case.task)
+            panic!("{}: {outcome:?}", interface.task)
         };
-        assert!(rms > limit, "{}: {rms} of {limit} Nm", case.task);
-        assert!(time_s - begins_s <= MOST_S, "{}: from {begins_s} to {time_s} s", case.task);
+        assert!(rms > limit, "{}: {rms} of {limit} Nm", interface.task);
+        assert!(time_s - begins_s <= MOST_S, "{}: from {begins_s} to {time_s} s", interface.task);
     }
 }
