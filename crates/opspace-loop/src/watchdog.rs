@@ -68,9 +68,8 @@ const fn default_power() -> Positive {
     Positive::literal(0.04)
 }
 
-/// Default bound on the oscillation: nearly twice the rms in brisk motion on elastic gears, four times that with encoders of 1000 counts,
-/// and ten times that of any other task of this project. Interfaces of 250 and 125 Hz with a cycle of delay oscillate on elastic
-/// gears at 0.2 to 0.5.
+/// Default bound on the oscillation: 1.4 times the largest rms in 1000 brisk motions to random goals, on elastic gears too, and three times
+/// that of any task of this project. Interfaces of 250 and 125 Hz with a cycle of delay oscillate on elastic gears at 0.2 to 0.5.
 const fn default_oscillation() -> Positive {
     Positive::literal(0.15)
 }
