@@ -12,9 +12,11 @@
 //! J⁺ is the dynamically consistent inverse for an identity mass matrix, damped near singularities like that of the
 //! torque controller.
 //!
-//! With a goal out of reach, the error and with it q̇_ref would grow without bound. Therefore a joint approaches an end of its
-//! range at most at 20 1/s times its distance from there, and if a joint would then be faster than its limit, all are slowed down
-//! by one factor, so that q̇_ref keeps its direction. Margins and fractions of the limits are those of [`LimitParameters`].
+//! Joint tracking alone needs no inverse: q_ref is the reference itself.
+//!
+//! With a goal out of reach, the error and with it q̇_ref would grow without bound, and a target may jump. Therefore q̇_ref is
+//! [clipped](crate::limits::clip) to the limits of position, speed and acceleration, such that it keeps its direction. After a
+//! limit was active, q_ref returns to the reference. Margins and fractions of the limits are those of [`LimitParameters`].
 
 use crate::algebra::{add_transposed, product};
 use crate::context::ControlContext;
@@ -25,11 +27,13 @@ use crate::hierarchy::task_hierarchy::TaskHierarchy;
 use crate::hierarchy::task_parameters::TaskSetParameters;
 use crate::hierarchy::task_schedule::{RecordedSignals, TaskSchedule};
 use crate::hierarchy::task_set::TaskSet;
-use crate::limits::joint_limits::{JointLimits, LimitParameters};
+use crate::limits::clip::VelocityClip;
+use crate::limits::joint_limits::LimitParameters;
 use crate::targets::Targets;
 use crate::tasks::task::Task;
 use nalgebra::DVector;
 use opspace_backend::CommandKind;
+use opspace_backend::signal_names::LIMITED;
 use opspace_backend::{Observable, SignalRecorder};
 use opspace_model::{Data, JointUnits, Model, gravity, kinematics};
 use std::fmt;
@@ -53,13 +57,17 @@ pub struct ServoLead {
 pub struct InverseKinematicsController {
     schedule: TaskSchedule,
     context: ControlContext,
-    /// Limits of position and speed within which q_ref stays.
-    limits: JointLimits,
+    /// Limits within which q_ref stays.
+    clip: VelocityClip,
     lead: Option<ServoLead>,
     /// Kinematics and gravity at q_ref; the factor of M is replaced by the identity.
     data: Data,
     q: DVector<f64>,
     dq: DVector<f64>,
+    /// Velocity of q_ref in the last cycle, rad/s or m/s (n).
+    before: DVector<f64>,
+    /// Part of q̇_ref that is not feedback, rad/s or m/s (n).
+    feedforward: DVector<f64>,
     scratch: DVector<f64>,
     /// Last commanded joint positions, rad or m (n).
     streamed: DVector<f64>,
@@ -120,15 +128,18 @@ impl InverseKinematicsController {
         Ok(Self {
             schedule: TaskSchedule::new(tasks, RecordedSignals::Motion),
             context: context.clone(),
-            limits: if limits.enforce {
-                context.limits.clone().narrowed(limits)
+            clip: if limits.enforce {
+                let (period_s, narrowed) = (context.period_s, context.limits.clone().narrowed(limits));
+                VelocityClip::new(model, narrowed, limits.horizon_s(period_s), period_s)
             } else {
-                JointLimits::none(n)
+                VelocityClip::none(n)
             },
             lead,
             data,
             q: DVector::zeros(n),
             dq: DVector::zeros(n),
+            before: DVector::zeros(n),
+            feedforward: DVector::zeros(n),
             scratch: DVector::zeros(n),
             streamed: DVector::zeros(n),
             joint_names: model.joints().iter().map(|joint| joint.name.clone()).collect(),
@@ -178,48 +189,85 @@ impl InverseKinematicsController {
         self.schedule.number()
     }
 
-    /// Computes q̇_ref at q_ref for the latest targets of the tasks.
+    /// Computes q̇_ref at q_ref, and its part without feedback, for the latest targets of the tasks.
     fn solve(&mut self, model: &Model) {
+        self.feedforward.fill(0.0);
         let hierarchy = self.schedule.current_mut();
         self.dq.fill(0.0);
         hierarchy.nullspace.reset();
         for level in &mut hierarchy.levels {
             level.project(model, &self.data, &hierarchy.nullspace, level.typical.kinematic);
             level.projected.compute_jbar(&self.data.mass_matrix_factor);
-            let mut velocity = level.task.kinematic_command(model, &self.data, ERROR_GAIN_PER_S);
-            velocity -= product(level.jacobian(), self.dq.as_slice());
-            add_transposed(&level.projected.space.jbar_transpose, &velocity, self.dq.as_mut_slice());
+            for (gain, dq) in [(ERROR_GAIN_PER_S, &mut self.dq), (0.0, &mut self.feedforward)] {
+                let mut velocity = level.task.kinematic_command(model, &self.data, gain);
+                velocity -= product(level.jacobian(), dq.as_slice());
+                add_transposed(&level.projected.space.jbar_transpose, &velocity, dq.as_mut_slice());
+            }
             hierarchy.nullspace.push(&level.projected);
         }
         let (q, velocity) = (self.q.as_slice(), self.scratch.as_mut_slice());
-        let joint = hierarchy.joint.as_ref();
-        if joint.is_some_and(|task| task.kinematic_target(q, ERROR_GAIN_PER_S, POSTURE_GAIN_PER_S, velocity))
-        {
-            hierarchy.nullspace.project_velocity(velocity);
-            self.dq += &self.scratch;
+        let Some(joint) = &hierarchy.joint else { return };
+        let gains = [(ERROR_GAIN_PER_S, POSTURE_GAIN_PER_S), (0.0, 0.0)];
+        for ((gain, posture_gain), dq) in gains.into_iter().zip([&mut self.dq, &mut self.feedforward]) {
+            if joint.kinematic_target(q, gain, posture_gain, velocity) {
+                hierarchy.nullspace.project_velocity(velocity);
+                dq.iter_mut().zip(&*velocity).for_each(|(dq, velocity)| *dq += velocity);
+            }
         }
     }
 
-    /// Keeps q̇_ref within the limits of the joints.
-    fn limit(&mut self) {
-        let limits = &self.limits;
-        let mut slowed = 1.0;
-        for (i, (dq, q)) in self.dq.iter_mut().zip(&self.q).enumerate() {
-            let most = ERROR_GAIN_PER_S * (limits.upper[i] - q).max(0.0);
-            let least = ERROR_GAIN_PER_S * (limits.lower[i] - q).min(0.0);
-            // A velocity that is not a number stays one, so that it stops the run.
-            if *dq > most {
-                *dq = most;
-            } else if *dq < least {
-                *dq = least;
-            }
-            if dq.abs() > limits.velocity[i] {
-                slowed = f64::min(slowed, limits.velocity[i] / dq.abs());
+    /// Follows the tasks by inverse kinematics: moves q_ref at q̇_ref of the last cycle, and computes the next q̇_ref.
+    fn follow_tasks(&mut self, model: &Model) {
+        self.q.axpy(self.context.period_s, &self.dq, 1.0);
+        kinematics(model, &mut self.data, self.q.as_slice(), self.dq.as_slice());
+        self.before.copy_from(&self.dq);
+        self.solve(model);
+        self.clip.clip(
+            self.dq.as_mut_slice(),
+            self.feedforward.as_slice(),
+            self.q.as_slice(),
+            self.before.as_slice(),
+            ERROR_GAIN_PER_S,
+        );
+    }
+
+    /// Follows the reference of the joints: q_ref is the reference where the limits allow it, and returns to it elsewhere.
+    fn follow_joints(&mut self, model: &Model) {
+        let period_s = self.context.period_s;
+        let joint = self.schedule.current().0.joint.as_ref();
+        let Some((reference, velocity)) = joint.and_then(|task| task.reference()) else { return };
+        for i in 0..self.q.len() {
+            let target = self.clip.within_range(i, reference[i]);
+            self.scratch[i] = target;
+            let ahead = if target == reference[i] { velocity[i] } else { 0.0 };
+            let exact = (target - self.q[i]) / period_s;
+            if self.clip.allows(i, self.q[i], exact, self.before[i]) || exact.is_nan() {
+                (self.dq[i], self.feedforward[i]) = (exact, exact);
+            } else {
+                let error = target - self.q[i] - period_s * ahead;
+                (self.dq[i], self.feedforward[i]) = (ahead + ERROR_GAIN_PER_S * error, ahead);
             }
         }
-        if slowed < 1.0 {
-            self.dq *= slowed;
+        // Velocities that the clip leaves are exact.
+        self.streamed.copy_from(&self.dq);
+        self.clip.clip(
+            self.dq.as_mut_slice(),
+            self.feedforward.as_slice(),
+            self.q.as_slice(),
+            self.before.as_slice(),
+            ERROR_GAIN_PER_S,
+        );
+        for (i, &velocity) in velocity.iter().enumerate() {
+            let dq = self.dq[i];
+            let is_exact = dq == self.streamed[i] && dq == self.feedforward[i];
+            self.before[i] = dq;
+            if is_exact {
+                (self.q[i], self.dq[i]) = (self.scratch[i], velocity);
+            } else {
+                self.q[i] += period_s * dq;
+            }
         }
+        kinematics(model, &mut self.data, self.q.as_slice(), self.dq.as_slice());
     }
 
     /// Writes q_ref, with compensation of the servo lag, into `command` (n; rad or m).
@@ -268,6 +316,7 @@ impl Controller for InverseKinematicsController {
     fn start(&mut self, input: &ControlInput<'_>) {
         self.q.copy_from(&input.measurement.q);
         self.dq.fill(0.0);
+        self.before.fill(0.0);
         self.schedule.start(input);
     }
 
@@ -280,6 +329,7 @@ impl Controller for InverseKinematicsController {
     fn resume(&mut self, input: &ControlInput<'_>) {
         self.schedule.advance(input);
         self.dq.fill(0.0);
+        self.before.fill(0.0);
         for i in 0..self.q.len() {
             self.q[i] = self.streamed[i] - self.sag(i);
         }
@@ -293,24 +343,17 @@ impl Controller for InverseKinematicsController {
         let hierarchy = self.schedule.current_mut();
         hierarchy.observe_with_forces(input);
         let in_joints = hierarchy.levels.is_empty();
-        let reference = hierarchy.joint.as_ref().and_then(|task| task.reference());
+        self.clip.begin();
         // Without tasks above the joint task nothing is solved, and integration drift is avoided.
-        if in_joints && let Some((position, velocity)) = reference {
-            self.q.as_mut_slice().copy_from_slice(position);
-            self.dq.as_mut_slice().copy_from_slice(velocity);
-        }
-        kinematics(model, &mut self.data, self.q.as_slice(), self.dq.as_slice());
-        if !in_joints {
-            self.solve(model);
-            self.limit();
+        if in_joints {
+            self.follow_joints(model);
+        } else {
+            self.follow_tasks(model);
         }
         if self.lead.is_some() {
             gravity(model, &mut self.data);
         }
         self.stream(command);
-        if !in_joints {
-            self.q.axpy(self.context.period_s, &self.dq, 1.0);
-        }
     }
 }
 
@@ -319,6 +362,7 @@ impl Observable for InverseKinematicsController {
         self.schedule.record(out);
         out.signal("ik.q", &self.units.position, &self.joint_names, self.q.as_slice());
         out.signal("ik.dq", &self.units.velocity, &self.joint_names, self.dq.as_slice());
+        out.signal(LIMITED, "1", &self.joint_names, self.clip.limited());
     }
 }
 

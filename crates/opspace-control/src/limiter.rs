@@ -206,6 +206,9 @@ impl Limiter {
         scratch.copy_from(joint_torque);
         data.mass_matrix_factor.solve(scratch.as_mut_slice());
         cascade.add_demand(data, scratch.as_slice(), &mut limits);
+        if hierarchy.clips_joints() {
+            cascade.clip_demand(&mut limits);
+        }
         let residual = hierarchy.joint_residual(data, cascade.alpha(), horizon_s, scratch.as_mut_slice());
         cascade.solve_level(data, &hierarchy.nullspace, &residual, &mut limits)?;
         Ok(cascade.solver())

@@ -27,6 +27,9 @@ pub struct Finding {
     /// Causes, as far as they are known.
     #[serde(default, skip_serializing_if = "Causes::is_empty")]
     pub causes: Causes,
+    /// Largest deviation of each joint that limits keep from its reference, by name, rad or m.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub deviations: BTreeMap<String, f64>,
 }
 
 /// Place of a problem.
@@ -83,7 +86,7 @@ impl Finding {
     #[must_use]
     pub fn of(code: Code, place: Place, message: String) -> Self {
         let (help, numbers, causes) = (String::new(), BTreeMap::new(), Causes::default());
-        Self { code, place, message, help, numbers, causes }
+        Self { code, place, message, help, numbers, causes, deviations: BTreeMap::new() }
     }
 
     /// Moves the key from the task file to the robot file.

@@ -111,6 +111,14 @@ impl TaskHierarchy {
         Residual::WeightedJoints { weights, reducible }
     }
 
+    /// Returns true if each joint deviates on its own at a bound of its acceleration: no task above couples the joints, they need
+    /// not keep a direction, and no weights distribute their deviations.
+    pub(crate) fn clips_joints(&self) -> bool {
+        let is_plain =
+            |task: &dyn JointTask| task.when_limited() != WhenLimited::Scaled && task.weights().is_none();
+        self.levels.is_empty() && self.joint.as_deref().is_none_or(is_plain)
+    }
+
     /// Adds the last level to the null space, which the unlimited command does not need.
     pub(crate) fn complete_nullspace(&mut self, data: &Data) {
         if let Some(level) = self.levels.last_mut() {

@@ -1,73 +1,15 @@
-//! Bounds on the command of one control cycle, derived from the joint limits.
+//! Bounds on the command of one control cycle of the torque controller.
 //!
-//! Position and velocity limits are combined into one interval of the joint acceleration a. After a horizon h, the
-//! joint must neither exceed its velocity limit v nor be too fast to stop before its position limit x with the braking
-//! acceleration b:
-//!
-//! ```text
-//! q̇ + a h ≤ v          q̇ + a h ≤ √((b h)² + 2 b (x − q − q̇ h)) − b h
-//! ```
-//!
-//! and the mirrored inequalities for the lower limit. The second bound is the velocity from which a joint that
-//! decelerates with b, in steps of one horizon, just stops at x (viability; compare Del Prete, *Joint position and
-//! velocity bounds in discrete-time acceleration/torque control of robot arms*, IEEE RA-L 3(1), 2018). Near the limit
-//! it is (x − q − q̇ h)/h: the joint arrives without overshoot. A joint beyond its limit returns at a bounded speed.
-//!
-//! These bounds act as a spring and a damper, which beyond the limit an external force would deflect by d h 0.2 s, where d is
-//! the acceleration that it causes (estimated in `push.rs`). A joint that is too fast, or would be beyond its limit after the
-//! horizon, counters it, up to the braking acceleration:
-//!
-//! ```text
-//! q̇ + a h ≤ … − w min(d, b) h          w = max(q + q̇ h − x, (q̇ − v) h)/GIVE, from 0 to 1
-//! ```
-//!
-//! A joint at rest then passes its limit by less than GIVE, for any d up to b; a load that rises within a few control periods
-//! moves it further before the estimate follows. Because w vanishes at the limit, a joint that
-//! friction holds there does not creep.
-//!
-//! Torque and torque rate limits bound the commanded torque. If these bounds contradict each other, the torque bounds
-//! take precedence, then the bounds that brake the joint.
+//! Joint accelerations are within the [interval of each joint](crate::limits::joint_bound). Torque and torque rate limits bound
+//! the commanded torque. If these bounds contradict each other, the torque bounds take precedence, then the bounds that brake
+//! the joint.
 
+use crate::limits::joint_bound::{self, JointState};
 use crate::limits::joint_limits::JointLimits;
 use crate::measurement::Measurement;
 use crate::qp::interval::Interval;
 use nalgebra::DVector;
-use opspace_model::{Data, Model, Postures, update};
-
-/// Time constant of the return of a joint beyond its position limit, s.
-const RETURN_S: f64 = 0.2;
-
-/// Distance beyond its limit at which a joint counters a push completely, rad or m; half of the default margin.
-const GIVE: f64 = 0.005;
-
-/// Number of postures sampled for the acceleration that a torque limit leaves.
-const SAMPLES: usize = 64;
-
-/// Returns the braking acceleration of each joint, rad/s² or m/s² (n).
-fn braking(model: &Model, limits: &JointLimits) -> Vec<f64> {
-    let derived = braking_accelerations(model, &limits.torque);
-    limits.acceleration.iter().zip(derived).map(|(&given, derived)| given.min(derived)).collect()
-}
-
-/// Returns half of the acceleration that the torque limits allow for the joint's own inertia against gravity, in the
-/// worst of many postures; the torque left besides gravity is assumed to be at least a tenth of the limit. rad/s² or
-/// m/s² (n).
-fn braking_accelerations(model: &Model, torque: &[f64]) -> Vec<f64> {
-    let n = model.n();
-    let mut data = Data::new(model);
-    let postures = Postures::new(model, 1.0);
-    let mut least = vec![f64::INFINITY; n];
-    for sample in 0..SAMPLES {
-        if !update(model, &mut data, &postures.posture(sample), &vec![0.0; n]) {
-            continue;
-        }
-        for i in 0..n {
-            let left = (torque[i] - data.gravity[i].abs()).max(0.1 * torque[i]);
-            least[i] = least[i].min(0.5 * left / data.mass_matrix[(i, i)]);
-        }
-    }
-    least
-}
+use opspace_model::Model;
 
 /// Bounds of one control cycle.
 #[derive(Clone, Debug)]
@@ -86,17 +28,12 @@ pub(crate) struct Bounds {
 impl Bounds {
     /// Creates the bounds of a robot with the control period `period_s` and the horizon `horizon_s` (s).
     pub(crate) fn new(model: &Model, limits: JointLimits, period_s: f64, horizon_s: f64) -> Self {
-        let braking = braking(model, &limits);
+        let braking = joint_bound::braking(model, &limits, horizon_s);
         Self::with_braking(limits, braking, period_s, horizon_s)
     }
 
-    fn with_braking(limits: JointLimits, mut braking: Vec<f64>, period_s: f64, horizon_s: f64) -> Self {
+    fn with_braking(limits: JointLimits, braking: Vec<f64>, period_s: f64, horizon_s: f64) -> Self {
         let n = limits.lower.len();
-        for (braking, velocity) in braking.iter_mut().zip(&limits.velocity) {
-            // Limits the braking acceleration so that a stop from the velocity limit (at most 1e3) takes at least one
-            // horizon.
-            *braking = braking.min(velocity.min(1e3) / horizon_s);
-        }
         Self {
             limits,
             braking,
@@ -131,13 +68,9 @@ impl Bounds {
     /// towards its lower one if `upwards` is false: the v with v = √((b h)² + 2 b (x − q − v h)) − b h, at most the
     /// velocity limit; 0 beyond the limit.
     pub(crate) fn viable_speed(&self, joint: usize, q: f64, upwards: bool) -> f64 {
-        let (l, velocity, braking) = (&self.limits, self.limits.velocity[joint], self.braking[joint]);
+        let l = &self.limits;
         let left = if upwards { l.upper[joint] - q } else { q - l.lower[joint] };
-        if left == f64::INFINITY {
-            return velocity;
-        }
-        let reach = 2.0 * braking * self.horizon_s;
-        ((reach * reach + 2.0 * braking * left.max(0.0)).sqrt() - reach).min(velocity)
+        joint_bound::viable_speed(left, self.braking[joint], self.horizon_s).min(l.velocity[joint])
     }
 
     /// Returns true if joint accelerations and commanded torques (n) are within the bounds of a state. This fast test
@@ -187,16 +120,8 @@ impl Bounds {
         for i in 0..before.len() {
             let (velocity, braking) = (l.velocity[i], self.braking[i]);
             let joint = JointState { q: q[i], dq: dq[i], push: push[i], velocity, braking, horizon_s };
-            let (mut lower, mut upper) = (-joint.mirrored().highest(-l.lower[i]), joint.highest(l.upper[i]));
-            // Braking bounds may be stricter than accelerating ones; between two limits that are too close, nothing
-            // moves.
-            if lower > upper {
-                let middle = if joint.dq > 0.0 { upper } else { lower };
-                (lower, upper) = (middle, middle);
-            }
-            let a = l.acceleration[i];
-            self.acceleration.lower[i] = lower.max(-a).min(upper);
-            self.acceleration.upper[i] = upper.min(a).max(lower);
+            let [lower, upper] = joint.interval(l.lower[i], l.upper[i], l.acceleration[i]);
+            (self.acceleration.lower[i], self.acceleration.upper[i]) = (lower, upper);
 
             // The torque limits apply to the sum with the added torques.
             let (low, high) = (-l.torque[i] - added[i], l.torque[i] - added[i]);
@@ -208,49 +133,6 @@ impl Bounds {
     }
 }
 
-/// State, acceleration by external forces, velocity limit and braking acceleration of a joint, and the horizon of its
-/// bounds. Also of a pair of objects: its position is then its distance, with the opposite sign.
-#[derive(Clone, Copy)]
-pub(crate) struct JointState {
-    pub q: f64,
-    pub dq: f64,
-    pub push: f64,
-    pub velocity: f64,
-    pub braking: f64,
-    pub horizon_s: f64,
-}
-
-impl JointState {
-    /// Returns the state for the opposite direction of the joint.
-    fn mirrored(self) -> Self {
-        Self { q: -self.q, dq: -self.dq, push: -self.push, ..self }
-    }
-
-    /// Returns the highest acceleration for which the joint stays below its velocity limit and can stop at the position
-    /// limit `end`.
-    pub(crate) fn highest(self, end: f64) -> f64 {
-        let h = self.horizon_s;
-        let mut allowed = self.velocity;
-        // Distance beyond the limit after the horizon; a speed limit counts as one that moves with it.
-        let mut beyond = (self.dq - self.velocity) * h;
-        if end < f64::INFINITY {
-            let left = end - self.q;
-            let ahead = left - self.dq * h;
-            let reach = self.braking * h;
-            let to_end = if ahead > 0.0 {
-                (reach * reach + 2.0 * self.braking * ahead).sqrt() - reach
-            } else {
-                (left.min(0.0) / RETURN_S).max(-self.velocity)
-            };
-            allowed = allowed.min(to_end);
-            beyond = beyond.max(-ahead);
-        }
-        let excess = self.dq - allowed;
-        let counted = (beyond / GIVE).clamp(0.0, 1.0);
-        -excess / h - counted * self.push.max(0.0).min(self.braking)
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -258,6 +140,11 @@ mod tests {
 
     fn bounds(limits: JointLimits) -> Bounds {
         let braking = limits.acceleration.clone();
+        braking_with(limits, braking)
+    }
+
+    fn braking_with(limits: JointLimits, mut braking: Vec<f64>) -> Bounds {
+        joint_bound::at_least_one_horizon(&mut braking, &limits.velocity, HORIZON_S);
         Bounds::with_braking(limits, braking, 1e-3, HORIZON_S)
     }
 
@@ -312,7 +199,7 @@ mod tests {
             ..JointLimits::none(1)
         };
         for braking in [0.1, 1.0, 10.0, 100.0] {
-            let mut bounds = Bounds::with_braking(limits.clone(), vec![braking], 1e-3, HORIZON_S);
+            let mut bounds = braking_with(limits.clone(), vec![braking]);
             for sign in [1.0, -1.0] {
                 let viable =
                     |bounds: &Bounds, left: f64| bounds.viable_speed(0, sign * (end - left), sign > 0.0);

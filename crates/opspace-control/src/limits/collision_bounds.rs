@@ -26,8 +26,9 @@
 //! are then widened together, as little as possible.
 
 use crate::algebra::dot;
-use crate::limits::bounds::{Bounds, JointState};
+use crate::limits::bounds::Bounds;
 use crate::limits::collision_limits::CollisionLimits;
+use crate::limits::joint_bound::JointState;
 use crate::qp::lexicographic::SpeedBound;
 use crate::qp::quadratic_program::axpy;
 use nalgebra::DVector;

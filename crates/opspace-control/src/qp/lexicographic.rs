@@ -327,6 +327,22 @@ impl HierarchicalQp {
         self.alpha.iter_mut().zip(z).for_each(|(a, z)| *a += z);
     }
 
+    /// Moves the [demand](Self::add_demand) of all joints into the bounds on their accelerations, each joint on its own. In
+    /// kinetic energy, a joint at such a bound would share its deviation with the joints that are coupled to it: they would
+    /// leave their references. At a torque bound it does not.
+    pub(crate) fn clip_demand(&mut self, limits: &mut Limits<'_>) {
+        for (i, alpha) in self.alpha.iter_mut().enumerate() {
+            let (demanded, own) = (*alpha + limits.bias_acceleration[i], limits.bias_acceleration[i]);
+            if limits.acceleration.contains(i, demanded) || demanded.is_nan() {
+                continue;
+            }
+            *alpha = demanded.max(limits.acceleration.lower[i]).min(limits.acceleration.upper[i]) - own;
+            // The sum may differ from the bound by its rounding.
+            limits.acceleration.include(i, *alpha + own);
+            self.solver = self.solver.max(Solver::ActiveSet);
+        }
+    }
+
     /// Modifies the [demand](Self::add_demand) of the level to respect the limits, in the null space `above`, and
     /// returns true if a modification was needed.
     ///

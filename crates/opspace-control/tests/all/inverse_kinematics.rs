@@ -270,3 +270,46 @@ fn joint_references_are_streamed_unchanged() {
         }
     }
 }
+
+/// A joint whose reference is too fast, and joints that rest. Compared: speed and acceleration of the commands with their
+/// limits, and the commands at the end with the reference.
+#[test]
+fn joint_references_are_followed_within_limits() {
+    /// Rounding of differences of positions, rad/s and rad/s².
+    const ROUNDING: [f64; 2] = [1e-9, 1e-6];
+    /// Largest distance beyond the reference, rad.
+    const OVERSHOOT_RAD: f64 = 1e-6;
+    /// Declared acceleration, rad/s².
+    const ACCELERATION: f64 = 6.0;
+    let model = four_joints();
+    let file = File::read(
+        r#"
+        priority = ["all"]
+        [task.all.joint-tracking]
+        gains = { frequency_rad_per_s = 14.0, damping_ratio = 1.0 }
+        reference.point-to-point = { goal = { offset_rad = { elbow = 0.9 } }, duration_s = 0.3 }
+        "#,
+    );
+    let mut robot = control_context(&model, "hand");
+    robot.limits.velocity = vec![2.0; 4];
+    robot.limits.acceleration = vec![ACCELERATION; 4];
+    let mut controller =
+        InverseKinematicsController::new(&model, &file.task_set(), &robot, None).expect("a good stack");
+    let (data, mut measurement) = at_state(&model, &Q0, &[0.0; 4], 0.0);
+    controller.start(&common::input(&model, &data, &measurement));
+    let (mut command, mut before, mut speed_before) = ([0.0; 4], Q0, 0.0);
+    let mut fastest = 0.0_f64;
+    for tick in 0..3000 {
+        measurement.time_s = 1e-3 * f64::from(tick);
+        controller.update(&common::input(&model, &data, &measurement), &mut command);
+        assert_eq!(command[..3], Q0[..3], "joints that rest stay where they are");
+        let speed = (command[3] - before[3]) / 1e-3;
+        assert!(speed.abs() <= 0.9 * 2.0 + ROUNDING[0], "tick {tick}: {speed} rad/s");
+        let acceleration = (speed - speed_before) / 1e-3;
+        assert!(acceleration.abs() <= ACCELERATION + ROUNDING[1], "tick {tick}: {acceleration} rad/s²");
+        assert!(command[3] <= Q0[3] + 0.9 + OVERSHOOT_RAD, "tick {tick}: no overshoot");
+        (before, speed_before, fastest) = (command, speed, fastest.max(speed));
+    }
+    assert!(fastest > 1.5, "the limits are used: {fastest} rad/s");
+    assert_eq!(command[3], Q0[3] + 0.9, "the reference is reached exactly");
+}

@@ -152,5 +152,11 @@ pub(crate) fn reference_limited(finding: Finding) -> Finding {
         }),
         causes.join("; ")
     );
+    let deviations: Vec<String> = finding.deviations.keys().cloned().collect();
+    let message = if deviations.len() > 1 {
+        format!("{message}; joints that deviate: {}", deviations.join(", "))
+    } else {
+        message
+    };
     Finding { message, ..finding }
 }

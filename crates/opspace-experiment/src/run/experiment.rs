@@ -19,6 +19,7 @@ use crate::run::rollout::{Rollout, RolloutCase};
 use crate::run::start_positions::{IN_DEGREES, are_degrees, check_start, others_outside};
 use crate::suggest::choices;
 use crate::transformers::check_robot;
+use crate::transformers::setup::setpoint_limits;
 use opspace_backend::quantity::Positive;
 use opspace_backend::{Capabilities, CommandKind, GravityCompensation, MissedCycle};
 use opspace_control::hierarchy::task_parameters::largest_unused_damping_per_s;
@@ -40,6 +41,10 @@ use opspace_transformer::{
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+
+/// Fraction of the acceleration limit of the drives' setpoints that inverse kinematics uses: velocity lead and the jerk limit
+/// need the rest.
+const USED_SETPOINT_ACCELERATION: f64 = 0.8;
 
 /// Options of an experiment besides the two files.
 #[derive(Clone, Debug, PartialEq)]
@@ -315,6 +320,7 @@ impl Experiment {
             ControllerKind::Ik | ControllerKind::IkLead => {
                 let leads = self.options.controller == ControllerKind::IkLead;
                 let lead = leads.then(|| self.servo_lead()).transpose()?;
+                let facts = self.within_setpoint_limits(facts);
                 let mut ik = InverseKinematicsController::new(model, &stack, &facts, lead).map_err(wrong)?;
                 for (number, event) in events.iter().enumerate() {
                     let stack = ik.prepare(model, &self.stack(&event.priority, &event.task));
@@ -436,6 +442,22 @@ impl Experiment {
             limits: self.robot.joint_limits(),
             collision: self.distances.as_ref().map(|distances| distances.limits.clone()),
         }
+    }
+
+    /// Lowers the limits of speed and acceleration to those of the drives' setpoints, which are positions that the controller
+    /// commands.
+    fn within_setpoint_limits(&self, mut context: ControlContext) -> ControlContext {
+        let limits = &mut context.limits;
+        for (joint, of_drive) in setpoint_limits(&self.robot, &self.profile).iter().enumerate() {
+            if let Some(velocity) = of_drive.velocity_rad_per_s {
+                limits.velocity[joint] = limits.velocity[joint].min(velocity.get());
+            }
+            if let Some(acceleration) = of_drive.acceleration_rad_per_s2 {
+                let used = USED_SETPOINT_ACCELERATION * acceleration.get();
+                limits.acceleration[joint] = limits.acceleration[joint].min(used);
+            }
+        }
+        context
     }
 
     /// Builds the tasks of a file or an event for the robot; `None` if they are incompatible with it.

@@ -17,6 +17,7 @@ mod diagnostics;
 mod drive_faults;
 mod drives;
 mod limited_setpoints;
+mod limits_matrix;
 mod log_header;
 mod margins;
 mod metric_table;

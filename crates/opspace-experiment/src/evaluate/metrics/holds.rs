@@ -22,7 +22,7 @@ const HELD: f64 = 0.5;
 const LEAST_TAKEN: f64 = 0.1;
 
 /// Highest speed of a task at rest in its rows, m/s (rotations are scaled to m), or of a joint, rad/s or m/s.
-const MAX_SPEED: f64 = 0.05;
+pub(super) const MAX_SPEED: f64 = 0.05;
 
 /// Largest ratio of damping to spring in the feedback of a task at rest.
 const AT_REST: f64 = 0.3;
@@ -67,6 +67,11 @@ pub(super) struct Hold {
 }
 
 impl Hold {
+    /// Returns true if a limit of a joint is among the causes.
+    pub(super) fn is_at_limits(&self) -> bool {
+        [&self.position, &self.speed, &self.torque].iter().any(|joints| !joints.is_empty())
+    }
+
     /// Adds the causes of another part of the same task.
     pub(super) fn merge(&mut self, other: Self) {
         let lists = [
@@ -85,6 +90,26 @@ impl Hold {
         }
         self.singular_along = self.singular_along.take().or(other.singular_along);
     }
+}
+
+/// Returns the joints that inverse kinematics clips in a cycle, at the positions `q` (n): those with a bit in `limited` (n).
+/// A joint near an end of its range is at a position limit.
+pub(super) fn clipped(experiment: &Experiment, q: &[f64], limited: &[f64]) -> Hold {
+    let mut hold = Hold::default();
+    let margin = experiment.task().file.limits.position_margin_rad.get();
+    for (joint, link) in experiment.robot().model.joints().iter().enumerate() {
+        let (lower, upper) = (link.limits.lower + margin, link.limits.upper - margin);
+        let is_near = upper - q[joint] < AT_LIMIT || q[joint] - lower < AT_LIMIT;
+        if limited[joint] > 0.0 {
+            if is_near { hold.position.push(joint) } else { hold.speed.push(joint) }
+        }
+    }
+    hold
+}
+
+/// Returns true if limits take a considerable acceleration `taken` from a joint with the spring term `wanted`, rad/s² or m/s².
+pub(super) fn is_taken(wanted: f64, taken: f64) -> bool {
+    wanted != 0.0 && taken.abs() > LEAST_TAKEN * wanted.abs()
 }
 
 /// State of the arm in a control cycle.
@@ -217,7 +242,7 @@ impl<'a> HeldState<'a> {
         let mut hold = Hold::default();
         let push = DVector::from_column_slice(taken);
         for (joint, (wanted, taken)) in wanted.iter().zip(taken).enumerate() {
-            if *wanted != 0.0 && taken.abs() > LEAST_TAKEN * wanted.abs() {
+            if is_taken(*wanted, *taken) {
                 self.add_limit(joint, &push, &mut hold);
             }
         }

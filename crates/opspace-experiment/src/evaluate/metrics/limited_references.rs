@@ -1,7 +1,7 @@
 //! Moving references that limits, or the reach of the arm, keep tasks from, over a whole log.
 
 use super::hold_counts::HoldCounts;
-use super::holds::{HeldState, Hold, RowErrors, norm_in};
+use super::holds::{HeldState, Hold, RowErrors, clipped, is_taken, norm_in};
 use super::near_pairs::pair_names;
 use super::run_log::Run;
 use super::unreached_goals::{errors, joint_errors, task_set_at, task_sets, update_state};
@@ -11,7 +11,7 @@ use crate::files::controller_kind::ControllerKind;
 use crate::finding::{Causes, Finding, Place};
 use crate::run::experiment::Experiment;
 use nalgebra::Vector6;
-use opspace_backend::signal_names::{self, PHASE, REFERENCE, REFERENCE_ORIENTATION, SLACK};
+use opspace_backend::signal_names::{self, LIMITED, PHASE, Q, REFERENCE, REFERENCE_ORIENTATION, SLACK};
 use opspace_control::{Task, TaskSet};
 use opspace_loop::Phase;
 use std::collections::BTreeMap;
@@ -60,6 +60,8 @@ struct Found {
     position_m: Option<f64>,
     orientation_rad: Option<f64>,
     counts: HoldCounts,
+    /// Largest errors of the joints of a task of all joints, rad or m; empty for other tasks.
+    deviations: Vec<f64>,
 }
 
 /// Task that does not follow its moving reference in a cycle.
@@ -68,6 +70,8 @@ struct Behind {
     position_m: Option<f64>,
     orientation_rad: Option<f64>,
     hold: Hold,
+    /// Errors that limits cause of the joints of a task of all joints, rad or m; empty for other tasks.
+    joints: Vec<f64>,
 }
 
 impl<'a> LimitedReferences<'a> {
@@ -84,11 +88,8 @@ impl<'a> LimitedReferences<'a> {
         }
     }
 
-    /// Adds a segment. A controller without torques has no accelerations that limits could take.
+    /// Adds a segment.
     pub(super) fn add(&mut self, run: &Run<'_>) {
-        if self.experiment.options().controller != ControllerKind::Osc {
-            return;
-        }
         let Some(phase) = run.tick.signal(PHASE) else { return };
         for k in 0..run.tick.len() {
             let time_s = run.tick.time_s[k];
@@ -97,7 +98,12 @@ impl<'a> LimitedReferences<'a> {
             }
             self.next_s = time_s + STEP_S;
             self.cycles += 1;
-            for behind in self.behind(run, k, time_s - self.before_s) {
+            let step_s = time_s - self.before_s;
+            let behind = match self.experiment.options().controller {
+                ControllerKind::Osc => self.behind(run, k, step_s),
+                ControllerKind::Ik | ControllerKind::IkLead => self.clipped(run, k, step_s),
+            };
+            for behind in behind {
                 let found = self.found.entry(behind.task.clone()).or_default();
                 found.add(behind, time_s - run.start_s);
             }
@@ -133,7 +139,8 @@ impl<'a> LimitedReferences<'a> {
             }
             let taken = taken(run, k, task);
             let hold = self.state.of_moving_task(set, place, &in_motion(errors, task), &taken);
-            behind.push(Behind { task: task.name().to_owned(), position_m, orientation_rad, hold });
+            let (task, joints) = (task.name().to_owned(), Vec::new());
+            behind.push(Behind { task, position_m, orientation_rad, hold, joints });
         }
         if let Some(task) = set.joint_task()
             && moves(&mut self.references, run, k, task.name(), step_s)
@@ -141,12 +148,7 @@ impl<'a> LimitedReferences<'a> {
             && let Some(slack) = run.tick.signal(&signal_names::of(task.name(), SLACK))
             && *is_updated.get_or_insert_with(|| update_state(&mut self.state, run, k))
         {
-            let units = self.experiment.robot().model.joint_units();
-            let largest = |unit: &str| {
-                let of_unit = errors.iter().zip(&units.position).filter(|(_, own)| **own == unit);
-                of_unit.map(|(error, _)| error.abs()).filter(|error| *error > 0.0).reduce(f64::max)
-            };
-            let (position_m, orientation_rad) = (largest("m"), largest("rad"));
+            let [position_m, orientation_rad] = largest(self.experiment, &errors);
             if size(position_m, orientation_rad) > 1.0 {
                 let wanted = errors.iter().enumerate().map(|(joint, error)| {
                     let gains = task.gains(joint, self.state.inertia(joint));
@@ -154,12 +156,58 @@ impl<'a> LimitedReferences<'a> {
                 });
                 let wanted: Vec<f64> = wanted.collect();
                 let hold = self.state.of_moving_joints(&wanted, slack.row(k));
-                behind.push(Behind { task: task.name().to_owned(), position_m, orientation_rad, hold });
+                let deviates = |joint: usize| is_taken(wanted[joint], slack.row(k)[joint]);
+                let joints = errors.iter().enumerate();
+                let joints =
+                    joints.map(|(joint, error)| if deviates(joint) { *error } else { 0.0 }).collect();
+                let task = task.name().to_owned();
+                behind.push(Behind { task, position_m, orientation_rad, hold, joints });
             }
         }
         behind.retain(|behind| behind.has_cause());
         behind
     }
+
+    /// Tasks that do not follow their moving references in cycle `k`, in which inverse kinematics clips joints.
+    fn clipped(&mut self, run: &Run<'_>, k: usize, step_s: f64) -> Vec<Behind> {
+        let sets = self.sets.get_or_insert_with(|| task_sets(self.experiment));
+        let Some(Some(set)) = sets.get(task_set_at(run, k)) else { return Vec::new() };
+        let (Some(q), Some(limited)) = (run.tick.signal(Q), run.tick.signal(LIMITED)) else {
+            return Vec::new();
+        };
+        let hold = || clipped(self.experiment, q.row(k), limited.row(k));
+        let mut behind = Vec::new();
+        for task in set.tasks() {
+            let moves = moves(&mut self.references, run, k, task.name(), step_s);
+            let errors = errors(run, k, task);
+            let [position_m, orientation_rad] = ["m", "rad"].map(|unit| norm_in(unit, task, &errors));
+            if moves && size(position_m, orientation_rad) > 1.0 {
+                let (task, joints) = (task.name().to_owned(), Vec::new());
+                behind.push(Behind { task, position_m, orientation_rad, hold: hold(), joints });
+            }
+        }
+        if let Some(task) = set.joint_task()
+            && moves(&mut self.references, run, k, task.name(), step_s)
+            && let Some(joints) = joint_errors(run, k, task)
+        {
+            let [position_m, orientation_rad] = largest(self.experiment, &joints);
+            if size(position_m, orientation_rad) > 1.0 {
+                let task = task.name().to_owned();
+                behind.push(Behind { task, position_m, orientation_rad, hold: hold(), joints });
+            }
+        }
+        behind.retain(|behind| behind.has_cause());
+        behind
+    }
+}
+
+/// Returns the largest errors of joints, m and rad.
+fn largest(experiment: &Experiment, errors: &[f64]) -> [Option<f64>; 2] {
+    let units = experiment.robot().model.joint_units();
+    ["m", "rad"].map(|unit| {
+        let of_unit = errors.iter().zip(&units.position).filter(|(_, own)| **own == unit);
+        of_unit.map(|(error, _)| error.abs()).filter(|error| *error > 0.0).reduce(f64::max)
+    })
 }
 
 /// Returns the larger of two errors (m and rad) relative to the smallest that counts.
@@ -211,8 +259,8 @@ fn in_motion(mut errors: RowErrors, task: &dyn Task) -> RowErrors {
 impl Behind {
     /// Returns true if the cause is known.
     fn has_cause(&self) -> bool {
-        let Hold { position, speed, torque, distances, singular_along, .. } = &self.hold;
-        singular_along.is_some() || [position, speed, torque, distances].iter().any(|list| !list.is_empty())
+        let hold = &self.hold;
+        hold.singular_along.is_some() || hold.is_at_limits() || !hold.distances.is_empty()
     }
 }
 
@@ -228,6 +276,11 @@ impl Found {
             self.largest_s = since_start_s;
         }
         self.counts.add(&behind.hold, grows);
+        self.deviations.resize(behind.joints.len(), 0.0);
+        self.deviations
+            .iter_mut()
+            .zip(&behind.joints)
+            .for_each(|(most, error)| *most = most.max(error.abs()));
     }
 
     /// Returns the reference, if the task was held back for long enough or far enough; `cycles` is the number of all cycles.
@@ -258,6 +311,12 @@ impl Found {
             .with("largest_s", Some(self.largest_s))
             .with("torque_ramp_s", (self.largest_s < ramp_s).then_some(ramp_s))
             .with("settle_s", (self.largest_s < settle_s).then_some(settle_s));
-        Some(reference_limited(Finding { causes, ..reference }))
+        let [least_m, least_rad] = [MIN_POSITION_M, MIN_ORIENTATION_RAD];
+        let least = |unit: &str| if unit == "m" { least_m } else { least_rad };
+        let units = experiment.robot().model.joint_units();
+        let deviations = names.iter().zip(&units.position).zip(&self.deviations);
+        let deviations = deviations.filter(|((_, unit), error)| **error > least(unit));
+        let deviations = deviations.map(|((name, _), error)| ((*name).to_owned(), *error)).collect();
+        Some(reference_limited(Finding { causes, deviations, ..reference }))
     }
 }

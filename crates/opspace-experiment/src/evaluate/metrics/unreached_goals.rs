@@ -1,7 +1,7 @@
 //! Intervals in which tasks rest away from their references, over a whole log.
 
 use super::hold_counts::HoldCounts;
-use super::holds::{Cycle, HeldState, Hold, NO_ERRORS, RowErrors, norm_in};
+use super::holds::{Cycle, HeldState, Hold, MAX_SPEED, NO_ERRORS, RowErrors, clipped, norm_in};
 use super::near_pairs::pair_names;
 use super::run_log::Run;
 use crate::codes::Code;
@@ -24,6 +24,10 @@ const STEP_S: f64 = 5e-3;
 /// Smallest error that counts, m and rad.
 const MIN_POSITION_M: f64 = 1e-3;
 const MIN_ORIENTATION_RAD: f64 = 5e-3;
+
+/// Smallest error that counts with inverse kinematics, m and rad: servos sag by less under gravity.
+const MIN_CLIPPED_M: f64 = 5e-3;
+const MIN_CLIPPED_RAD: f64 = 20e-3;
 
 /// Shortest interval that is reported, s.
 const MIN_DURATION_S: f64 = 0.5;
@@ -79,11 +83,8 @@ impl<'a> UnreachedGoals<'a> {
         }
     }
 
-    /// Adds a segment. A controller without torques has no accelerations that could be compared.
+    /// Adds a segment.
     pub(super) fn add(&mut self, run: &Run<'_>) {
-        if self.experiment.options().controller != ControllerKind::Osc {
-            return;
-        }
         let Some(phase) = run.tick.signal(PHASE) else { return };
         self.start_s = run.start_s;
         for k in 0..run.tick.len() {
@@ -93,7 +94,10 @@ impl<'a> UnreachedGoals<'a> {
             }
             self.next_s = time_s + STEP_S;
             self.last_s = time_s;
-            self.examine(run, k, time_s);
+            match self.experiment.options().controller {
+                ControllerKind::Osc => self.examine(run, k, time_s),
+                ControllerKind::Ik | ControllerKind::IkLead => self.examine_clip(run, k, time_s),
+            }
             self.continue_at_standstill(run, k, time_s);
             self.close_before(time_s - MAX_GAP_S);
         }
@@ -164,6 +168,42 @@ impl<'a> UnreachedGoals<'a> {
         for held in held {
             let new = Episode { begin_s: time_s, ..Episode::default() };
             self.open.entry(held.name.to_owned()).or_insert(new).add(&held, time_s, &names);
+        }
+    }
+
+    /// Examines a cycle of inverse kinematics, which clips joints: tasks of an arm at rest are held by these joints.
+    fn examine_clip(&mut self, run: &Run<'_>, k: usize, time_s: f64) {
+        let sets = self.sets.get_or_insert_with(|| task_sets(self.experiment));
+        let Some(Some(set)) = sets.get(task_set_at(run, k)) else { return };
+        let row = |name: &str| Some(run.tick.signal(name)?.row(k));
+        let (Some(q), Some(dq), Some(limited)) = (row(Q), row(DQ), row(LIMITED)) else { return };
+        let hold = clipped(self.experiment, q, limited);
+        if !hold.is_at_limits() || dq.iter().any(|dq| dq.abs() > MAX_SPEED) {
+            return;
+        }
+        let mut held = Vec::new();
+        for task in set.tasks() {
+            let errors = errors(run, k, task);
+            let [position_m, orientation_rad] = ["m", "rad"].map(|unit| norm_in(unit, task, &errors));
+            held.push(Held { name: task.name(), position_m, orientation_rad, hold: hold.clone() });
+        }
+        if let Some(task) = set.joint_task()
+            && let Some(errors) = joint_errors(run, k, task)
+        {
+            let units = self.experiment.robot().model.joint_units();
+            let [position_m, orientation_rad] = ["m", "rad"].map(|unit| {
+                let of_unit = errors.iter().zip(&units.position).filter(|(_, own)| **own == unit);
+                of_unit.map(|(error, _)| error.abs()).reduce(f64::max)
+            });
+            held.push(Held { name: task.name(), position_m, orientation_rad, hold });
+        }
+        for held in held {
+            let is_large = held.position_m.is_some_and(|error| error > MIN_CLIPPED_M)
+                || held.orientation_rad.is_some_and(|error| error > MIN_CLIPPED_RAD);
+            if is_large {
+                let new = Episode { begin_s: time_s, ..Episode::default() };
+                self.open.entry(held.name.to_owned()).or_insert(new).add(&held, time_s, &[]);
+            }
         }
     }
 
