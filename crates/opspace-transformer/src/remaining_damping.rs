@@ -41,7 +41,7 @@
 //! of any task that follows a reference.
 
 /// Largest part of a servo's damping that does not act on the motion of the reference.
-pub const ALONG_REFERENCE: f64 = 0.05;
+pub const ALONG_REFERENCE: f64 = 0.1;
 
 /// Damping that is left to a joint: see the [module](self).
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

@@ -152,7 +152,8 @@ fn compliance_that_inverse_kinematics_ignores_is_found() {
     assert_eq!(of(ControllerKind::Osc, spring), []);
 }
 
-/// Checks compliant x with the default transformer of an arm with elastic gears and no motor current, and with others.
+/// Checks compliant x with the default transformer of an arm with elastic gears and no motor current, whose gains are known to 30 % or
+/// exactly, and with others.
 #[test]
 fn compliance_that_the_default_transformer_damps_is_found() {
     let of = |settings: &[&str], transformer: Option<TransformerName>| {
@@ -162,10 +163,14 @@ fn compliance_that_the_default_transformer_damps_is_found() {
         found.into_iter().filter(|found| found.code == Code::DampedCompliance).collect::<Vec<_>>()
     };
     let unknown = ["robot.interface.gears=\"elastic\"", "robot.interface.measured=[\"position\"]"];
-    let [found] = &of(&unknown, None)[..] else { panic!("one diagnostic") };
-    assert_says(found, "task.hand.cartesian.axes", &["compliance along x is damped", "no", "'paper'"]);
-    assert_eq!(of(&[], None), []);
-    assert_eq!(of(&unknown, Some(TransformerName::EXTRAPOLATION)), []);
+    let uncertain =
+        [&unknown[..], &["robot.profile.a-med.servo.joint_defaults.cascaded.gain_uncertainty=0.3"]].concat();
+    let [found] = &of(&uncertain, None)[..] else { panic!("one diagnostic") };
+    assert_says(found, "task.hand.cartesian.axes", &["is damped by the servos", "±30 %", "opspace identify"]);
+    assert_eq!(of(&unknown, None), [], "gains that are known exactly");
+    assert_eq!(of(&[], None), [], "motor current");
+    let current = TransformerName::EXTRAPOLATION.with_current(true);
+    assert_eq!(of(&uncertain[..1], Some(current)), [], "motor current");
 }
 
 /// Checks a motion of 58 mm in 0.2 s from the start on, and the same one half a second later; the torque ramps in over 0.2 s.
