@@ -15,7 +15,7 @@
 //! Joint tracking alone needs no inverse: q_ref is the reference itself.
 //!
 //! With a goal out of reach, the error and with it q̇_ref would grow without bound, and a target may jump. Therefore q̇_ref is
-//! [clipped](crate::limits::clip) to the limits of position, speed and acceleration, such that it keeps its direction. After a
+//! clipped to the limits of position, speed and acceleration, such that it keeps its direction. After a
 //! limit was active, q_ref returns to the reference. Margins and fractions of the limits are those of [`LimitParameters`].
 
 use crate::algebra::{add_transposed, product};

@@ -1,6 +1,6 @@
 //! Bounds on the command of one control cycle of the torque controller.
 //!
-//! Joint accelerations are within the [interval of each joint](crate::limits::joint_bound). Torque and torque rate limits bound
+//! Joint accelerations are within the interval of each joint (`joint_bound`). Torque and torque rate limits bound
 //! the commanded torque. If these bounds contradict each other, the torque bounds take precedence, then the bounds that brake
 //! the joint.
 
