@@ -167,7 +167,7 @@ refused! {
     drive_of_unknown_joint_is_refused: "robot.toml", "[joint.elbow]" => "[joint.elbov]", Some("[joint.elbov]"),
         ["no moving joint 'elbov'", "did you mean 'elbow'?"];
     joint_without_servo_is_refused: "robot.toml", "elbow = { cascaded" => "# elbow = { cascaded",
-        Some("joint_defaults = { cascaded"), ["joint 'elbow'", "missing"];
+        Some("[profile.a-med.servo]"), ["joint 'elbow'", "missing"];
     missing_key_is_refused: "robot.toml", "coulomb_nm = 1.8, " => "", Some("friction = { static_nm"),
         ["missing key `coulomb_nm` in `joint.shoulder_pitch.friction`", "Nm", "opspace identify"];
     sensor_on_unknown_link_is_refused: "robot.toml", "frame = \"hand\"" => "frame = \"palm\"", Some("palm"),

@@ -40,6 +40,7 @@ mod samples;
 mod sensor_loads;
 mod singular_start;
 mod suites;
+mod torque_error_notes;
 
 #[global_allocator]
 static ALLOCATOR: opspace_testing::allocation::CountingAllocator =

@@ -37,8 +37,9 @@
 //! ```
 //!
 //! A reference that the joint does not follow does not push it. With true gains at the upper end of their interval, the joint is
-//! driven along the reference as by the damping −E, up to its velocity. E is at most [`ALONG_REFERENCE`] kv, less than the damping
-//! of any task that follows a reference.
+//! driven along the reference as by the damping −E, up to its velocity. E is at most [`ALONG_REFERENCE`] kv. For a velocity loop of
+//! 40 Hz that is 25 1/s times the inertia: the damping 2 ζ ω of a task with 12.5 rad/s. Twice as much made a Panda exceed its speed
+//! limits at gains 20 % above the nominal ones.
 
 /// Largest part of a servo's damping that does not act on the motion of the reference.
 pub const ALONG_REFERENCE: f64 = 0.1;

@@ -6,7 +6,7 @@ use crate::files::controller_kind::ControllerKind;
 use crate::finding::Finding;
 use crate::run::compliance::compliance;
 use crate::run::experiment::Experiment;
-use crate::run::servo_damping::SERVO_DAMPING_NOTED;
+use crate::run::servo_damping::{SERVO_DAMPING_NOTED, help_of_servo_damping};
 use opspace_transformer::TransformerName;
 
 /// Reports each task whose compliance the controller ignores, or the transformer damps, once.
@@ -47,7 +47,7 @@ pub(crate) fn ignored(case: &PreflightCase<'_>) -> Vec<Finding> {
 /// hand feels.
 fn damping(experiment: &Experiment) -> Option<(String, String)> {
     if let Some(left) = experiment.servo_damping().ok()? {
-        let help = format!("compare with --backend torque; {}", experiment.help_of_servo_damping(&left));
+        let help = format!("compare with --backend torque; {}", help_of_servo_damping(&left));
         return (left.share >= SERVO_DAMPING_NOTED).then(|| (left.to_string(), help));
     }
     let name = experiment.transformer_name()?;

@@ -28,17 +28,30 @@ impl fmt::Display for ServoDamping {
         let percent = |share: f64| (1e3 * share).round() / 10.0;
         let GainInterval { half_width, source } = self.interval;
         let known = match source {
-            IntervalSource::Stated => "known",
-            IntervalSource::Declared => "declared, without an interval",
-            IntervalSource::Assumed => "assumed",
+            IntervalSource::Stated => "known to",
+            IntervalSource::Declared => "declared without an interval, which counts as",
+            IntervalSource::Assumed => "assumed, which counts as",
         };
         write!(
             f,
-            "{} % of the servos' damping is left to the joints, because their gains are {known} (±{} %)",
+            "{} % of the servos' damping is left to the joints, because their gains are {known} ±{} %",
             percent(self.share),
             percent(half_width)
         )
     }
+}
+
+/// Remedy of a damping that is left.
+pub(crate) fn help_of_servo_damping(damping: &ServoDamping) -> String {
+    let least = 100.0 * IDENTIFIED / (1.0 + IDENTIFIED);
+    let mut help = String::new();
+    if damping.interval.half_width > IDENTIFIED {
+        help += &format!(
+            "`opspace identify` measures the gains and their intervals: ±{:.0} % leave {least:.0} %; ",
+            100.0 * IDENTIFIED
+        );
+    }
+    help + "measured motor current leaves none, with `+current`"
 }
 
 impl Experiment {
@@ -64,27 +77,14 @@ impl Experiment {
         Ok(all.filter(|one| one.share > 0.0).max_by(|a, b| a.share.total_cmp(&b.share)))
     }
 
-    /// Remedy of a damping that is left.
-    pub(crate) fn help_of_servo_damping(&self, damping: &ServoDamping) -> String {
-        let least = 100.0 * IDENTIFIED / (1.0 + IDENTIFIED);
-        let mut help = String::new();
-        if damping.interval.half_width > IDENTIFIED {
-            help += &format!(
-                "`opspace identify` measures the gains and their intervals: ±{:.0} % leave {least:.0} %; ",
-                100.0 * IDENTIFIED
-            );
-        }
-        help + "measured motor current leaves none, with `+current`"
-    }
-
     /// Describes the damping that is left in the run, from a share that a hand feels.
     pub(crate) fn damped_by_servos(&self) -> Option<Finding> {
         let damping = self.servo_damping().ok()?.filter(|damping| damping.share >= SERVO_DAMPING_NOTED)?;
         let message = format!(
             "{damping}: compliant axes yield more slowly than those of a torque robot, and moving references are followed less \
-             closely"
+             closely; {}",
+            help_of_servo_damping(&damping)
         );
-        let finding = Finding::of(Code::DampedCompliance, Place::Run(()), message);
-        Some(Finding { help: self.help_of_servo_damping(&damping), ..finding })
+        Some(Finding::of(Code::DampedCompliance, Place::Run(()), message))
     }
 }

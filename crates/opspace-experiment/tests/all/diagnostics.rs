@@ -164,7 +164,7 @@ fn compliance_that_the_default_transformer_damps_is_found() {
     };
     let unknown = ["robot.interface.gears=\"elastic\"", "robot.interface.measured=[\"position\"]"];
     let uncertain =
-        [&unknown[..], &["robot.profile.a-med.servo.joint_defaults.cascaded.gain_uncertainty=0.3"]].concat();
+        [&unknown[..], &["robot.profile.a-med.servo.elbow.cascaded.gain_uncertainty=0.3"]].concat();
     let [found] = &of(&uncertain, None)[..] else { panic!("one diagnostic") };
     assert_says(found, "task.hand.cartesian.axes", &["is damped by the servos", "±30 %", "opspace identify"]);
     assert_eq!(of(&unknown, None), [], "gains that are known exactly");
