@@ -149,8 +149,7 @@ fn missing_servos_are_named() {
     assert!(error.message().contains("joint 'elbow'"), "{error}");
     assert!(error.message().contains("profile.a-med.velocity_servo"), "{error}");
 
-    let cascaded =
-        "elbow = { cascaded = { kp_per_s = 50.265, kv_nms_per_rad = 30.3, velocity_filter_hz = 600.0 } }";
+    let cascaded = position.lines().find(|line| line.starts_with("elbow")).unwrap();
     let misplaced = "elbow = { velocity = { kv_nms_per_rad = 30.3, velocity_filter_hz = 600.0 } }";
     let error = edited(cascaded, misplaced).unwrap_err();
     assert!(error.message().contains("'elbow' is a velocity servo"), "{error}");
