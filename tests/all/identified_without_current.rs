@@ -3,8 +3,9 @@
 use crate::cli_common::{opspace, project, scratch};
 use serde_json::Value;
 
-/// Largest torque error of interval means.
-const LARGEST: f64 = 0.08;
+/// Largest torque error of interval means: that of gravity compensation, to which the damping that identified gains leave adds five
+/// hundredths.
+const LARGEST: f64 = 0.12;
 
 /// Checks the torque errors of three tasks on an arm without motor current, whose kp is not the nominal one, after an
 /// identification without contact: no run is stopped.
