@@ -217,6 +217,9 @@ mod tests {
     /// Gain of the feedback, 1/s.
     const GAIN_PER_S: f64 = 20.0;
 
+    /// Control period, s.
+    const PERIOD_S: f64 = 1e-3;
+
     /// Clip of joints with these limits of speed and acceleration, ranges of ±1 rad and a period of 1 ms.
     fn clip(velocity: f64, acceleration: f64) -> VelocityClip {
         let n = 3;
@@ -226,7 +229,7 @@ mod tests {
             velocity: vec![velocity; n],
             ..JointLimits::none(n)
         };
-        let (braking, step) = (vec![acceleration; n], vec![1e-3 * acceleration; n]);
+        let (braking, step) = (vec![acceleration; n], vec![PERIOD_S * acceleration; n]);
         VelocityClip { limits, braking, step, horizon_s: 0.02, limited: DVector::zeros(n) }
     }
 
@@ -250,7 +253,7 @@ mod tests {
             let mut clip = clip(velocity, acceleration);
             let mut dq = [4.0, -1.0, 0.0];
             clip.clip(&mut dq, &[4.0, -1.0, 0.0], &[0.0; 3], &[before, -0.25 * before, 0.0], GAIN_PER_S);
-            assert!(dq[0] > 0.0 && dq[0] <= velocity && dq[0] - before <= 1e-3 * acceleration + ROUNDING);
+            assert!(dq[0] > 0.0 && dq[0] <= velocity && dq[0] - before <= PERIOD_S * acceleration + ROUNDING);
             assert!((dq[1] + 0.25 * dq[0]).abs() < ROUNDING, "{dq:?}");
             assert_eq!(dq[2], 0.0);
         }
@@ -261,15 +264,18 @@ mod tests {
     #[test]
     fn joints_brake_before_their_target() {
         const ROUNDING: f64 = 1e-9;
-        let mut clip = clip(2.0, 10.0);
+        const SPEED: f64 = 2.0;
+        const ACCELERATION: f64 = 10.0;
+        let mut clip = clip(SPEED, ACCELERATION);
         let (mut q, mut before) = ([-0.9, 0.5, 0.0], [0.0; 3]);
         let target = [0.9, -0.2, 0.0];
         for _ in 0..3000 {
             let mut dq: [f64; 3] = std::array::from_fn(|i| GAIN_PER_S * (target[i] - q[i]));
             clip.clip(&mut dq, &[0.0; 3], &q, &before, GAIN_PER_S);
             for i in 0..3 {
-                assert!(dq[i].abs() <= 2.0 && (dq[i] - before[i]).abs() <= 0.01 + ROUNDING, "{dq:?}");
-                q[i] += 1e-3 * dq[i];
+                let step = (dq[i] - before[i]).abs();
+                assert!(dq[i].abs() <= SPEED && step <= PERIOD_S * ACCELERATION + ROUNDING, "{dq:?}");
+                q[i] += PERIOD_S * dq[i];
             }
             assert!(q[0] <= target[0] + ROUNDING && q[1] >= target[1] - ROUNDING, "{q:?}");
             before = dq;

@@ -148,6 +148,15 @@ fn setup(servo: &ServoParameters, estimator_hz: f64, timing: DriveTiming) -> Ext
     }
 }
 
+/// Random numbers between two others.
+fn random_numbers(seed: u64) -> impl FnMut(f64, f64) -> f64 {
+    let mut state = seed;
+    move |low, high| {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        low + (high - low) * (state >> 11) as f64 / (1_u64 << 53) as f64
+    }
+}
+
 /// Drive and estimator with random parameters: servo, estimator cut-off (Hz), timing.
 fn random_drive(random: &mut impl FnMut(f64, f64) -> f64) -> (ServoParameters, f64, DriveTiming) {
     let servo_hz = random(1e3, 8e3);
@@ -171,11 +180,7 @@ fn random_drive(random: &mut impl FnMut(f64, f64) -> f64) -> (ServoParameters, f
 /// [`SETTLED_HZ`](opspace_transformer::extrapolating_transformer::SETTLED_HZ), it may be as low as a quarter of kv.
 #[test]
 fn extrapolation_is_passive() {
-    let mut state = 12_345_u64;
-    let mut random = |low: f64, high: f64| {
-        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-        low + (high - low) * (state >> 11) as f64 / (1_u64 << 53) as f64
-    };
+    let mut random = random_numbers(12_345);
     for _ in 0..60 {
         let (servo, estimator_hz, timing) = random_drive(&mut random);
         let setup = setup(&servo, estimator_hz, timing);
@@ -207,11 +212,7 @@ const LEFT_AT_THE_EDGE: f64 = 0.07;
 /// its velocity and that of the estimate differ, and nothing else damps.
 #[test]
 fn gains_within_their_interval_do_not_drive_the_joint() {
-    let mut state = 54_321_u64;
-    let mut random = |low: f64, high: f64| {
-        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-        low + (high - low) * (state >> 11) as f64 / (1_u64 << 53) as f64
-    };
+    let mut random = random_numbers(54_321);
     for _ in 0..40 {
         let (servo, estimator_hz, timing) = random_drive(&mut random);
         if timing.servo_ticks_per_cycle == 1 && timing.delay == 0 {
