@@ -209,5 +209,13 @@ fn input<'a>(
     feedforward_torque: &'a [f64],
     targets: &'a Targets,
 ) -> ControlInput<'a> {
-    ControlInput { model, data, measurement, feedforward_torque, targets, clock_s: measurement.time_s }
+    ControlInput {
+        model,
+        data,
+        measurement,
+        feedforward_torque,
+        damping_torque: &[],
+        targets,
+        clock_s: measurement.time_s,
+    }
 }

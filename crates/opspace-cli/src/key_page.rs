@@ -127,7 +127,10 @@ impl<'a> Page<'a> {
             if kinds.iter().any(|kind| kind["properties"]["rx"].is_object()) {
                 return format!("{}, of all axes, or by axis", self.value(&kinds[0]));
             }
-            let kinds = kinds.iter().filter(|kind| kind["type"] != "null").map(|kind| self.value(kind));
+            let kinds = kinds
+                .iter()
+                .filter(|kind| kind["type"] != "null" && kind["maxProperties"] != 0)
+                .map(|kind| self.value(kind));
             return kinds.collect::<Vec<_>>().join(", or ");
         }
         if let Some(values) = schema["enum"].as_array() {

@@ -18,6 +18,9 @@ pub struct ControlInput<'a> {
     /// Feedforward torques that are added to the command, for example friction compensation (n; Nm or N). The torque
     /// limits apply to the sum.
     pub feedforward_torque: &'a [f64],
+    /// Intervals of the torques that the drives add to the commanded ones, because a transformer leaves damping to the joints or
+    /// takes too much of it away (n; Nm or N); empty if there are none. The limits hold with any torques within them.
+    pub damping_torque: &'a [[f64; 2]],
     /// Streamed targets.
     pub targets: &'a Targets,
     /// Current time on the robot's clock, s. The time stamps of the targets use the same clock.

@@ -52,6 +52,7 @@
 //!         data: &data,
 //!         measurement: &seen,
 //!         feedforward_torque: &no_feedforward,
+//!         damping_torque: &[],
 //!         targets: &no_targets,
 //!         clock_s: seen.time_s,
 //!     };

@@ -6,6 +6,8 @@ use crate::hierarchy::task_hierarchy::TaskHierarchy;
 use crate::hierarchy::task_parameters::Compensation;
 use crate::limits::bounds::Bounds;
 use crate::limits::collision_bounds::CollisionBounds;
+use crate::limits::drag::{self, Drag};
+use crate::limits::joint_bound::Uncommanded;
 use crate::limits::joint_limits::LimitParameters;
 use crate::limits::push::Push;
 use crate::qp::interval::Interval;
@@ -30,6 +32,7 @@ pub(crate) struct Limiter {
     speed_count: usize,
     /// Joint acceleration that the tasks do not cause, rad/s² or m/s² (n).
     bias_acceleration: DVector<f64>,
+    drag: Drag,
     /// Active bounds of each joint's command (n): sum of [`LIMITED_ACCELERATION`] and [`LIMITED_TORQUE`].
     limited: DVector<f64>,
     /// Time until the next rehearsal, s.
@@ -72,6 +75,7 @@ impl Limiter {
             speeds: vec![SpeedBound { row: zero.clone(), upper: f64::INFINITY }; speeds],
             speed_count: 0,
             bias_acceleration: zero.clone(),
+            drag: Drag::new(n),
             limited: zero.clone(),
             rehearses_in_s: REHEARSAL_S,
             next_rehearsal: 0,
@@ -92,11 +96,11 @@ impl Limiter {
     /// Updates all state-dependent quantities except the joint bounds.
     pub(crate) fn update_state(
         &mut self,
-        model: &Model,
-        data: &Data,
+        input: &ControlInput<'_>,
         compensation: Compensation,
         hierarchy: &TaskHierarchy,
     ) {
+        let ControlInput { model, data, .. } = *input;
         self.push.observe(&data.dq);
         self.cascade.clear_unsolved();
         if compensation == Compensation::Gravity {
@@ -107,12 +111,14 @@ impl Limiter {
             }
             data.mass_matrix_factor.solve(self.bias_acceleration.as_mut_slice());
         }
+        self.drag.update(input);
         self.resists = hierarchy
             .levels
             .iter()
             .any(|level| !level.held_back.does_not_resist() || level.held_back.standstill().acts());
         if let Some(collision) = &mut self.collision {
-            collision.update(model, data, &self.bias_acceleration, self.push.acceleration());
+            let uncommanded = Uncommanded { push: self.push.acceleration(), drag: self.drag.accelerations() };
+            collision.update(model, data, &self.bias_acceleration, uncommanded);
         }
         self.speed_count = 0;
         let horizon_s = self.bounds.horizon_s();
@@ -120,7 +126,8 @@ impl Limiter {
             for kind in 0..2 {
                 let Some(slot) = self.speeds.get_mut(self.speed_count) else { return };
                 if let Some(upper) = level.speed_bound(kind, horizon_s, slot.row.as_mut_slice()) {
-                    slot.upper = upper - slot.row.dot(&self.bias_acceleration);
+                    let [_, drag] = drag::combined(slot.row.as_slice(), self.drag.accelerations());
+                    slot.upper = upper - slot.row.dot(&self.bias_acceleration) - drag;
                     self.speed_count += 1;
                 }
             }
@@ -143,6 +150,7 @@ impl Limiter {
             && !self.resists
             && self.bounds.is_strictly_feasible(
                 input.measurement,
+                self.drag.accelerations(),
                 input.feedforward_torque,
                 commanded,
                 acceleration,
@@ -161,7 +169,8 @@ impl Limiter {
 
     /// Computes the joint bounds in this state; `commanded` are the last commanded torques (n).
     pub(crate) fn bound(&mut self, input: &ControlInput<'_>, commanded: &DVector<f64>) {
-        self.bounds.update(input.measurement, self.push.acceleration(), input.feedforward_torque, commanded);
+        let uncommanded = Uncommanded { push: self.push.acceleration(), drag: self.drag.accelerations() };
+        self.bounds.update(input.measurement, uncommanded, input.feedforward_torque, commanded);
         self.torque_bounds.lower.copy_from(&self.bounds.torque.lower);
         self.torque_bounds.upper.copy_from(&self.bounds.torque.upper);
         let pairs = self.collision.as_ref().map_or(&[][..], CollisionBounds::rows);

@@ -4,6 +4,7 @@ pub mod bounds;
 pub(crate) mod clip;
 pub(crate) mod collision_bounds;
 pub mod collision_limits;
+pub(crate) mod drag;
 pub mod horizon;
 pub(crate) mod joint_bound;
 pub mod joint_limits;

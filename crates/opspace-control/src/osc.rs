@@ -301,7 +301,7 @@ impl OperationalSpaceController {
         self.alpha.copy_from(&self.torque);
         data.mass_matrix_factor.solve(self.alpha.as_mut_slice());
         let hierarchy = self.schedule.current_mut();
-        limiter.update_state(input.model, data, self.compensation, hierarchy);
+        limiter.update_state(input, self.compensation, hierarchy);
         let (alpha, torque, compensation_torque) = (&self.alpha, &self.torque, &self.compensation_torque);
         if limiter.is_strictly_feasible(input, &self.commanded, alpha, torque, compensation_torque) {
             for level in &mut hierarchy.levels {

@@ -9,6 +9,7 @@ use crate::extensions::{Entry, Tables, UnknownName};
 use crate::files::robot::RobotDefinition;
 use crate::files::source::{FileError, KeyPath, Source};
 use crate::transformers::entry::{Built, TransformerEntry, TransformerTraits};
+use crate::transformers::gain_interval::GainInterval;
 use crate::transformers::setup::TransformerSetup;
 use opspace_backend::{CommandKind, Setpoints};
 use opspace_transformer::{
@@ -79,7 +80,7 @@ impl Entry for TransformerEntry {
 
 fn paper(setup: &TransformerSetup<'_>) -> Built {
     if setup.takes != CommandKind::Velocity {
-        return Ok(Box::new(PaperTransformer::new(setup.servo_gains()?)));
+        return direct(setup, setup.servo_gains()?, &setup.gain_intervals()?);
     }
     if let Some(joint) = setup.joint_with_velocity_integral() {
         let message = format!(
@@ -93,13 +94,19 @@ fn paper(setup: &TransformerSetup<'_>) -> Built {
     Ok(Box::new(VelocityTransformer::new(setup.servo_gains()?)))
 }
 
+fn direct(setup: &TransformerSetup<'_>, gains: Vec<ServoGains>, intervals: &[GainInterval]) -> Built {
+    let uncertain: Vec<f64> = intervals.iter().map(|interval| interval.half_width).collect();
+    Ok(Box::new(PaperTransformer::new(gains).acting_after(setup.setpoints_act_after_s(), &uncertain)))
+}
+
 fn from_closed_loops(setup: &TransformerSetup<'_>) -> Built {
     let split = |(joint, of): (usize, &ClosedLoopModel)| {
         of.split().map_err(|error| setup.joint_error("identified", joint, &error))
     };
     let gains: Result<Vec<ServoGains>, FileError> =
         setup.closed_loops().iter().enumerate().map(split).collect();
-    Ok(Box::new(PaperTransformer::new(gains?)))
+    let intervals = vec![GainInterval::DECLARED; setup.robot.model.n()];
+    direct(setup, gains?, &intervals)
 }
 
 fn emulating(setup: &TransformerSetup<'_>, matching: TorqueObjective, current: bool) -> Built {

@@ -95,6 +95,8 @@ struct State {
     estimator: StateEstimator,
     /// Friction compensation n̂ (n; Nm, N).
     feedforward_torque: DVector<f64>,
+    /// Intervals of the torques of the joints' damping (n; Nm, N); empty if there are none.
+    damping_torque: Vec<[f64; 2]>,
 }
 
 impl State {
@@ -104,6 +106,7 @@ impl State {
             data: &self.data,
             measurement: self.estimator.measurement(),
             feedforward_torque: self.feedforward_torque.as_slice(),
+            damping_torque: &self.damping_torque,
             targets,
             clock_s: self.estimator.clock_s(),
         }
@@ -160,7 +163,13 @@ impl ControlLoop {
             row: Vec::new(),
             layout: Layout { channel: TICK_CHANNEL.to_owned(), signals: Vec::new() },
             units: model.joint_units(),
-            state: State { data: Data::new(&model), estimator, feedforward_torque: DVector::zeros(n), model },
+            state: State {
+                data: Data::new(&model),
+                estimator,
+                feedforward_torque: DVector::zeros(n),
+                damping_torque: vec![[0.0; 2]; if transformer.is_damped() { n } else { 0 }],
+                model,
+            },
             command: nan.clone(),
             torque_desired: nan,
             saturated: DVector::zeros(n),
@@ -385,6 +394,8 @@ impl ControlLoop {
         let kind = if self.is_reacting() { CommandKind::Torque } else { self.controller.command_kind() };
         if kind == CommandKind::Torque {
             self.compensate_friction();
+            let State { data, damping_torque, .. } = &mut self.state;
+            self.transformer.damping_torque(data.dq.as_slice(), damping_torque);
         }
         self.update_command(targets);
         if let Some(error) = self.controller.unsolved_limits() {

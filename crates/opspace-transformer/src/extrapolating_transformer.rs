@@ -583,6 +583,16 @@ impl Transformer for ExtrapolatingTransformer {
         }
     }
 
+    fn is_damped(&self) -> bool {
+        self.joints.iter().any(|joint| joint.remaining_damping.damping > 0.0)
+    }
+
+    fn damping_torque(&self, velocity: &[f64], torques: &mut [[f64; 2]]) {
+        for (torques, (joint, v)) in torques.iter_mut().zip(self.joints.iter().zip(velocity)) {
+            *torques = joint.remaining_damping.torques(*v, joint.reference.velocity);
+        }
+    }
+
     fn transform(&mut self, data: &Data, tau: &[f64], q_desired: &mut [f64]) {
         if !self.begun {
             self.hold(data);

@@ -42,6 +42,14 @@ impl Transformer for ObservedTransformer {
         self.inner.set_reference_motion(velocity, acceleration);
     }
 
+    fn is_damped(&self) -> bool {
+        self.inner.is_damped()
+    }
+
+    fn damping_torque(&self, velocity: &[f64], torques: &mut [[f64; 2]]) {
+        self.inner.damping_torque(velocity, torques);
+    }
+
     fn transform(&mut self, data: &Data, torque: &[f64], command: &mut [f64]) {
         self.inner.transform(data, torque, command);
     }

@@ -10,3 +10,11 @@ pub(crate) fn with_optional_keys(schema: &mut schemars::Schema) {
         }
     }
 }
+
+/// Allows an entry of a map to state nothing: other entries of the map may state all of it.
+pub(crate) fn with_empty_entries(schema: &mut schemars::Schema) {
+    if let Some(entry) = schema.get_mut("additionalProperties") {
+        let empty = schemars::json_schema!({ "type": "object", "maxProperties": 0 });
+        *entry = schemars::json_schema!({ "anyOf": [entry.clone(), empty] }).to_value();
+    }
+}

@@ -5,7 +5,7 @@ use crate::estimator::EstimatorParameters;
 use crate::friction::FrictionParameters;
 use crate::gain_adaptation::GainAdaptationParameters;
 #[cfg(feature = "schema")]
-use crate::optional_keys::with_optional_keys;
+use crate::optional_keys::{with_empty_entries, with_optional_keys};
 use crate::servo::ServoParameters;
 use crate::setpoint_limits::SetpointLimitParameters;
 use crate::transformer::TransformerName;
@@ -106,6 +106,7 @@ pub struct ProfileParameters {
     /// Position servo of each joint, by name of a joint, of a group of joints, or `joint_defaults` for all that state no other;
     /// a value that is absent is that of the group or of all. Only robots that accept positions need it.
     #[serde(default)]
+    #[cfg_attr(feature = "schema", schemars(transform = with_empty_entries))]
     pub servo: BTreeMap<String, ServoParameters>,
     /// Velocity servo of each joint, by name as in `servo`, for a robot that accepts velocities; absent otherwise.
     #[serde(default)]

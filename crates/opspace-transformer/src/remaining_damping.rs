@@ -70,9 +70,22 @@ impl RemainingDamping {
         Self { damping: self.damping + against_errors, ..self }
     }
 
+    /// Interval of the torques that the drive of a joint of velocity `v` (rad/s, m/s), whose reference has this velocity, adds to
+    /// the desired one, Nm (N). Gains at the lower ends of their intervals, (1 − u) kp, leave twice the damping. Gains at the upper
+    /// ends leave none, and the drive adds E c.
+    pub(crate) fn torques(self, v: f64, reference: f64) -> [f64; 2] {
+        let driving = self.along_reference * followed(v, reference);
+        let [a, b] = [-2.0 * self.torque(v, reference), driving];
+        [a.min(b), a.max(b)]
+    }
+
     /// Torque that opposes the velocity `v` (rad/s, m/s) of a joint whose reference has this velocity, Nm (N).
     pub(crate) fn torque(self, v: f64, reference: f64) -> f64 {
-        let followed = reference.max(v.min(0.0)).min(v.max(0.0));
-        self.damping * v - self.along_reference * followed
+        self.damping * v - self.along_reference * followed(v, reference)
     }
+}
+
+/// Velocity c: the one of the reference, between 0 and `v`.
+fn followed(v: f64, reference: f64) -> f64 {
+    reference.max(v.min(0.0)).min(v.max(0.0))
 }

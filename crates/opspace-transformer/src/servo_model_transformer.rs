@@ -458,6 +458,17 @@ impl Transformer for EmulatingTransformer {
         self.drives.iter().any(|drive| drive.remaining_damping.along_reference > 0.0)
     }
 
+    fn is_damped(&self) -> bool {
+        self.drives.iter().any(|drive| drive.remaining_damping.damping > 0.0)
+    }
+
+    fn damping_torque(&self, velocity: &[f64], torques: &mut [[f64; 2]]) {
+        let references = self.reference_velocity.iter().zip(velocity);
+        for (torques, (drive, (reference, v))) in torques.iter_mut().zip(self.drives.iter().zip(references)) {
+            *torques = drive.remaining_damping.torques(*v, *reference);
+        }
+    }
+
     fn set_reference_motion(&mut self, velocity: &[f64], _acceleration: &[f64]) {
         self.reference_velocity.copy_from_slice(velocity);
     }

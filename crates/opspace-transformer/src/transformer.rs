@@ -194,6 +194,16 @@ pub trait Transformer: Send {
         &[]
     }
 
+    /// Returns true if the drives add torques to the desired ones because a damping is left to the joints, or too much of it is
+    /// taken away.
+    fn is_damped(&self) -> bool {
+        false
+    }
+
+    /// Writes the intervals of these torques at joint velocities `velocity` (n; rad/s, m/s) into `torques` (n; Nm, N), if there
+    /// [are any](Self::is_damped). Must not allocate.
+    fn damping_torque(&self, _velocity: &[f64], _torques: &mut [[f64; 2]]) {}
+
     /// Computes the command (n; Nm, N or rad/s, m/s or rad, m) that makes the servos produce `torque` (n; Nm, N) in the
     /// state of `data`. Allocates nothing.
     fn transform(&mut self, data: &Data, torque: &[f64], command: &mut [f64]);
@@ -218,20 +228,47 @@ pub trait Transformer: Send {
 ///
 /// Other position servos are represented by their equivalent gains. For velocity servos see
 /// [`VelocityTransformer`](crate::velocity_transformer::VelocityTransformer).
+///
+/// A setpoint acts later than the position was measured from which it is computed. In this time t̄ a joint moves on by q̇ t̄, and the
+/// damping kp kv t̄ is left to it. A gain of (1 ± u) kp changes the damping by ∓u kv.
 #[derive(Clone, Debug)]
 pub struct PaperTransformer {
     gains: Vec<ServoGains>,
+    /// Least and largest damping of each joint (n; Nms/rad, Ns/m); empty if it is not known. The least one may be negative.
+    damping: Vec<[f64; 2]>,
 }
 
 impl PaperTransformer {
     /// Returns the transformer for servos with these equivalent gains (n).
     #[must_use]
     pub fn new(gains: Vec<ServoGains>) -> Self {
-        Self { gains }
+        Self { gains, damping: Vec::new() }
+    }
+
+    /// Declares the mean time from a measurement until its setpoint acts, s, and the uncertainty u of each gain (n; a fraction of
+    /// it). Commands don't depend on them; the [torques](Transformer::damping_torque) of the damping do.
+    #[must_use]
+    pub fn acting_after(self, acts_after_s: f64, gain_uncertainty: &[f64]) -> Self {
+        let interval = |(gains, u): (&ServoGains, &f64)| {
+            let (late, wrong) = (gains.stiffness * acts_after_s, u * gains.damping);
+            [late - wrong, late + wrong]
+        };
+        Self { damping: self.gains.iter().zip(gain_uncertainty).map(interval).collect(), ..self }
     }
 }
 
 impl Transformer for PaperTransformer {
+    fn is_damped(&self) -> bool {
+        !self.damping.is_empty()
+    }
+
+    fn damping_torque(&self, velocity: &[f64], torques: &mut [[f64; 2]]) {
+        for (torques, ([least, largest], v)) in torques.iter_mut().zip(self.damping.iter().zip(velocity)) {
+            let [a, b] = [-least * v, -largest * v];
+            *torques = [a.min(b), a.max(b)];
+        }
+    }
+
     fn transform(&mut self, data: &Data, tau: &[f64], q_desired: &mut [f64]) {
         for (i, gains) in self.gains.iter().enumerate() {
             // Inner loop τ = kv (v_desired − q̇) times kv; then the outer loop v_desired = kp (q_desired − q).

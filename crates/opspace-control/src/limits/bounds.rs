@@ -4,7 +4,7 @@
 //! the commanded torque. If these bounds contradict each other, the torque bounds take precedence, then the bounds that brake
 //! the joint.
 
-use crate::limits::joint_bound::{self, JointState};
+use crate::limits::joint_bound::{self, JointState, Uncommanded};
 use crate::limits::joint_limits::JointLimits;
 use crate::measurement::Measurement;
 use crate::qp::interval::Interval;
@@ -75,10 +75,12 @@ impl Bounds {
 
     /// Returns true if joint accelerations and commanded torques (n) are within the bounds of a state. This fast test
     /// needs neither the square roots nor the precedence rules for contradicting bounds; `false` means that the bounds
-    /// must be computed. Pushes need no account: they count only where this test fails.
+    /// must be computed. Pushes need no account: they count only where this test fails. `drag` are the least and largest
+    /// accelerations by damping (n; rad/s² or m/s²).
     pub(crate) fn is_strictly_feasible(
         &self,
         measurement: &Measurement,
+        drag: &[[f64; 2]],
         added: &[f64],
         before: &DVector<f64>,
         acceleration: impl Fn(usize) -> f64,
@@ -90,15 +92,16 @@ impl Bounds {
         // Branch-free, because the sign of a velocity is unpredictable.
         for i in 0..before.len() {
             let (a, tau, braking) = (acceleration(i), torque(i), self.braking[i]);
-            let (ahead, speed) = (q[i] + dq[i] * h, dq[i] + a * h);
+            let ahead = q[i] + dq[i] * h;
+            let (fastest, slowest) = (dq[i] + (a + drag[i][1]) * h, dq[i] + (a + drag[i][0]) * h);
             // v ≤ √((b h)² + 2 b x) − b h without the square root.
             let stops = |left: f64, speed: f64| {
                 (left > 0.0)
                     & ((speed <= 0.0) | (speed * (speed + 2.0 * braking * h) <= 2.0 * braking * left))
             };
-            allowed &= stops(l.upper[i] - ahead, speed)
-                & stops(ahead - l.lower[i], -speed)
-                & (speed.abs().max(dq[i].abs()) <= l.velocity[i])
+            allowed &= stops(l.upper[i] - ahead, fastest)
+                & stops(ahead - l.lower[i], -slowest)
+                & (fastest.max(-slowest).max(dq[i].abs()) <= l.velocity[i])
                 & (a.abs() <= l.acceleration[i])
                 & ((tau + added[i]).abs() <= l.torque[i])
                 & ((tau - before[i]).abs() <= l.torque_rate[i] * self.period_s);
@@ -107,11 +110,11 @@ impl Bounds {
     }
 
     /// Computes the bounds for the measured state. `before` are the last commanded torques (n), `added` the torques
-    /// that will be added to the next command (n; Nm or N), `push` accelerations by external forces (n; rad/s² or m/s²).
+    /// that will be added to the next command (n; Nm or N).
     pub(crate) fn update(
         &mut self,
         measurement: &Measurement,
-        push: &[f64],
+        uncommanded: Uncommanded<'_>,
         added: &[f64],
         before: &DVector<f64>,
     ) {
@@ -119,7 +122,8 @@ impl Bounds {
         let (q, dq) = (&measurement.q, &measurement.dq);
         for i in 0..before.len() {
             let (velocity, braking) = (l.velocity[i], self.braking[i]);
-            let joint = JointState { q: q[i], dq: dq[i], push: push[i], velocity, braking, horizon_s };
+            let (push, drag) = (uncommanded.push[i], uncommanded.drag[i]);
+            let joint = JointState { q: q[i], dq: dq[i], push, drag, velocity, braking, horizon_s };
             let [lower, upper] = joint.interval(l.lower[i], l.upper[i], l.acceleration[i]);
             (self.acceleration.lower[i], self.acceleration.upper[i]) = (lower, upper);
 
@@ -137,6 +141,8 @@ impl Bounds {
 mod tests {
     use super::*;
     use crate::limits::horizon::HORIZON_S;
+
+    const UNDISTURBED: Uncommanded<'_> = Uncommanded { push: &[0.0], drag: &[[0.0; 2]] };
 
     fn bounds(limits: JointLimits) -> Bounds {
         let braking = limits.acceleration.clone();
@@ -170,7 +176,7 @@ mod tests {
             let (mut q, mut dq) = (0.0, 0.0);
             let (mut fastest, mut hardest) = (0.0_f64, 0.0_f64);
             for _ in 0..5000 {
-                bounds.update(&at(q, dq), &[0.0], &[0.0], &DVector::zeros(1));
+                bounds.update(&at(q, dq), UNDISTURBED, &[0.0], &DVector::zeros(1));
                 let a = bounds.acceleration.upper[0];
                 hardest = hardest.max(a.abs());
                 q += period * (dq + 0.5 * period * a);
@@ -207,7 +213,12 @@ mod tests {
                 for left in [1e-3, 1e-2, 0.1, 0.5, 1.5] {
                     let v = viable(&bounds, left);
                     let mut most = |v: f64| {
-                        bounds.update(&at(sign * (end - left), sign * v), &[0.0], &[0.0], &DVector::zeros(1));
+                        bounds.update(
+                            &at(sign * (end - left), sign * v),
+                            UNDISTURBED,
+                            &[0.0],
+                            &DVector::zeros(1),
+                        );
                         let a = &bounds.acceleration;
                         if sign > 0.0 { a.upper[0] } else { -a.lower[0] }
                     };
@@ -234,7 +245,7 @@ mod tests {
         let mut bounds = bounds(limits);
         let (mut q, mut dq) = (1.2, 0.5);
         for _ in 0..5000 {
-            bounds.update(&at(q, dq), &[0.0], &[0.0], &DVector::zeros(1));
+            bounds.update(&at(q, dq), UNDISTURBED, &[0.0], &DVector::zeros(1));
             let a = bounds.acceleration.upper[0];
             assert!(a.is_finite() && bounds.acceleration.lower[0] <= a);
             q += 1e-3 * (dq + 0.5e-3 * a);
@@ -264,8 +275,15 @@ mod tests {
                 [-12.0, -9.9, -3.0, 0.0, 5.0, 9.9, 12.0].into_iter().zip([0.5, -0.9, 1.1].into_iter().cycle())
             {
                 let before = DVector::from_element(1, 0.0);
-                let plain = bounds.is_strictly_feasible(&measurement, &[0.0], &before, |_| a, |_| torque);
-                bounds.update(&measurement, &[0.0], &[0.0], &before);
+                let plain = bounds.is_strictly_feasible(
+                    &measurement,
+                    &[[0.0; 2]],
+                    &[0.0],
+                    &before,
+                    |_| a,
+                    |_| torque,
+                );
+                bounds.update(&measurement, UNDISTURBED, &[0.0], &before);
                 let within = bounds.acceleration.contains(0, a) && bounds.torque.contains(0, torque);
                 assert!(within || !plain, "{q} {dq} {a} {torque}");
                 let viable =
@@ -293,7 +311,7 @@ mod tests {
         for q in [-1.0, -0.01, -0.005, 0.0, 0.01, 0.5] {
             for dq in [-5.0, -0.3, 0.0, 0.2, 5.0] {
                 for before in [-9.0, -5.0, 0.0, 4.99, 7.0] {
-                    bounds.update(&at(q, dq), &[0.0], &[0.0], &DVector::from_element(1, before));
+                    bounds.update(&at(q, dq), UNDISTURBED, &[0.0], &DVector::from_element(1, before));
                     let [a, t] = [&bounds.acceleration, &bounds.torque];
                     assert!(a.lower[0] <= a.upper[0] && a.lower[0].is_finite() && a.upper[0].is_finite());
                     assert!(t.lower[0] <= t.upper[0] && t.upper[0] <= 5.0 && t.lower[0] >= -5.0);

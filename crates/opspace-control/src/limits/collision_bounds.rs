@@ -28,7 +28,8 @@
 use crate::algebra::dot;
 use crate::limits::bounds::Bounds;
 use crate::limits::collision_limits::CollisionLimits;
-use crate::limits::joint_bound::JointState;
+use crate::limits::drag;
+use crate::limits::joint_bound::{JointState, Uncommanded};
 use crate::qp::lexicographic::SpeedBound;
 use crate::qp::quadratic_program::axpy;
 use nalgebra::DVector;
@@ -151,14 +152,13 @@ impl CollisionBounds {
         self.states.fill(PairState::DUE);
     }
 
-    /// Computes the bounds of a state, for α: joint accelerations without `bias_acceleration` (n). `push` are accelerations
-    /// by external forces (n).
+    /// Computes the bounds of a state, for α: joint accelerations without `bias_acceleration` (n).
     pub(crate) fn update(
         &mut self,
         model: &Model,
         data: &Data,
         bias_acceleration: &DVector<f64>,
-        push: &[f64],
+        uncommanded: Uncommanded<'_>,
     ) {
         self.count = 0;
         let longest_m = self.follow(&data.q);
@@ -176,7 +176,8 @@ impl CollisionBounds {
             self.least_m = self.least_m.min(closest.distance_m);
             self.states[pair].at_least_m = closest.distance_m;
             if !has_spare {
-                self.states[pair].spare_m = self.bound(model, data, bias_acceleration, push, pair, &closest);
+                self.states[pair].spare_m =
+                    self.bound(model, data, bias_acceleration, uncommanded, pair, &closest);
             }
         }
     }
@@ -208,21 +209,21 @@ impl CollisionBounds {
         model: &Model,
         data: &Data,
         bias_acceleration: &DVector<f64>,
-        push: &[f64],
+        uncommanded: Uncommanded<'_>,
         pair: usize,
         closest: &Proximity,
     ) -> f64 {
         if closest.distance_m > self.within_m {
             return closest.distance_m - self.within_m;
         }
-        let spare_m = self.add(model, data, bias_acceleration, push, pair, closest);
+        let spare_m = self.add(model, data, bias_acceleration, uncommanded, pair, closest);
         let to_ends_m = closest.distance_m - self.margin_m - ENDS_WITHIN_M;
         if to_ends_m < 0.0 {
             let mut ends = [None; 4];
             let proximities = end_proximities(&self.geometry, &self.near, pair, closest);
             ends.iter_mut().zip(proximities).for_each(|(end, proximity)| *end = Some(proximity));
             for end in ends.iter().flatten() {
-                self.add(model, data, bias_acceleration, push, pair, end);
+                self.add(model, data, bias_acceleration, uncommanded, pair, end);
             }
         }
         spare_m.min(to_ends_m)
@@ -235,7 +236,7 @@ impl CollisionBounds {
         model: &Model,
         data: &Data,
         bias_acceleration: &DVector<f64>,
-        push: &[f64],
+        uncommanded: Uncommanded<'_>,
         pair: usize,
         proximity: &Proximity,
     ) -> f64 {
@@ -249,10 +250,12 @@ impl CollisionBounds {
         if left > stop_m && -rate <= velocity {
             return SPARE_FRACTION * (left - stop_m);
         }
+        let [low, high] = drag::combined(&self.gradient, uncommanded.drag);
         let state = JointState {
             q: -proximity.distance_m,
             dq: -rate,
-            push: -dot(&self.gradient, push),
+            push: -dot(&self.gradient, uncommanded.push),
+            drag: [-high, -low],
             velocity,
             braking,
             horizon_s: self.horizon_s,
@@ -399,6 +402,8 @@ mod tests {
                     rate = amplitude.map(|a| rng.random_range(0.0..3.0) / f64::max(a, 0.1));
                 }
                 let t = PERIOD_S * f64::from(cycle);
+                let no_drag = vec![[0.0; 2]; still.len()];
+                let undisturbed = Uncommanded { push: still.as_slice(), drag: &no_drag };
                 let mut q: Vec<f64> =
                     (0..JOINTS).map(|i| amplitude[i] * (rate[i] * t + phase[i]).sin()).collect();
                 if cycle == 600 {
@@ -407,9 +412,9 @@ mod tests {
                 let dq: Vec<f64> =
                     (0..JOINTS).map(|i| amplitude[i] * rate[i] * (rate[i] * t + phase[i]).cos()).collect();
                 kinematics(&model, &mut data, &q, &dq);
-                selective.update(&model, &data, &still, still.as_slice());
+                selective.update(&model, &data, &still, undisturbed);
                 all.start();
-                all.update(&model, &data, &still, still.as_slice());
+                all.update(&model, &data, &still, undisturbed);
                 assert_eq!(selective.least_m().to_bits(), all.least_m().to_bits(), "cycle {cycle}");
                 // Rows of what is not a number are equal to nothing.
                 let missing = all.rows().iter().filter(|row| cycle != 600 && !selective.rows().contains(row));

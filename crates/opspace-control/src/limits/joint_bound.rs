@@ -34,6 +34,11 @@
 //! A joint at rest then passes its limit by less than GIVE, for any d up to b; a load that rises within a few control periods
 //! moves it further before the estimate follows. Because w vanishes at the limit, a joint that
 //! friction holds there does not creep.
+//!
+//! # Damping
+//!
+//! The drives may add torques to the commanded ones that are known within intervals only ([`drag`](crate::limits::drag)). The
+//! largest acceleration by them that is directed towards a bound is subtracted from the bound.
 
 use crate::limits::joint_limits::JointLimits;
 use opspace_model::{Data, Model, Postures, update};
@@ -95,13 +100,23 @@ pub(crate) fn viable_speed(left: f64, braking: f64, horizon_s: f64) -> f64 {
     (reach * reach + 2.0 * braking * left.max(0.0)).sqrt() - reach
 }
 
-/// State, acceleration by external forces, velocity limit and braking acceleration of a joint, and the horizon of its
-/// bounds. Also of a pair of objects: its position is then its distance, with the opposite sign.
+/// Accelerations that no command causes (n; rad/s² or m/s²).
+#[derive(Clone, Copy)]
+pub(crate) struct Uncommanded<'a> {
+    /// By external forces, as the motion shows them.
+    pub push: &'a [f64],
+    /// By the damping of the joints: the least one, at most zero, and the largest one.
+    pub drag: &'a [[f64; 2]],
+}
+
+/// State, acceleration by external forces and by damping, velocity limit and braking acceleration of a joint, and the horizon
+/// of its bounds. Also of a pair of objects: its position is then its distance, with the opposite sign.
 #[derive(Clone, Copy)]
 pub(crate) struct JointState {
     pub q: f64,
     pub dq: f64,
     pub push: f64,
+    pub drag: [f64; 2],
     pub velocity: f64,
     pub braking: f64,
     pub horizon_s: f64,
@@ -110,7 +125,7 @@ pub(crate) struct JointState {
 impl JointState {
     /// Returns the state for the opposite direction of the joint.
     fn mirrored(self) -> Self {
-        Self { q: -self.q, dq: -self.dq, push: -self.push, ..self }
+        Self { q: -self.q, dq: -self.dq, push: -self.push, drag: [-self.drag[1], -self.drag[0]], ..self }
     }
 
     /// Returns the interval of accelerations between the position limits `lower` and `upper`, with the acceleration limit
@@ -147,6 +162,6 @@ impl JointState {
         }
         let excess = self.dq - allowed;
         let counted = (beyond / GIVE).clamp(0.0, 1.0);
-        -excess / h - counted * self.push.max(0.0).min(self.braking)
+        -excess / h - counted * self.push.max(0.0).min(self.braking) - self.drag[1]
     }
 }

@@ -31,6 +31,9 @@ pub struct GainInterval {
 }
 
 impl GainInterval {
+    /// Interval of gains that are declared without one.
+    pub const DECLARED: Self = Self { half_width: DECLARED, source: IntervalSource::Declared };
+
     /// Returns the interval of the servo of joint `joint`, which table `table` of profile `profile` contains: `servo` or
     /// `velocity_servo`.
     pub(crate) fn of(
@@ -56,6 +59,6 @@ impl GainInterval {
         if robot.file.assumed.iter().any(covers) {
             return Self { half_width: ASSUMED, source: IntervalSource::Assumed };
         }
-        Self { half_width: DECLARED, source: IntervalSource::Declared }
+        Self::DECLARED
     }
 }

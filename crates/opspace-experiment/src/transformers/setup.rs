@@ -5,7 +5,7 @@ use crate::files::source::FileError;
 use crate::transformers::gain_interval::GainInterval;
 use nalgebra::DMatrix;
 use opspace_backend::quantity::{NonNegative, Positive};
-use opspace_backend::{CommandKind, GravityCompensation};
+use opspace_backend::{CommandKind, GravityCompensation, Setpoints};
 use opspace_model::{Data, Joint, Model, update};
 use opspace_transformer::setpoint_limits::JointSetpointLimits;
 use opspace_transformer::{
@@ -188,6 +188,22 @@ impl TransformerSetup<'_> {
                 servo.remaining_damping(width).with_limits(width, torque, joint.limits.velocity)
             };
         Ok(self.servos()?.iter().zip(self.gain_intervals()?).zip(limits).map(least).collect())
+    }
+
+    /// Mean time from a measurement until the setpoint acts that is computed from it, s; the longest one if the delay of setpoints
+    /// is unknown.
+    #[must_use]
+    pub fn setpoints_act_after_s(&self) -> f64 {
+        let profile = self.profile;
+        let ratio = profile.servo_ticks_per_cycle.get();
+        let delay = profile.delay_servo_ticks.unwrap_or(ratio);
+        let half = 0.5 * f64::from(ratio - 1);
+        let halves = match self.robot.file.interface.setpoints {
+            Setpoints::Held => half,
+            // A setpoint is reached at the end of its interval.
+            Setpoints::Interpolated => 2.0 * half,
+        };
+        (f64::from(delay) + halves) * profile.servo_period_s()
     }
 
     /// Intervals of the true gains of the servos (n).

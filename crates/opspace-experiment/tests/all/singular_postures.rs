@@ -42,6 +42,7 @@ fn nearly_singular_postures_are_those_that_the_controller_damps() {
             data: &data,
             measurement: &measurement,
             feedforward_torque: &feedforward_torque,
+            damping_torque: &[],
             targets: &targets,
             clock_s: 0.0,
         };

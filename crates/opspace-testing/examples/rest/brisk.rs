@@ -23,6 +23,9 @@ const REST_S: f64 = 1.0;
 /// True speed below which a joint is at rest, beyond a step of its encoder per cycle, rad/s.
 const REST_RAD_PER_S: f64 = 1e-3;
 
+/// Half-widths of the intervals of gains, as fractions of them.
+const WIDTHS: [f64; 4] = [0.02, 0.05, 0.15, 0.3];
+
 /// A goal for an arm.
 pub struct Brisk {
     arm: &'static Arm,
@@ -32,8 +35,9 @@ pub struct Brisk {
 }
 
 impl Brisk {
-    /// Returns the goal of this number and seed.
-    pub fn new(number: usize, seed: u64) -> Self {
+    /// Returns the goal of this number and seed. With `is_uncertain`, the robot does not measure current, and its gains are wrong by
+    /// what its file states at most: at an end of their interval in two of three.
+    pub fn new(number: usize, seed: u64, is_uncertain: bool) -> Self {
         let mut random =
             ChaCha8Rng::seed_from_u64(seed.wrapping_mul(0x9e37_79b9).wrapping_add(number as u64));
         let arm = &ARMS[number % ARMS.len()];
@@ -79,8 +83,23 @@ impl Brisk {
         if is_elastic {
             settings.push(arm.elastic_gears(1.0));
         }
+        let mut drives = String::new();
+        if is_uncertain {
+            let width = WIDTHS[random.random_range(0..WIDTHS.len())];
+            let mut error = || match random.random_range(0..3) {
+                0 => -width,
+                1 => width,
+                _ => width * random.random_range(-1.0..1.0),
+            };
+            let (kp, kv) = (1.0 + error(), 1.0 + error());
+            let uncertainty = format!("servo.joint_defaults.cascaded.gain_uncertainty={width:?}");
+            settings.push("robot.interface.measured=[\"position\"]".to_owned());
+            settings.push(format!("robot.profile.{}.{uncertainty}", robot.file.default_profile));
+            settings.push(format!("robot.simulated.true_over_nominal={{ kp = {kp:?}, kv = {kv:?} }}"));
+            drives = format!(" within {width}: kp x {kp:.2}, kv x {kv:.2}");
+        }
         let name = format!(
-            "{:5} {} {frequency:2} rad/s {duration_s:.2} s {}{}",
+            "{:5} {} {frequency:2} rad/s {duration_s:.2} s {}{}{drives}",
             arm.folder,
             if is_pose { "6D" } else { "3D" },
             if is_near { "near" } else { "far " },
@@ -183,8 +202,8 @@ pub struct Compared {
 }
 
 impl Compared {
-    pub fn of(number: usize, seed: u64) -> Self {
-        let goal = Brisk::new(number, seed);
+    pub fn of(number: usize, seed: u64, is_uncertain: bool) -> Self {
+        let goal = Brisk::new(number, seed, is_uncertain);
         if let Ok(folder) = std::env::var("REST_LOG") {
             goal.write(&folder, number);
         }

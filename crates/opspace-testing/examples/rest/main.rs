@@ -12,7 +12,8 @@
 //! program fails.
 //!
 //! With `brisk` before the numbers, it compares brisk motion of position robots on elastic gears with that of torque
-//! robots: see [`brisk`].
+//! robots: see [`brisk`]. With `brisk uncertain`, the position robots do not measure current, and their gains are wrong by as much as
+//! their files state.
 
 #![expect(clippy::print_stdout, reason = "a program for the terminal")]
 
@@ -73,8 +74,8 @@ fn outcomes<T: Send>(cases: &[usize], of: impl Fn(usize) -> T + Sync) -> Vec<T> 
 /// Compares brisk motion of position robots on elastic gears with that of torque robots.
 ///
 /// Fails if one is stopped or exceeds a limit that the torque robot keeps, or if more than `allowed` do not come to rest.
-fn brisk(cases: &[usize], seed: u64, allowed: usize) -> ExitCode {
-    let all = outcomes(cases, |number| Compared::of(number, seed));
+fn brisk(cases: &[usize], seed: u64, allowed: usize, is_uncertain: bool) -> ExitCode {
+    let all = outcomes(cases, |number| Compared::of(number, seed, is_uncertain));
     all.iter().for_each(|goal| println!("{}", goal.line));
     let count = |is: fn(&Compared) -> bool| all.iter().filter(|goal| is(goal)).count();
     let (stopped, crosses) = (count(|goal| goal.is_stopped), count(|goal| goal.crosses));
@@ -90,6 +91,7 @@ fn brisk(cases: &[usize], seed: u64, allowed: usize) -> ExitCode {
 fn main() -> ExitCode {
     let mut arguments = std::env::args().skip(1).peekable();
     let is_brisk = arguments.next_if_eq("brisk").is_some();
+    let is_uncertain = arguments.next_if_eq("uncertain").is_some();
     let mut arguments = arguments.map(|argument| argument.parse::<u64>().expect("a number"));
     let cases = arguments.next().unwrap_or(60) as usize;
     let seed = arguments.next().unwrap_or_else(|| {
@@ -101,7 +103,7 @@ fn main() -> ExitCode {
     let all: Vec<usize> = (0..cases).collect();
     let chosen = if chosen.is_empty() { &all } else { &chosen };
     if is_brisk {
-        return brisk(chosen, seed, allowed);
+        return brisk(chosen, seed, allowed, is_uncertain);
     }
     let lines = outcomes(chosen, |number| Line::of(number, seed));
     let (mut restless, mut still, mut faults) = (0, 0, 0);

@@ -225,6 +225,7 @@ pub fn input<'a>(model: &'a Model, data: &'a Data, measurement: &'a Measurement)
         data,
         measurement,
         feedforward_torque: &NO_FEEDFORWARD[..model.n()],
+        damping_torque: &[],
         targets: &NO_TARGETS,
         clock_s: measurement.time_s,
     }
