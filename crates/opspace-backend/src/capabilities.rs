@@ -23,6 +23,8 @@ pub struct Capabilities {
     pub gravity_compensated_by: GravityCompensation,
     /// Behaviour of the drives in a cycle without a new command.
     pub on_missed_cycle: MissedCycle,
+    /// Way in which a robot that moves is stopped.
+    pub on_stop: StopMethod,
     /// True if samples contain joint velocities.
     pub measures_velocity: bool,
     /// True if samples contain motor torques.
@@ -56,6 +58,7 @@ impl Capabilities {
             setpoints: Setpoints::Held,
             gravity_compensated_by: GravityCompensation::Controller,
             on_missed_cycle: MissedCycle::of(command),
+            on_stop: StopMethod::of(command),
             measures_velocity: false,
             measures_motor_torque: false,
             measures_joint_torque: false,
@@ -97,6 +100,12 @@ impl Capabilities {
     #[must_use]
     pub fn with_gravity_compensated_by(self, gravity_compensated_by: GravityCompensation) -> Self {
         Self { gravity_compensated_by, ..self }
+    }
+
+    /// Sets the way in which the robot is stopped.
+    #[must_use]
+    pub fn with_on_stop(self, on_stop: StopMethod) -> Self {
+        Self { on_stop, ..self }
     }
 
     /// Sets whether the robot has brakes.
@@ -182,6 +191,30 @@ impl MissedCycle {
         match command {
             CommandKind::Position | CommandKind::Velocity => Self::HoldLast,
             CommandKind::Torque => Self::HoldTorque,
+        }
+    }
+}
+
+/// Way in which a robot that moves is stopped: at the end of a run, on request and after a fault.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(Deserialize), serde(rename_all = "kebab-case"))]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[non_exhaustive]
+pub enum StopMethod {
+    /// Setpoints come to rest within the limits of `setpoint_limits`; then the robot's own stop follows. A joint without such limits gets
+    /// one setpoint that balances its weight, and its servo brakes it.
+    Setpoints,
+    /// No command follows: the robot's own stop brakes it.
+    Robot,
+}
+
+impl StopMethod {
+    /// Returns the usual way for robots with this kind of command.
+    #[must_use]
+    pub fn of(command: CommandKind) -> Self {
+        match command {
+            CommandKind::Position | CommandKind::Velocity => Self::Setpoints,
+            CommandKind::Torque => Self::Robot,
         }
     }
 }

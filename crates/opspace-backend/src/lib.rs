@@ -65,7 +65,7 @@ pub mod sink;
 
 pub use backend::Backend;
 pub use capabilities::{
-    Capabilities, ForceSensor, GravityCompensation, Measured, MissedCycle, Setpoints, World,
+    Capabilities, ForceSensor, GravityCompensation, Measured, MissedCycle, Setpoints, StopMethod, World,
 };
 pub use command::{Command, CommandKind};
 pub use driver::{Driver, DriverError, Setting, Settings};

@@ -15,6 +15,18 @@
 //!
 //! The limits of row 2 have an order of priority; its torque limits include the friction compensation n̂ of row 3.
 //!
+//! # Stops
+//!
+//! | stop | robots with `on_stop = "setpoints"` | others |
+//! |---|---|---|
+//! | planned end, request, fault | setpoints, one per cycle, that come to rest within their limits; then the robot's own stop | the robot's own stop |
+//! | the robot can't be read, or refuses a command | the robot's own stop; without limits, a setpoint before it | the robot's own stop |
+//! | panic | the robot's own stop | the robot's own stop |
+//!
+//! A joint whose setpoints have no limits is not slowed down: it gets one setpoint, and its servo brakes it. The setpoint of a position
+//! robot balances the weight, and is ahead of the measured position by v/kp. That of a velocity robot balances the weight.
+//! While setpoints come to rest, the phase is [`Phase::Stopping`]. No limit of the other rows above acts, and no fault is found.
+//!
 //! # Missed cycles
 //!
 //! Missed cycles are detected from the robot's clock. Up to `max_missed_cycles` of them are tolerated: time and
@@ -34,7 +46,7 @@ use nalgebra::DVector;
 use opspace_backend::signal_names::{COMMAND, FAULT, PHASE, TICK_CHANNEL, TORQUE_DESIRED, TORQUE_SATURATED};
 use opspace_backend::{
     Capabilities, Command, CommandKind, DeviceFault, GravityCompensation, Layout, Observable, Sample,
-    SignalRecorder,
+    SignalRecorder, StopMethod,
 };
 use opspace_control::{ControlInput, Controller, Measurement, Targets};
 use opspace_model::{Data, JointUnits, Model};
@@ -194,6 +206,11 @@ impl ControlLoop {
         let result = match self.phase {
             // The fault that stopped the run may persist; the rows record what is still measured.
             Phase::Stopped => self.observe(sample).or(Ok(())),
+            Phase::Stopping => {
+                let _ = self.observe(sample);
+                self.come_to_rest();
+                Ok(())
+            }
             Phase::Rest if self.passed_cycles < self.rest_cycles => self.rest(sample),
             _ => self.control(sample, targets),
         };
@@ -210,16 +227,32 @@ impl ControlLoop {
     /// known.
     pub fn fail(&mut self, fault: DeviceFault) -> Step<'_> {
         self.take_back();
-        if self.phase == Phase::Stopped {
-            return self.result();
+        match self.phase {
+            Phase::Stopped => {}
+            // The fault or request that stopped the run remains its outcome.
+            Phase::Stopping => self.abandon(),
+            _ if self.guard.as_ref().is_some_and(Guard::has_limits) => {
+                self.fault = Some(Fault::Device(fault));
+                self.fill_row();
+                self.abandon();
+            }
+            _ => return self.stop_for(Fault::Device(fault)),
         }
-        self.stop_for(Fault::Device(fault))
+        self.result()
     }
 
-    /// Stops on request. The result has the last command, which replaces the command of this cycle.
+    /// Stops without a command: the robot's own stop follows.
+    pub(crate) fn abandon(&mut self) {
+        self.phase = Phase::Stopped;
+        self.outgoing = Outgoing::None;
+        self.torque_desired.fill(f64::NAN);
+        self.command.fill(f64::NAN);
+    }
+
+    /// Stops on request. The result has the first command of the stop, which replaces the command of this cycle.
     pub fn stop(&mut self) -> Step<'_> {
         self.take_back();
-        if self.phase != Phase::Stopped {
+        if self.phase != Phase::Stopped && self.phase != Phase::Stopping {
             self.enter_stop();
         }
         self.result()
@@ -499,7 +532,8 @@ impl ControlLoop {
         if is_known {
             let periods = self.state.estimator.missed().saturating_add(1);
             let commanded = if self.is_reacting() { None } else { self.controller.commanded_acceleration() };
-            self.reference.finish(periods as f64 * self.capabilities.period_s, commanded);
+            let share = self.ramped_share();
+            self.reference.finish(periods as f64 * self.capabilities.period_s, commanded, share);
             self.friction.set_reference_velocity(self.reference.velocity.as_slice());
         } else {
             self.reference.end();
@@ -510,10 +544,15 @@ impl ControlLoop {
         }
     }
 
+    /// Share of the command beyond the torques that hold the arm, while torques ramp in; 1 afterwards.
+    fn ramped_share(&self) -> f64 {
+        let passed_s = self.ramp_passed_s();
+        if passed_s < self.ramp_s { passed_s / self.ramp_s } else { 1.0 }
+    }
+
     /// Computes τ_s = clamp(τ_eff + n̂), equation (K11); τ_eff ramps in from the torques that hold the arm.
     fn shape_torque(&mut self) {
-        let passed_s = self.ramp_passed_s();
-        let share = if passed_s < self.ramp_s { passed_s / self.ramp_s } else { 1.0 };
+        let share = self.ramped_share();
         for i in 0..self.command.len() {
             let holding = self.holding_torque(i);
             let ramped =
@@ -553,25 +592,40 @@ impl ControlLoop {
 
     fn enter_stop(&mut self) {
         self.phase = Phase::Stopped;
-        self.set_last_setpoint();
+        if self.capabilities.on_stop == StopMethod::Setpoints && self.begin_stop() {
+            self.come_to_rest();
+        }
         self.torque_desired.fill(f64::NAN);
         self.command.fill(f64::NAN);
     }
 
-    /// Computes the last setpoint. For a position robot it balances the weight and is ahead of the measured position by
-    /// v/kp; the robot keeps it, and the stiff servo stops the arm. For a velocity robot the servo's damping brakes the
-    /// arm. If the state is unknown or outdated, the previous setpoint remains.
-    fn set_last_setpoint(&mut self) {
+    /// Computes the next setpoints of a stop.
+    fn come_to_rest(&mut self) {
+        let missed = self.state.estimator.missed();
+        let Some(guard) = &mut self.guard else { return };
+        self.phase = if guard.come_to_rest(missed) { Phase::Stopped } else { Phase::Stopping };
+        if check_finite(guard.setpoint()).is_err() {
+            return self.abandon();
+        }
+        self.transformer.sent(&self.state.data, guard.setpoint());
+        self.outgoing = Outgoing::Setpoint;
+    }
+
+    /// Computes the setpoints of joints that are stopped without limits. For a position robot they balance the weight and are ahead
+    /// of the measured positions by v/kp; the robot keeps them, and the stiff servos stop the arm. For a velocity robot the servos'
+    /// damping brakes the arm. If the state is unknown or outdated, the previous setpoints remain. Returns false if no setpoint
+    /// is to be sent.
+    fn begin_stop(&mut self) -> bool {
         let estimator = &self.state.estimator;
         let unknown = !estimator.is_known() || self.state.data.q.iter().any(|q| !q.is_finite());
         for i in 0..self.torque_desired.len() {
             self.torque_desired[i] = self.holding_torque(i);
         }
         let estimator = &self.state.estimator;
-        let Some(guard) = &mut self.guard else { return };
+        let Some(guard) = &mut self.guard else { return false };
         guard.stop_watching();
         if unknown || estimator.is_outdated() {
-            return;
+            return guard.begin_stop_at_previous();
         }
         let torque = self.torque_desired.as_slice();
         if self.capabilities.command == CommandKind::Velocity {
@@ -580,11 +634,8 @@ impl ControlLoop {
             self.transformer.transform(&self.state.data, torque, guard.setpoint_mut());
         }
         guard.keep_within_reach(estimator.measurement());
-        guard.keep_within_limits(estimator.missed());
-        if check_finite(guard.setpoint()).is_ok() {
-            self.transformer.sent(&self.state.data, guard.setpoint());
-            self.outgoing = Outgoing::Setpoint;
-        }
+        guard.begin_stop();
+        true
     }
 
     fn fill_row(&mut self) {

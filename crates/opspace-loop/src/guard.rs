@@ -38,6 +38,8 @@ pub(crate) struct Guard {
     /// setpoints.
     rate: DVector<f64>,
     clamped: DVector<f64>,
+    /// Setpoints of a stop without limits (n).
+    last: DVector<f64>,
     /// True once a setpoint was computed.
     is_set: bool,
     watchdog: Watchdog,
@@ -85,6 +87,7 @@ impl Guard {
             setpoint: DVector::from_element(n, f64::NAN),
             rate: DVector::zeros(n),
             clamped: DVector::zeros(n),
+            last: DVector::zeros(n),
             is_set: false,
             watchdog,
             torque_desired: DVector::zeros(n),
@@ -202,6 +205,58 @@ impl Guard {
             }
             *setpoint = governor.follow(*setpoint);
         }
+    }
+
+    /// Returns true if the drives limit any setpoints.
+    pub(crate) fn has_limits(&self) -> bool {
+        self.governors.iter().any(GovernedSetpoint::is_limited)
+    }
+
+    /// Begins a stop: the present setpoints are those of joints whose setpoints are not limited, and those at which the joints of
+    /// a velocity robot come to rest.
+    pub(crate) fn begin_stop(&mut self) {
+        self.last.copy_from(&self.setpoint);
+    }
+
+    /// Begins a stop in an unknown state, at the previous setpoints. Returns false if none were sent, or the drives keep them.
+    pub(crate) fn begin_stop_at_previous(&mut self) -> bool {
+        if !self.has_limits() {
+            return false;
+        }
+        for (last, governor) in self.last.iter_mut().zip(&self.governors) {
+            match (self.kind, governor.last()) {
+                (_, None) => return false,
+                (CommandKind::Velocity, _) => *last = 0.0,
+                (_, Some(setpoint)) => *last = setpoint,
+            }
+        }
+        true
+    }
+
+    /// Computes the next setpoints of a stop, which come to rest within the limits. Returns true if they are at rest.
+    pub(crate) fn come_to_rest(&mut self, missed: u64) -> bool {
+        let elapsed_s = self.period_s * (missed + 1) as f64;
+        let mut is_at_rest = true;
+        self.setpoint.copy_from(&self.last);
+        let setpoints = self.setpoint.iter_mut().zip(&mut self.rate);
+        for (governor, (setpoint, rate)) in self.governors.iter_mut().zip(setpoints) {
+            if missed > 0 {
+                governor.keep();
+            }
+            let (end, before) = (*setpoint, governor.last());
+            if governor.is_limited() {
+                *setpoint = match self.kind {
+                    CommandKind::Velocity => governor.follow(end),
+                    _ => governor.brake(end),
+                };
+            }
+            governor.take(*setpoint);
+            *rate = before.map_or(0.0, |before| (*setpoint - before) / elapsed_s);
+            let is_there = self.kind != CommandKind::Velocity || *setpoint == end;
+            is_at_rest &= !governor.is_limited() || (is_there && governor.is_at_rest());
+        }
+        self.is_set = true;
+        is_at_rest
     }
 
     /// Ends a cycle in which setpoints were computed.

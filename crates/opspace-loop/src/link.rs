@@ -154,7 +154,7 @@ impl Link {
         let cause = self.hold.and_then(|column| HoldCause::from_code(row[column]));
         let is_of_other = matches!(cause, Some(HoldCause::RobotHeld(_) | HoldCause::RobotSilent(_)));
         self.is_hold_of_other = is_held && (self.is_hold_of_other || is_of_other);
-        row[self.phase] == Phase::Stopped.code() || (is_held && !self.is_hold_of_other)
+        Phase::is_after_stop(row[self.phase]) || (is_held && !self.is_hold_of_other)
     }
 
     /// Writes the newest packet that arrived by `tick` to the receiver's targets, stamped with its clock `clock_s` (s).

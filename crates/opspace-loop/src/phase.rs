@@ -10,6 +10,8 @@ pub enum Phase {
     Rest,
     /// The controller commands.
     Control,
+    /// After a stop: setpoints come to rest within their limits.
+    Stopping,
     /// After a stop: the robot is in its safe state.
     Stopped,
     /// After a dropout or on request: the robot is held until it stands still.
@@ -28,7 +30,14 @@ impl Phase {
             Self::Stopped => 2.0,
             Self::Held => 3.0,
             Self::Resuming => 4.0,
+            Self::Stopping => 5.0,
         }
+    }
+
+    /// True if `code` is the number of a phase after a stop.
+    #[must_use]
+    pub fn is_after_stop(code: f64) -> bool {
+        [Self::Stopping, Self::Stopped].map(Self::code).contains(&code)
     }
 }
 

@@ -28,8 +28,14 @@ impl ReferenceMotion {
         self.acceleration.copy_from(&self.velocity);
     }
 
-    /// Ends a cycle, `elapsed_s` (s) after the last one, with the accelerations that are commanded, if they are known.
-    pub(crate) fn finish(&mut self, elapsed_s: f64, commanded: Option<CommandedAcceleration<'_>>) {
+    /// Ends a cycle, `elapsed_s` (s) after the last one, with the accelerations that are commanded, if they are known. While
+    /// torques ramp in, a `share` of them acts.
+    pub(crate) fn finish(
+        &mut self,
+        elapsed_s: f64,
+        commanded: Option<CommandedAcceleration<'_>>,
+        share: f64,
+    ) {
         if !std::mem::replace(&mut self.is_continued, true) {
             self.acceleration.fill(0.0);
             return;
@@ -41,9 +47,11 @@ impl ReferenceMotion {
             None => {}
             Some(CommandedAcceleration { acceleration, is_limited: true }) => {
                 self.acceleration.copy_from_slice(acceleration);
+                self.acceleration *= share;
             }
             Some(CommandedAcceleration { acceleration, .. }) => {
                 for (a, &commanded) in self.acceleration.iter_mut().zip(acceleration) {
+                    let commanded = share * commanded;
                     *a = a.max(commanded.min(0.0)).min(commanded.max(0.0));
                 }
             }

@@ -137,8 +137,8 @@ impl<'a> Run<'a> {
         if self.is_over() {
             return None;
         }
-        let stopped = self.is_stopped();
-        let stop_requested = !stopped && self.stop_request.is_some_and(|r| r.load(Ordering::Relaxed));
+        let (stopped, is_ending) = (self.is_stopped(), self.outcome.is_some());
+        let stop_requested = !is_ending && self.stop_request.is_some_and(|r| r.load(Ordering::Relaxed));
         if let Some(stream) = &mut self.stream {
             stream.receive(sample.time_s, &mut self.targets);
         }
@@ -147,12 +147,15 @@ impl<'a> Run<'a> {
         let (faulted, control_cycles) = (step.fault.is_some(), step.control_cycles);
         let elapsed_ns = began.elapsed().as_nanos() as f64;
         self.record([flag(stop_requested), 0.0]);
-        if !(faulted || stopped) {
+        if !(faulted || is_ending) {
             self.sink.row(TIMING, self.control.clock_s(), &[elapsed_ns]);
         }
         if stopped {
             self.aftermath_cycles -= 1;
             return None;
+        }
+        if is_ending {
+            return self.outgoing();
         }
         if faulted {
             self.end_faulted();
@@ -168,7 +171,8 @@ impl<'a> Run<'a> {
 
     /// Stops because the robot could not be read. Returns the last command for the robot if its state is known.
     pub fn fail(&mut self, fault: DeviceFault) -> Option<Command<'_>> {
-        if self.is_stopped() {
+        if self.outcome.is_some() {
+            self.control.abandon();
             self.aftermath_cycles = 0;
             return None;
         }
@@ -179,10 +183,10 @@ impl<'a> Run<'a> {
     }
 
     /// Stops because the robot rejected the command of this cycle. A second row of the cycle records the fault, and no
-    /// further command may be written. If the robot rejects a last setpoint, nothing changes: the run is already
-    /// stopped.
+    /// further command may be written. If the robot rejects a setpoint of a stop, its own stop follows, and the outcome remains.
     pub fn refuse(&mut self, fault: DeviceFault) {
-        if self.is_stopped() {
+        if self.outcome.is_some() {
+            self.control.abandon();
             return;
         }
         let _ = self.control.fail(fault);
@@ -204,6 +208,7 @@ impl<'a> Run<'a> {
         if self.outcome.is_none() {
             self.outcome = Some(RunOutcome::Faulted { fault: Fault::Panicked, time_s: self.time_s() });
         }
+        self.control.abandon();
         self.aftermath_cycles = 0;
     }
 
@@ -223,10 +228,10 @@ impl<'a> Run<'a> {
         });
     }
 
-    /// Returns true once the robot must be in its safe state.
+    /// Returns true once the robot must be in its safe state: call its own stop.
     #[must_use]
     pub fn is_stopped(&self) -> bool {
-        self.outcome.is_some()
+        self.outcome.is_some() && self.control.result().phase == Phase::Stopped
     }
 
     /// Returns true once no further cycle is needed.
@@ -234,8 +239,8 @@ impl<'a> Run<'a> {
     pub fn is_over(&self) -> bool {
         match self.outcome {
             None => false,
-            Some(RunOutcome::Completed) => true,
-            Some(_) => self.aftermath_cycles == 0,
+            Some(RunOutcome::Completed) => self.is_stopped(),
+            Some(_) => self.is_stopped() && self.aftermath_cycles == 0,
         }
     }
 

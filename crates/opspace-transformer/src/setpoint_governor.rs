@@ -34,6 +34,9 @@ const PLANNED: f64 = 0.8;
 /// Halvings of the range of accelerations.
 const BISECTIONS: u32 = 16;
 
+/// Speed at which a setpoint is at rest, and change of speed in a cycle, rad/s (m/s): far above rounding.
+const REST: f64 = 1e-8;
+
 /// Setpoint of one joint, within the limits of its drive: see the [module](self).
 #[derive(Clone, Copy, Debug)]
 pub struct GovernedSetpoint {
@@ -60,6 +63,37 @@ impl GovernedSetpoint {
         Self { takes, period_s, velocity_limit, acceleration_limit, jerk_limit, desired: 0.0, last: None }
     }
 
+    /// True if a limit is declared.
+    #[must_use]
+    pub fn is_limited(&self) -> bool {
+        self.acceleration_limit.is_finite() || self.jerk_limit.is_finite()
+    }
+
+    /// Returns the next setpoint (rad, m) of a position robot that comes to rest as soon as the limits allow, or `first` if there
+    /// was none before.
+    #[must_use]
+    pub fn brake(&self, first: f64) -> f64 {
+        let Some([setpoint, velocity, before]) = self.last else { return first };
+        let acceleration = self.allowed(self.towards(-velocity, 0.0), velocity, before);
+        setpoint + self.period_s * (velocity + self.period_s * acceleration)
+    }
+
+    /// Last setpoint, rad, m (rad/s, m/s for a velocity robot); `None` before the first.
+    #[must_use]
+    pub fn last(&self) -> Option<f64> {
+        self.last.map(|[setpoint, ..]| setpoint)
+    }
+
+    /// True if the last setpoint does not move, or there was none.
+    #[must_use]
+    pub fn is_at_rest(&self) -> bool {
+        let moves = |value: f64| value.abs() > REST;
+        self.last.is_none_or(|[_, velocity, acceleration]| {
+            let is_moving = self.takes != CommandKind::Velocity && moves(velocity);
+            !is_moving && !moves(self.period_s * acceleration)
+        })
+    }
+
     /// Returns the setpoint within the limits that follows `desired` (rad, m; rad/s, m/s for a velocity robot).
     pub fn follow(&mut self, desired: f64) -> f64 {
         let followed = self.limited(desired);
@@ -69,17 +103,7 @@ impl GovernedSetpoint {
 
     fn limited(&self, desired: f64) -> f64 {
         let Some([setpoint, velocity, before]) = self.last else { return desired };
-        let reached = self.jerk_limit * self.period_s;
-        // A whole number of steps changes the velocity by up to J T²/8 more than s assumes.
-        let spare = if reached.is_finite() { 0.125 * reached * self.period_s } else { 0.0 };
-        let [lowest, highest] =
-            [-1.0, 1.0].map(|sign| self.towards(sign * self.velocity_limit - velocity, spare));
-        let allowed = |acceleration: f64| {
-            acceleration
-                .clamp(-self.acceleration_limit, self.acceleration_limit)
-                .clamp(before - reached, before + reached)
-                .clamp(lowest.min(highest), highest.max(lowest))
-        };
+        let allowed = |acceleration: f64| self.allowed(acceleration, velocity, before);
         // What is within the limits is followed exactly. What is not a number stays one, so that it stops the run.
         let exact = (self.velocity_to(desired, setpoint) - velocity) / self.period_s;
         if allowed(exact) == exact || exact.is_nan() {
@@ -95,6 +119,19 @@ impl GovernedSetpoint {
             CommandKind::Velocity => velocity,
             CommandKind::Position | CommandKind::Torque => setpoint + self.period_s * velocity,
         }
+    }
+
+    /// Acceleration within the limits that is nearest to `acceleration`, at a velocity, with the acceleration `before` it.
+    fn allowed(&self, acceleration: f64, velocity: f64, before: f64) -> f64 {
+        let reached = self.jerk_limit * self.period_s;
+        // A whole number of steps changes the velocity by up to J T²/8 more than s assumes.
+        let spare = if reached.is_finite() { 0.125 * reached * self.period_s } else { 0.0 };
+        let [lowest, highest] =
+            [-1.0, 1.0].map(|sign| self.towards(sign * self.velocity_limit - velocity, spare));
+        acceleration
+            .clamp(-self.acceleration_limit, self.acceleration_limit)
+            .clamp(before - reached, before + reached)
+            .clamp(lowest.min(highest), highest.max(lowest))
     }
 
     /// Acceleration within `range` from which the setpoint comes to rest relative to the desired one at no distance, or at the

@@ -1,6 +1,6 @@
 //! `[interface]` of robot.toml: the commands that a robot accepts and the quantities that it measures.
 
-use opspace_backend::{CommandKind, GravityCompensation, Measured, MissedCycle, Setpoints};
+use opspace_backend::{CommandKind, GravityCompensation, Measured, MissedCycle, Setpoints, StopMethod};
 use opspace_transformer::Gears;
 #[cfg(feature = "schema")]
 use schemars::JsonSchema;
@@ -21,6 +21,10 @@ pub struct InterfaceParameters {
     /// `hold-torque`, as torque robots do.
     #[cfg_attr(feature = "schema", schemars(extend("x-default" = "depends on `command`")))]
     pub on_missed_cycle: Option<MissedCycle>,
+    /// Way in which a robot that moves is stopped: by `setpoints` that come to rest within their limits, as position and velocity
+    /// robots are, or by the stop of the `robot` itself, as torque robots are.
+    #[cfg_attr(feature = "schema", schemars(extend("x-default" = "depends on `command`")))]
+    pub on_stop: Option<StopMethod>,
     /// Compensation of the robot's weight: by the robot itself or by the controller.
     pub gravity_compensated_by: GravityCompensation,
     /// Quantities measured by the robot.

@@ -311,6 +311,9 @@ impl RobotDefinition {
             .measuring(&interface.measured)
             .with_setpoints(interface.setpoints)
             .with_gravity_compensated_by(interface.gravity_compensated_by);
+        // Torques can't bring a robot to rest within limits of setpoints.
+        let on_stop = interface.on_stop.filter(|_| command != CommandKind::Torque).unwrap_or(stated.on_stop);
+        let stated = stated.with_on_stop(on_stop);
         let brakes = if command == CommandKind::Velocity { interface.brakes } else { stated.has_brakes };
         let sensors = self.file.force_sensor.iter();
         sensors.fold(stated.with_brakes(brakes), |stated, (name, sensor)| {

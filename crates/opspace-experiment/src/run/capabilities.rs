@@ -41,6 +41,7 @@ impl Experiment {
             &missed(&stated),
             &missed(declared),
         )?;
+        self.same("interface.on_stop", "way to stop", &stated.on_stop, &declared.on_stop)?;
         self.same("interface.brakes", "brakes", &stated.has_brakes, &declared.has_brakes)?;
         self.same("interface.measured", "measured quantities", &measured(&stated), &measured(declared))?;
         let sensors = |c: &Capabilities| -> Vec<ForceSensor> { c.force_sensors.clone() };

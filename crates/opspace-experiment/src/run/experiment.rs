@@ -21,7 +21,7 @@ use crate::suggest::choices;
 use crate::transformers::check_robot;
 use crate::transformers::setup::setpoint_limits;
 use opspace_backend::quantity::Positive;
-use opspace_backend::{Capabilities, CommandKind, GravityCompensation, MissedCycle};
+use opspace_backend::{Capabilities, CommandKind, GravityCompensation, MissedCycle, StopMethod};
 use opspace_control::hierarchy::task_parameters::largest_unused_damping_per_s;
 use opspace_control::{
     ControlContext, ControlError, Controller, InverseKinematicsController, LimitParameters,
@@ -685,6 +685,11 @@ impl Experiment {
             );
             let help = Some(format!("omit it, or use \"{}\"", missed_cycle_name(honoured)));
             return Err(FileError::at_key(&self.robot.source, "interface.on_missed_cycle", message, help));
+        }
+        if interface.command == CommandKind::Torque && interface.on_stop == Some(StopMethod::Setpoints) {
+            let message = "a torque robot accepts no setpoints that come to rest";
+            let help = Some("omit it, or use \"robot\"".to_owned());
+            return Err(FileError::at_key(&self.robot.source, "interface.on_stop", message, help));
         }
         self.servos()?;
         if let Some(name) = self.transformer_name() {

@@ -45,8 +45,8 @@ impl<'a> Run<'a> {
     ) -> Option<Self> {
         let tick = recording.channel(TICK_CHANNEL)?;
         let phase = tick.signal(PHASE)?;
-        let idle = [Phase::Rest, Phase::Stopped].map(Phase::code);
-        let is_controlled = |k: &usize| !idle.contains(&phase.row(*k)[0]);
+        let is_idle = |code: f64| code == Phase::Rest.code() || Phase::is_after_stop(code);
+        let is_controlled = |k: &usize| !is_idle(phase.row(*k)[0]);
         let first = (0..tick.len()).find(is_controlled);
         let start_s = match control.start_s {
             Some(start_s) => start_s,
@@ -54,7 +54,7 @@ impl<'a> Run<'a> {
         };
         let same_s = 0.25 * experiment.profile().1.servo_period_s();
         let begin = first.unwrap_or(0);
-        let stopped = (begin..tick.len()).find(|k| phase.row(*k)[0] == Phase::Stopped.code());
+        let stopped = (begin..tick.len()).find(|k| Phase::is_after_stop(phase.row(*k)[0]));
         let was_over = control.is_over;
         control.is_over |= stopped.is_some();
         let to_s = match stopped {
