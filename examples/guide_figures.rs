@@ -3,14 +3,17 @@
 //! `cargo run --release -p opspace --example guide_figures -- [FOLDER]` draws them in `runs/guide_figures`, or in FOLDER; the
 //! guide shows the copies in `docs/figures`.
 
+#[path = "common/curves.rs"]
+mod curves;
 #[path = "common/plot.rs"]
 mod plot;
 
+use curves::{curve, tick};
 use opspace::backend::{Backend, Sample};
 use opspace::control::CartesianTarget;
 use opspace::experiment::{Experiment, Files, Progress};
 use opspace::log::Recording;
-use plot::{BLUE, GREEN, Line, ORANGE, Panel, curve, draw, tick};
+use plot::{BLUE, GREEN, Line, ORANGE, Panel, draw};
 use plotters::style::RGBColor;
 use std::error::Error;
 

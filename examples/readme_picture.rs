@@ -8,12 +8,16 @@
 #[path = "common/mod.rs"]
 mod common;
 
+#[path = "common/curves.rs"]
+mod curves;
+
 #[path = "common/plot.rs"]
 mod plot;
 
+use curves::{curve, tick};
 use opspace::experiment::{Experiment, Files, Progress};
 use opspace::log::Recording;
-use plot::{BLUE, GREEN, Line, ORANGE, Panel, curve, draw, tick};
+use plot::{BLUE, GREEN, Line, ORANGE, Panel, draw};
 use std::error::Error;
 
 /// Joint whose torques are shown.

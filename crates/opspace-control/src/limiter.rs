@@ -111,7 +111,7 @@ impl Limiter {
             }
             data.mass_matrix_factor.solve(self.bias_acceleration.as_mut_slice());
         }
-        self.drag.update(input);
+        self.drag.update(data, input.damping_torque);
         self.resists = hierarchy
             .levels
             .iter()

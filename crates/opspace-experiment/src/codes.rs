@@ -119,6 +119,7 @@ codes! {
     UnstableSimulation "unstable-simulation" Effect::Reported,
     GearOscillation "gear-oscillation" Effect::RefusedOnRealRobot,
     FeedForwardImpulse "feed-forward-impulse" Effect::RefusedOnRealRobot,
+    NarrowSetpointLimits "narrow-setpoint-limits" Effect::Reported,
     ActiveImpedance "active-impedance" Effect::Reported,
     // Couplings.
     NoPassivityControl "no-passivity-control" Effect::Reported,

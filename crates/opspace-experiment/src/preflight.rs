@@ -56,7 +56,7 @@ pub use freedom::SingularPostures;
 pub use gear_resonance::GearResonance;
 pub use gears::{GearMargin, GearScale, gear_margin};
 pub use impedances::{JointImpedance, impedances};
-pub use margins::{Margins, Quantity, RangeEnd, StableRange, margins, margins_with};
+pub use margins::{Margins, Quantity, RangeEnd, StableRange, alternatives, margins, margins_with};
 pub use refusal::{LEAST_EXCESS, checked_for_real_robot, refusals};
 pub use reserves::{Reserve, ReserveOf};
 pub use servo_gain::{GainMargin, ServoLoop, gain_margin};

@@ -52,6 +52,9 @@ use opspace_control::{ControlInput, Controller, Measurement, Targets};
 use opspace_model::{Data, JointUnits, Model};
 use opspace_transformer::{FrictionCompensation, Transformer};
 
+/// Duration after which a stop ends at the latest, s: a robot that comes to rest more slowly has no useful limits.
+const LONGEST_STOP_S: f64 = 10.0;
+
 /// Result of a cycle.
 #[derive(Clone, Copy, Debug)]
 #[must_use]
@@ -91,6 +94,8 @@ pub struct ControlLoop {
     ramp_from_s: f64,
     standstill: Standstill,
     fault: Option<Fault>,
+    /// Duration of a stop so far, s.
+    stopping_s: f64,
     /// Controller's command (n).
     command: DVector<f64>,
     torque_desired: DVector<f64>,
@@ -172,6 +177,7 @@ impl ControlLoop {
             held: false,
             ramp_from_s: 0.0,
             fault: None,
+            stopping_s: 0.0,
             row: Vec::new(),
             layout: Layout { channel: TICK_CHANNEL.to_owned(), signals: Vec::new() },
             units: model.joint_units(),
@@ -466,6 +472,7 @@ impl ControlLoop {
         } else {
             check_finite(self.command.as_slice())?;
             guard.take(self.command.as_slice(), measurement, missed)?;
+            guard.keep_within_limits(missed);
         }
         guard.finish(missed);
         self.held = false;
@@ -603,7 +610,9 @@ impl ControlLoop {
     fn come_to_rest(&mut self) {
         let missed = self.state.estimator.missed();
         let Some(guard) = &mut self.guard else { return };
-        self.phase = if guard.come_to_rest(missed) { Phase::Stopped } else { Phase::Stopping };
+        self.stopping_s += self.capabilities.period_s;
+        let is_last = guard.come_to_rest(missed) || self.stopping_s > LONGEST_STOP_S;
+        self.phase = if is_last { Phase::Stopped } else { Phase::Stopping };
         if check_finite(guard.setpoint()).is_err() {
             return self.abandon();
         }

@@ -252,8 +252,7 @@ impl Guard {
             }
             governor.take(*setpoint);
             *rate = before.map_or(0.0, |before| (*setpoint - before) / elapsed_s);
-            let is_there = self.kind != CommandKind::Velocity || *setpoint == end;
-            is_at_rest &= !governor.is_limited() || (is_there && governor.is_at_rest());
+            is_at_rest &= !governor.is_limited() || governor.is_at_rest(end);
         }
         self.is_set = true;
         is_at_rest

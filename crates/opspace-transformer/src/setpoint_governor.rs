@@ -84,13 +84,14 @@ impl GovernedSetpoint {
         self.last.map(|[setpoint, ..]| setpoint)
     }
 
-    /// True if the last setpoint does not move, or there was none.
+    /// True if the last setpoint rests: at any position, or at the velocity `end` (rad/s, m/s) or the nearest one within the limits.
+    /// True if there was none.
     #[must_use]
-    pub fn is_at_rest(&self) -> bool {
-        let moves = |value: f64| value.abs() > REST;
+    pub fn is_at_rest(&self, end: f64) -> bool {
+        let nearest = end.clamp(-self.velocity_limit, self.velocity_limit);
+        let at_rest = if self.takes == CommandKind::Velocity { nearest } else { 0.0 };
         self.last.is_none_or(|[_, velocity, acceleration]| {
-            let is_moving = self.takes != CommandKind::Velocity && moves(velocity);
-            !is_moving && !moves(self.period_s * acceleration)
+            (velocity - at_rest).abs() <= REST && (self.period_s * acceleration).abs() <= REST
         })
     }
 
@@ -102,7 +103,11 @@ impl GovernedSetpoint {
     }
 
     fn limited(&self, desired: f64) -> f64 {
-        let Some([setpoint, velocity, before]) = self.last else { return desired };
+        let Some([setpoint, velocity, before]) = self.last else {
+            // The first velocity has a limit, the first position has none.
+            let most = if self.takes == CommandKind::Velocity { self.velocity_limit } else { f64::INFINITY };
+            return desired.clamp(-most, most);
+        };
         let allowed = |acceleration: f64| self.allowed(acceleration, velocity, before);
         // What is within the limits is followed exactly. What is not a number stays one, so that it stops the run.
         let exact = (self.velocity_to(desired, setpoint) - velocity) / self.period_s;

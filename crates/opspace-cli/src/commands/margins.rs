@@ -1,8 +1,8 @@
 //! Margins and unavoidable errors of a transformer, in `opspace check`.
 
 use opspace_experiment::preflight::{
-    GearMargin, GearScale, JointFloor, JointImpedance, Margins, StableRange, TORQUE_HZ, floors, impedances,
-    margins,
+    GearMargin, GearScale, JointFloor, JointImpedance, Margins, StableRange, TORQUE_HZ, alternatives, floors,
+    impedances, margins,
 };
 use opspace_experiment::{Experiment, Finding};
 use serde_json::{Value, json};
@@ -12,6 +12,10 @@ use std::fmt::Write as _;
 pub struct Strength {
     /// With the transformer in use, and with its counterpart without or with current.
     margins: Vec<Margins>,
+    /// With the transformers that were not chosen.
+    alternatives: Vec<Margins>,
+    /// Reason for the choice.
+    reason: Option<String>,
     impedances: Vec<JointImpedance>,
     floors: Vec<JointFloor>,
 }
@@ -21,6 +25,8 @@ impl Strength {
     pub fn of(experiment: &Experiment) -> Option<Self> {
         Some(Self {
             margins: margins(experiment),
+            alternatives: alternatives(experiment),
+            reason: experiment.transformer_reason(),
             impedances: impedances(experiment)?,
             floors: floors(experiment)?,
         })
@@ -38,6 +44,12 @@ impl Strength {
         let mut text = String::new();
         for margins in &self.margins {
             let _ = writeln!(text, "  {}", margins.to_string().replace('\n', "\n  "));
+        }
+        if let Some(reason) = self.reason.as_ref().filter(|_| !self.alternatives.is_empty()) {
+            let _ = writeln!(text, "  chosen because {reason}; the other transformers:");
+        }
+        for margins in &self.alternatives {
+            let _ = writeln!(text, "    {:<25} {}", margins.transformer.as_str(), margins.in_short());
         }
         let names = self.floors.iter().map(|floor| floor.joint.chars().count());
         let width = names.max().unwrap_or(0).clamp(5, 30);
@@ -82,15 +94,22 @@ impl Strength {
                 floor.joint, floor.setpoint_floor_nm
             );
         }
-        let limited = self.floors.iter().filter_map(|f| f.within_setpoint_limits_nm.map(|nm| (&f.joint, nm)));
-        for (number, (joint, amplitudes)) in limited.enumerate() {
+        let limited = self.floors.iter().filter_map(|floor| {
+            let (amplitudes, hz) = (floor.within_setpoint_limits_nm?, floor.bandwidth_hz?);
+            Some((&floor.joint, amplitudes, hz))
+        });
+        for (number, (joint, amplitudes, hz)) in limited.enumerate() {
             if number == 0 {
                 let at = TORQUE_HZ.map(|hz| format!("{:>9}", format!("{hz} Hz"))).concat();
-                let _ = writeln!(text, "  torque amplitudes within the limits of setpoints, joint held, Nm:");
-                let _ = writeln!(text, "    {:<width$}{at}", "joint");
+                let _ = writeln!(
+                    text,
+                    "  torque amplitudes within the limits of setpoints, joint held, Nm, and the bandwidth"
+                );
+                let _ = writeln!(text, "  of a tenth of the torque limit:");
+                let _ = writeln!(text, "    {:<width$}{at}  bandwidth", "joint");
             }
             let amplitudes = amplitudes.map(|nm| format!("{nm:>9.1}")).concat();
-            let _ = writeln!(text, "    {joint:<width$}{amplitudes}");
+            let _ = writeln!(text, "    {joint:<width$}{amplitudes}  {hz:>6.1} Hz");
         }
         text
     }
@@ -108,10 +127,12 @@ impl Strength {
                 "setpoint_floor_nm": floor.setpoint_floor_nm,
                 "torque_limit_nm": floor.torque_limit_nm,
                 "within_setpoint_limits_nm": floor.within_setpoint_limits_nm,
+                "bandwidth_within_setpoint_limits_hz": floor.bandwidth_hz,
             })
         };
         json!({
             "margins": self.margins.iter().map(margins_json).collect::<Vec<Value>>(),
+            "alternatives": self.alternatives.iter().map(margins_json).collect::<Vec<Value>>(),
             "torque_hz": TORQUE_HZ,
             "joints": self.impedances.iter().zip(&self.floors).map(joint).collect::<Vec<Value>>(),
         })

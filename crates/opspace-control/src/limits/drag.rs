@@ -9,8 +9,8 @@
 //!
 //! without the torque by which joint i itself opposes its motion, which brings it to a limit no sooner.
 
-use crate::controller::ControlInput;
 use nalgebra::DMatrix;
+use opspace_model::Data;
 
 /// Accelerations by damping.
 pub(crate) struct Drag {
@@ -26,18 +26,18 @@ impl Drag {
         Self { inverse: DMatrix::zeros(n, n), accelerations: vec![[0.0; 2]; n] }
     }
 
-    /// Computes the accelerations in the state of `input`.
-    pub(crate) fn update(&mut self, input: &ControlInput<'_>) {
-        if input.damping_torque.is_empty() {
+    /// Computes the accelerations in the state of `data`, by torques within these intervals (n; Nm or N).
+    pub(crate) fn update(&mut self, data: &Data, intervals: &[[f64; 2]]) {
+        if intervals.is_empty() {
             return;
         }
         self.inverse.fill_with_identity();
-        input.data.mass_matrix_factor.solve_matrix(&mut self.inverse);
+        data.mass_matrix_factor.solve_matrix(&mut self.inverse);
         self.accelerations.fill([0.0; 2]);
-        for (j, (column, torques)) in self.inverse.column_iter().zip(input.damping_torque).enumerate() {
+        for (j, (column, torques)) in self.inverse.column_iter().zip(intervals).enumerate() {
             let of_others = self.accelerations.iter_mut().zip(column.iter()).enumerate();
             of_others.filter(|(i, _)| *i != j).for_each(|(_, (sum, mobility))| add(sum, *mobility, *torques));
-            let v = input.measurement.dq[j];
+            let v = data.dq[j];
             let driving = [if v < 0.0 { torques[0] } else { 0.0 }, if v > 0.0 { torques[1] } else { 0.0 }];
             add(&mut self.accelerations[j], column[j], driving);
         }

@@ -5,6 +5,7 @@ mod allocation;
 mod collisions;
 mod common;
 mod coupling;
+mod damped_limits;
 mod files;
 mod force_control;
 mod hierarchy;

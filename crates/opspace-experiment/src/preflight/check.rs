@@ -104,7 +104,7 @@ impl Condition {
 }
 
 /// The built-in checks, in the order of their diagnostics.
-static BUILT_IN: [Check; 23] = [
+static BUILT_IN: [Check; 24] = [
     Check::start(
         "limits",
         "limits that contradict each other, the start posture or the arm's weight",
@@ -164,6 +164,12 @@ static BUILT_IN: [Check; 23] = [
     Check::start("torque-floor", "velocity feed-forward with held setpoints", Condition::Always, |case| {
         torque_floor::feed_forward_impulses(case.experiment).into_iter().collect()
     }),
+    Check::start(
+        "setpoint-limits",
+        "limits of setpoints that leave a small bandwidth to the torque",
+        Condition::Torque,
+        |case| torque_floor::narrow_limits(case.experiment).into_iter().collect(),
+    ),
     Check::references(
         "limits-of-postures",
         "rest postures and goals at or beyond the position limits",

@@ -10,7 +10,7 @@ use super::variation::{Variation, delayed};
 use crate::codes::Code;
 use crate::finding::Finding;
 use crate::run::experiment::Experiment;
-use opspace_backend::CommandKind;
+use opspace_backend::{CommandKind, Setpoints};
 use opspace_transformer::TransformerName;
 use std::fmt;
 
@@ -118,6 +118,37 @@ pub fn margins(experiment: &Experiment) -> Vec<Margins> {
     let other = used.with_current(!used.has_current());
     let others = Some(other).filter(|_| experiment.measures_current());
     std::iter::once(used).chain(others).filter_map(|name| margins_with(experiment, &name)).collect()
+}
+
+/// Computes the margins of an experiment with the transformers that it does not use, if none is requested: they are the evidence
+/// for the choice. Empty if a transformer is requested, or if commands pass without one.
+#[must_use]
+pub fn alternatives(experiment: &Experiment) -> Vec<Margins> {
+    let Some(used) = experiment.transformer_name().filter(|_| experiment.chooses_transformer()) else {
+        return Vec::new();
+    };
+    let emulation = match experiment.robot().file.interface.setpoints {
+        Setpoints::Held => TransformerName::EMULATION,
+        Setpoints::Interpolated => TransformerName::INTERPOLATING,
+    };
+    let all = [TransformerName::EXTRAPOLATION, emulation, TransformerName::PAPER];
+    let others =
+        all.map(|name| name.with_current(used.has_current())).into_iter().filter(|name| *name != used);
+    others.filter_map(|name| margins_with(experiment, &name)).collect()
+}
+
+impl Margins {
+    /// Describes the margins of the first gain and of elastic gears in a line.
+    #[must_use]
+    pub fn in_short(&self) -> String {
+        let gain = match (&self.unstable, self.ranges.first()) {
+            (Some(joint), _) => format!("unstable with nominal values ({joint})"),
+            (None, Some(range)) => format!("{} {range}", range.quantity.name()),
+            (None, None) => String::new(),
+        };
+        let gears = self.gears.as_ref().map(|gears| format!("; elastic gears: {gears}"));
+        format!("{gain}{}", gears.unwrap_or_default())
+    }
 }
 
 /// Computes the margins of an experiment with another transformer than its own; `None` if it cannot be run with it.

@@ -18,7 +18,7 @@
 //! floor = K Δq/√12     (rms)
 //! ```
 
-use super::diagnostic::short;
+use super::diagnostic::{at_least, short};
 use crate::codes::Code;
 use crate::finding::Finding;
 use crate::run::experiment::Experiment;
@@ -45,7 +45,21 @@ pub struct JointFloor {
     /// Largest amplitude (Nm, N) at each of [`TORQUE_HZ`] of the torque on a joint that is held from outside, within the
     /// limits of setpoints; `None` if there are none.
     pub within_setpoint_limits_nm: Option<[f64; 5]>,
+    /// Frequency up to which this amplitude is a tenth of the torque limit, Hz; `None` without limits of setpoints.
+    pub bandwidth_hz: Option<f64>,
 }
+
+/// Amplitude of the torque whose bandwidth is stated, as a share of the torque limit.
+const BANDWIDTH_SHARE: f64 = 0.1;
+
+/// Bandwidth below which the limits of setpoints are reported, Hz: that of a task with 30 rad/s.
+const LEAST_BANDWIDTH_HZ: f64 = 5.0;
+
+/// Frequencies between which a bandwidth is searched, Hz.
+const SEARCHED_HZ: [f64; 2] = [1e-2, 1e4];
+
+/// Halvings of that range.
+const BISECTIONS: u32 = 40;
 
 /// Computes the torque errors of all joints; `None` if commands pass without a transformer.
 #[must_use]
@@ -59,7 +73,9 @@ pub fn floors(experiment: &Experiment) -> Option<Vec<JointFloor>> {
         .map(|(i, (drive, joint))| {
             let law = ServoLaw::new(&servos[i], profile.servo_period_s()).ok()?;
             let limits = limits.and_then(|limits| limits.joint.get(&joint.name));
-            let amplitude = |limits| TORQUE_HZ.map(|hz| amplitude(experiment, &law, limits, hz));
+            let amplitudes = |limits| TORQUE_HZ.map(|hz| amplitude(experiment, &law, limits, hz));
+            let least = BANDWIDTH_SHARE * drive.torque_limit_nm.get();
+            let is_reached = |limits, hz| amplitude(experiment, &law, limits, hz) >= least;
             Some(JointFloor {
                 joint: joint.name.clone(),
                 floor_nm: gains[i].damping * drive.rotor.resolution_rad()
@@ -68,7 +84,8 @@ pub fn floors(experiment: &Experiment) -> Option<Vec<JointFloor>> {
                     * drive.setpoint_resolution_rad.map_or(0.0, Positive::get)
                     / 12.0_f64.sqrt(),
                 torque_limit_nm: drive.torque_limit_nm.get(),
-                within_setpoint_limits_nm: limits.map(amplitude),
+                within_setpoint_limits_nm: limits.map(amplitudes),
+                bandwidth_hz: limits.map(|limits| last_hz(|hz| is_reached(limits, hz))),
             })
         })
         .collect()
@@ -87,6 +104,61 @@ fn amplitude(experiment: &Experiment, law: &ServoLaw, limits: &JointSetpointLimi
         .zip(given)
         .map(|(power, limit)| limit.map_or(f64::INFINITY, Positive::get) / omega.powi(power));
     law.response(z)[0].norm() * allowed.fold(f64::INFINITY, f64::min)
+}
+
+/// Last frequency at which a condition holds that holds up to there, Hz.
+fn last_hz(holds: impl Fn(f64) -> bool) -> f64 {
+    let [mut low, mut high] = SEARCHED_HZ;
+    for _ in 0..BISECTIONS {
+        let middle = (low * high).sqrt();
+        if holds(middle) { low = middle } else { high = middle }
+    }
+    low
+}
+
+/// Finds limits of setpoints that leave a small bandwidth to the torque.
+pub(crate) fn narrow_limits(experiment: &Experiment) -> Option<Finding> {
+    let floors = floors(experiment)?;
+    let of = |floor: &'_ JointFloor| floor.bandwidth_hz.unwrap_or(f64::INFINITY);
+    let (place, worst) = floors.iter().enumerate().min_by(|(_, a), (_, b)| of(a).total_cmp(&of(b)))?;
+    let bandwidth_hz = worst.bandwidth_hz.filter(|hz| *hz < LEAST_BANDWIDTH_HZ)?;
+    let (profile_name, profile) = experiment.profile();
+    let limits = profile.setpoint_limits.as_ref()?.joint.get(&worst.joint)?;
+    let law = ServoLaw::new(&experiment.servos().ok()?[place], profile.servo_period_s()).ok()?;
+    let needed = BANDWIDTH_SHARE * worst.torque_limit_nm;
+    let only = |velocity, acceleration, jerk| {
+        let mut one = JointSetpointLimits::default();
+        (one.velocity_rad_per_s, one.acceleration_rad_per_s2, one.jerk_rad_per_s3) =
+            (velocity, acceleration, jerk);
+        one
+    };
+    let each = [
+        ("velocity_rad_per_s", limits.velocity_rad_per_s, only(limits.velocity_rad_per_s, None, None)),
+        (
+            "acceleration_rad_per_s2",
+            limits.acceleration_rad_per_s2,
+            only(None, limits.acceleration_rad_per_s2, None),
+        ),
+        ("jerk_rad_per_s3", limits.jerk_rad_per_s3, only(None, None, limits.jerk_rad_per_s3)),
+    ];
+    let raised = each.into_iter().filter_map(|(key, limit, alone)| {
+        let left = amplitude(experiment, &law, &alone, LEAST_BANDWIDTH_HZ);
+        (left < needed).then(|| Some(format!("{key} = {}", at_least(limit?.get() * needed / left))))?
+    });
+    let raised: Vec<String> = raised.collect();
+    let message = format!(
+        "limits of setpoints leave joint '{}' a torque bandwidth of {} Hz, for a tenth of its torque limit while it is held: \
+         faster torques are not produced, and the joint is as stiff as its servo",
+        worst.joint,
+        short(bandwidth_hz),
+    );
+    let help = format!(
+        "if the drives allow it, raise the limits in drives and file: {} for {} Hz",
+        raised.join(", "),
+        short(LEAST_BANDWIDTH_HZ),
+    );
+    let key = ["profile", profile_name, "setpoint_limits", "joint", &worst.joint];
+    Some(Finding::new(Code::NarrowSetpointLimits, &key, message, help).of_robot())
 }
 
 /// Finds velocity feed-forward with held setpoints whose torque impulse at the speed limit exceeds the torque limit: a

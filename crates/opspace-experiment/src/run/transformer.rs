@@ -55,6 +55,11 @@ impl Experiment {
         self.default_transformer()
     }
 
+    /// True if the transformer follows from the declared properties of the robot: none is requested or set.
+    pub(crate) fn chooses_transformer(&self) -> bool {
+        self.options.transformer.is_none() && self.profile.transformer.is_none()
+    }
+
     /// Best transformer for the declared properties of the robot, and the reason.
     fn default_transformer(&self) -> (TransformerName, String) {
         TransformerName::best(&DeclaredProperties {

@@ -4,7 +4,6 @@ use crate::coupled_common::{NEAR_TABLE, NO_TABLE, STORE_J, load, project, run, t
 use opspace_backend::signal_names::PORT_FORCE;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use std::time::{SystemTime, UNIX_EPOCH};
 
 /// Settings of an operator who hits a wall, lets go and hits it again, over a channel: all drawn from a seed.
 fn settings(seed: u64) -> Vec<String> {
@@ -29,12 +28,11 @@ fn settings(seed: u64) -> Vec<String> {
     ]
 }
 
-/// Three fixed seeds, and one that differs in each run of the test. Compared: the true energy that the pair gave out, at the physics
+/// Three fixed seeds, and one that `OPSPACE_SEED` may give. Compared: the true energy that the pair gave out, at the physics
 /// rate, and the store.
 #[test]
 fn energy_given_out_is_at_most_the_store() {
-    let now_s = SystemTime::now().duration_since(UNIX_EPOCH).map_or(4, |now| now.as_secs());
-    let drawn = std::env::var("OPSPACE_SEED").map_or(now_s, |seed| seed.parse().expect("a number"));
+    let drawn = std::env::var("OPSPACE_SEED").map_or(4, |seed| seed.parse().expect("a number"));
     for seed in [1, 2, 3, drawn] {
         let settings = settings(seed);
         let run = run(&teleoperation(&settings.iter().map(String::as_str).collect::<Vec<_>>()));

@@ -1,33 +1,52 @@
-//! Every setpoint of a run is within the limits that the drives declare, to the last one, which replaces that of its cycle.
+//! Every setpoint of a run is within the limits that the drives declare, to the last one of its stop, which rests.
 #![expect(clippy::unwrap_used, reason = "a test that can't go on has failed")]
 
 use crate::coupled_common::project;
 use crate::tapped_arm::TappedArm;
 use opspace_backend::quantity::Positive;
 use opspace_backend::{Command, CommandKind, Sample};
-use opspace_experiment::{Experiment, Files, Progress, RunOptions};
+use opspace_experiment::{ControllerKind, Experiment, Files, Progress, RunOptions};
+use opspace_testing::random::Random;
 use opspace_transformer::setpoint_limits::{JointSetpointLimits, SetpointStream};
 use std::io;
 
-/// Ends of runs in the middle of a motion.
+/// Tasks of two arms, with their profiles.
+const TASKS: [(&str, &str); 4] = [
+    ("tasks/panda-tracking.toml", "interface-1khz"),
+    ("tasks/ur5e-tracking.toml", "rtde-500hz"),
+    ("tasks/panda-reach.toml", "interface-1khz"),
+    ("tasks/ur5e-compliant.toml", "rtde-500hz"),
+];
+
+/// Speed of a setpoint at rest, rad/s: the effect of rounding is a hundredth of it.
+const REST_RAD_PER_S: f64 = 1e-7;
+
+/// Ends of runs in the middle of a motion: planned, or by a measurement that is not a number.
 #[test]
 fn no_setpoint_of_a_run_exceeds_a_limit() {
-    for (limits, duration_s) in
-        [([2.0, 10.0, 5000.0], 1.0), ([3.0, 100.0, 5000.0], 1.3), ([1.0, 30.0, 300.0], 0.8)]
-    {
-        let [v, a, j] = limits;
+    let mut slow_stops = 0;
+    for seed in 0..16 {
+        let mut random = Random(seed);
+        let (task, profile) = TASKS[random.below(TASKS.len())];
+        let mut between = |low: f64, high: f64| low * (high / low).powf(random.next());
+        let [v, a, j] = [between(0.5, 3.0), between(5.0, 500.0), between(100.0, 1e5)];
+        let (duration_s, noise) = (between(0.4, 1.0), between(1e-8, 3e-5));
+        let fails_at_s = if between(0.1, 10.0) < 1.0 { 0.5 * duration_s } else { f64::INFINITY };
+        let controller = if random.is(0.3) { ControllerKind::Ik } else { ControllerKind::Osc };
+        let place = format!("{seed}: {task} {controller:?} {v} rad/s {a} rad/s² {j} rad/s³ {duration_s} s");
+        let options = RunOptions { backend: CommandKind::Position, controller, ..RunOptions::default() };
         let joint = format!(
-            "{{ velocity_rad_per_s = {v:.1}, acceleration_rad_per_s2 = {a:.1}, jerk_rad_per_s3 = {j:.1} }}"
+            "{{ velocity_rad_per_s = {v:?}, acceleration_rad_per_s2 = {a:?}, jerk_rad_per_s3 = {j:?} }}"
         );
-        let mut settings: Vec<String> = (1..=7)
-            .map(|k| format!("robot.profile.interface-1khz.setpoint_limits.joint.joint{k}={joint}"))
-            .collect();
-        settings.push("robot.profile.interface-1khz.setpoint_limits.reaction=\"refuse\"".to_owned());
-        let more = ["robot.interface.gears=\"elastic\"", "settle_s=0.1", "expect={}"];
-        settings.extend(more.map(str::to_owned));
-        settings.push(format!("duration_s={duration_s:.1}"));
-        let options = RunOptions { backend: CommandKind::Position, ..RunOptions::default() };
-        let path = project("tasks/panda-tracking.toml");
+        let path = project(task);
+        let plain = Experiment::load(Files::Disk, &path, None, options.clone(), &[])
+            .unwrap_or_else(|e| panic!("{e}"));
+        let limits = format!("robot.profile.{profile}.setpoint_limits");
+        let names = plain.robot().model.joints().iter().map(|joint| &joint.name);
+        let mut settings: Vec<String> = names.map(|name| format!("{limits}.joint.{name}={joint}")).collect();
+        let more = ["settle_s=0.1", "expect={}", "robot.interface.gears=\"elastic\""].map(str::to_owned);
+        settings.extend(more);
+        settings.extend([format!("{limits}.reaction=\"refuse\""), format!("duration_s={duration_s:?}")]);
         let experiment = Experiment::load(Files::Disk, &path, None, options, &settings)
             .unwrap_or_else(|error| panic!("{error}"));
         let period_s = experiment.capabilities().period_s;
@@ -36,10 +55,14 @@ fn no_setpoint_of_a_run_exceeds_a_limit() {
         declared.acceleration_rad_per_s2 = Some(Positive::literal(a));
         declared.jerk_rad_per_s3 = Some(Positive::literal(j));
         let mut streams: Vec<SetpointStream> =
-            (0..7).map(|_| SetpointStream::new(&declared, CommandKind::Position, period_s)).collect();
+            vec![
+                SetpointStream::new(&declared, CommandKind::Position, period_s);
+                experiment.capabilities().joints.len()
+            ];
         let arm = experiment.simulated_arm().unwrap();
-        // Number of commands, and those of them that exceed a limit.
+        // Number of commands, those of them that exceed a limit, and the last two.
         let (mut commands, mut beyond) = (0, Vec::new());
+        let mut last = [Vec::new(), Vec::new()];
         let on_command = |command: Command<'_>| {
             let Command::Position(setpoints) = command else { return };
             commands += 1;
@@ -49,11 +72,25 @@ fn no_setpoint_of_a_run_exceeds_a_limit() {
                 }
                 stream.take(setpoint);
             }
+            last.rotate_left(1);
+            last[1] = setpoints.to_vec();
         };
-        let mut robot = TappedArm { arm, on_sample: |_: &mut Sample| {}, on_command };
+        let on_sample = |sample: &mut Sample| {
+            sample.q.iter_mut().for_each(|q| *q += noise * random.between(-1.0, 1.0));
+            if sample.time_s > fails_at_s {
+                sample.q[0] = f64::NAN;
+            }
+        };
+        let mut robot = TappedArm { arm, on_sample, on_command };
         let finished = experiment.run_on(&mut robot, io::sink(), &Progress::default()).unwrap();
-        assert!(finished.record.fault.is_none(), "{limits:?}: {:?}", finished.record.fault);
-        assert!(commands > 500, "{}", commands);
-        assert_eq!(beyond, [0_usize; 0], "{limits:?}, of {} commands", commands);
+        assert_eq!(beyond, [0_usize; 0], "{place}, of {commands} commands: {:?}", finished.record.fault);
+        let planned = (0.2 * duration_s / period_s) as usize;
+        assert!(commands > planned, "{place}: {commands}: {:?}", finished.record.fault);
+        slow_stops += usize::from(commands as f64 * period_s > duration_s);
+        for (at_end, before) in last[1].iter().zip(&last[0]) {
+            let speed = (at_end - before).abs() / period_s;
+            assert!(speed < REST_RAD_PER_S, "{place}: left at {speed} rad/s");
+        }
     }
+    assert!(slow_stops > 3, "{slow_stops} stops with more than one setpoint");
 }

@@ -6,7 +6,7 @@ use opspace_backend::CommandKind;
 use opspace_experiment::preflight::{
     Quantity, Variation, diagnostics, floors, gear_margin, impedances, margins_with, refusals,
 };
-use opspace_experiment::{Experiment, Files, Progress, RunOptions};
+use opspace_experiment::{Code, Experiment, Files, Progress, RunOptions};
 use opspace_loop::RunOutcome;
 use opspace_transformer::{ServoLaw, TransformerName};
 use std::io::Cursor;
@@ -220,6 +220,26 @@ fn limits_and_feed_forward_of_setpoints_are_stated() {
         assert!((amplitude / expected - 1.0).abs() < TOLERANCE, "{hz} Hz: {amplitude} for {expected}");
     }
     assert!(stated.iter().filter(|floor| floor.within_setpoint_limits_nm.is_some()).count() == 1);
+
+    // With a limit of acceleration only, a tenth of the torque limit at a frequency of √(10 stiffness/torque).
+    let torque = 0.1 * elbow.torque_limit_nm;
+    let expected = (10.0 * stiffness / torque).sqrt().max(0.0) / std::f64::consts::TAU;
+    let bandwidth = elbow.bandwidth_hz.unwrap();
+    assert!((bandwidth / expected - 1.0).abs() < TOLERANCE, "{bandwidth} for {expected}");
+    let narrow = |limits: &[String]| {
+        let found = diagnostics(&position("extrapolation", limits));
+        found.into_iter().find(|found| found.code == Code::NarrowSetpointLimits)
+    };
+    assert!(narrow(&limits).is_none(), "{bandwidth} Hz are enough");
+    // The remedy helps, and two thirds of it do not.
+    let key = "robot.profile.a-med.setpoint_limits.joint.elbow";
+    let few = |acceleration: f64| {
+        [limits[0].clone(), format!("{key}={{ acceleration_rad_per_s2 = {acceleration:?} }}")]
+    };
+    let found = narrow(&few(0.2)).unwrap();
+    let advised = found.help.split("acceleration_rad_per_s2 = ").nth(1).unwrap();
+    let advised: f64 = advised.split(' ').next().unwrap().parse().unwrap();
+    assert!(narrow(&few(advised)).is_none() && narrow(&few(advised / 1.5)).is_some(), "{found:?}");
 
     let fed = ["robot.profile.a-med.servo.elbow.cascaded.velocity_feed_forward=1.0".to_owned()];
     let found = diagnostics(&position("extrapolation", &fed));

@@ -11,6 +11,7 @@ mod dropout;
 mod friction_observer;
 mod ground_truth;
 mod high_pass;
+mod limited_stops;
 mod measurement;
 mod oscillation;
 mod panic;

@@ -38,6 +38,17 @@ impl Draw {
     /// Returns the arm of this number and seed. Its gains are wrong by up to the `half_width` that its file states; by
     /// [`GAIN_ERROR`], and at the ends of the interval in two of five, if none is given.
     pub fn new(number: usize, seed: u64, measures_current: bool, half_width: Option<f64>) -> Self {
+        Self::with_gain(number, seed, measures_current, half_width, None)
+    }
+
+    /// Returns the arm with its kp wrong by `kp_error`, if one is given.
+    pub fn with_gain(
+        number: usize,
+        seed: u64,
+        measures_current: bool,
+        half_width: Option<f64>,
+        given: Option<f64>,
+    ) -> Self {
         let mixed = seed.wrapping_mul(0x9e37_79b9).wrapping_add(number as u64);
         let random = &mut ChaCha8Rng::seed_from_u64(mixed);
         let arm = &ARMS[number % ARMS.len()];
@@ -57,6 +68,7 @@ impl Draw {
             false => most * random.random_range(-1.0..1.0),
         };
         let (kp_error, kv_error) = (error(is_at_end), error(false));
+        let kp_error = given.unwrap_or(kp_error);
         let friction: f64 = 2.0_f64.powf(random.random_range(-1.0..1.0));
         let bits = one_of(random, &[12_i32, 14, 16, 18, 20]);
         let gears = one_of(random, &[None, Some(0.5), Some(1.0), Some(4.0), Some(16.0)]);

@@ -9,11 +9,21 @@
 //! 20 N, gravity compensation and compliance with an operator. With `current`, the robots measure motor current. Runs count
 //! in which the torque robot is not stopped. The program fails if the default transformer is stopped in two more runs than another one.
 
+//!
+//! ```text
+//! cargo run --release -p opspace-testing --example transformers -- figure FILE.svg ARMS SEED
+//! ```
+//!
+//! draws what the hand feels over the width of the gains' interval: see [`intervals`].
+
 #![expect(clippy::print_stdout, reason = "a program for the terminal")]
 
 #[path = "../rest/arms.rs"]
 mod arms;
 mod draw;
+mod intervals;
+#[path = "../../../../examples/common/plot.rs"]
+mod plot;
 
 use draw::Draw;
 use opspace_backend::CommandKind;
@@ -45,6 +55,11 @@ fn main() -> ExitCode {
     let has = |word: &str| words.iter().any(|given| given == word);
     let numbers: Vec<f64> = words.iter().filter_map(|word| word.parse().ok()).collect();
     let (arms, seed) = (numbers.first().map_or(20, |n| *n as usize), numbers.get(1).map_or(1, |n| *n as u64));
+    if has("figure") {
+        let path = words.iter().find(|word| word.ends_with(".svg")).expect("a file that ends with .svg");
+        intervals::draw_figure(path, arms, seed);
+        return ExitCode::SUCCESS;
+    }
     let engine =
         has("mujoco").then(|| Arc::new(Mujoco::find(None).expect("MuJoCo")) as Arc<dyn PhysicsEngine>);
     let current = has("current");
