@@ -121,8 +121,33 @@ fn value_of(text: &str) -> Result<Value, OverrideError> {
     {
         return Ok(text.into());
     }
+    if let Some(corrected) = with_leading_digits(text).filter(|corrected| corrected.parse::<Value>().is_ok())
+    {
+        let message = format!("`{text}` has a number without a digit before the point");
+        return Err((message, Some(format!("write `{corrected}`"))));
+    }
     let help = "write a number without a unit (the unit is part of the key's name), or text in quotes";
     Err((format!("`{text}` is neither a TOML value nor a single word"), Some(help.to_owned())))
+}
+
+/// Adds a zero before each point that begins a number, outside of quotes; `None` if there is none.
+fn with_leading_digits(text: &str) -> Option<String> {
+    let mut corrected = String::new();
+    let (mut quote, mut last) = (None, ' ');
+    for (at, c) in text.char_indices() {
+        let is_digit_next = c == '.' && text[at + 1..].starts_with(|next: char| next.is_ascii_digit());
+        match (quote, c) {
+            (None, '"' | '\'') => quote = Some(c),
+            (Some(open), _) if open == c && last != '\\' => quote = None,
+            (None, '.') if is_digit_next && (last.is_whitespace() || "[{,=+-".contains(last)) => {
+                corrected.push('0');
+            }
+            _ => {}
+        }
+        corrected.push(c);
+        last = c;
+    }
+    (corrected != text).then_some(corrected)
 }
 
 /// Node of a document, by the way in which a key path continues below it.

@@ -44,6 +44,7 @@ pub(crate) fn of_joints(case: &PreflightCase<'_>, followed: &Rollout) -> Vec<Fin
         case.experiment.robot().file.interface.gravity_compensated_by == GravityCompensation::Robot;
     let mut data = case.data.clone();
     let [mut fastest, mut heaviest]: [Option<Worst<'_>>; 2] = [None, None];
+    let mut longer: f64 = 1.0;
     for (before, after) in pairs(&followed.instants) {
         let step_s = after.time_s - before.time_s;
         let ddq: Vec<f64> = before.dq.iter().zip(&after.dq).map(|(a, b)| (b - a) / step_s).collect();
@@ -61,13 +62,18 @@ pub(crate) fn of_joints(case: &PreflightCase<'_>, followed: &Rollout) -> Vec<Fin
             }
             // The weight alone is a diagnostic of its own.
             if by_robot || gravity.abs() <= torque.limit {
+                longer = longer.max(times_as_long(
+                    data.torque[joint] - gravity,
+                    if by_robot { 0.0 } else { gravity },
+                    torque.limit,
+                ));
                 keep_larger(&mut heaviest, torque);
             }
         }
     }
     let found = [
         fastest.and_then(|worst| acceleration(case, &worst)),
-        heaviest.and_then(|worst| torque(case, &worst)),
+        heaviest.and_then(|worst| torque(case, &worst, longer)),
     ];
     found.into_iter().flatten().collect()
 }
@@ -107,7 +113,14 @@ fn acceleration(case: &PreflightCase<'_>, worst: &Worst<'_>) -> Option<Finding> 
     Some(Finding::new(Code::AccelerationAboveLimit, &key, message, help))
 }
 
-fn torque(case: &PreflightCase<'_>, worst: &Worst<'_>) -> Option<Finding> {
+/// Factor of the time that a motion needs so that its torque without weight, which falls with the square of the time, fits
+/// between the weight and the limit (Nm, N); 1 if it fits already.
+fn times_as_long(moving: f64, weight: f64, limit: f64) -> f64 {
+    let left = limit - moving.signum() * weight;
+    (moving.abs() / left).sqrt().max(1.0)
+}
+
+fn torque(case: &PreflightCase<'_>, worst: &Worst<'_>, longer: f64) -> Option<Finding> {
     let Worst { instant, joint, asked, limit } = *worst;
     let key = key_of_fastest(case, instant)?;
     let unit = if is_prismatic(case, joint) { "N" } else { "Nm" };
@@ -118,8 +131,14 @@ fn torque(case: &PreflightCase<'_>, worst: &Worst<'_>) -> Option<Finding> {
         case.joint(joint),
         short(limit),
     );
-    let help =
-        "make the motion longer or smaller, or choose a posture with less weight on this joint".to_owned();
+    let help = if longer.is_finite() {
+        format!(
+            "make the motion {} times as long, or smaller, or choose a posture with less weight on this joint",
+            at_least(longer)
+        )
+    } else {
+        "choose a posture with less weight on this joint".to_owned()
+    };
     Some(Finding::new(Code::TorqueAboveLimit, &key, message, help))
 }
 

@@ -11,7 +11,9 @@
 //! rotor is not held; rotor and link resonate at f √(1 + (M − B)/B). The gears have no damping of their own. On stiff
 //! ones, drives with constant setpoints may oscillate: that is no matter of the transformer and not reported.
 
+use super::changed;
 use super::diagnostic::short;
+use super::gear_remedies;
 use super::nudge::{Nudge, NudgedArm};
 use super::variation::Variation;
 use crate::codes::Code;
@@ -77,23 +79,20 @@ impl GearMargin {
             return None;
         }
         let message = format!("with transformer '{transformer}' the arm on elastic gears {self}");
-        let instead = match (transformer.method(), experiment.measures_current()) {
-            ("extrapolation", _) => "",
-            (_, true) => "use 'extrapolation+current', ",
-            ("paper", false) => "use 'extrapolation', ",
-            (_, false) => "use 'paper' or 'extrapolation', ",
+        let tried = gear_remedies::that_help(experiment);
+        let tried = if tried.is_empty() {
+            "no transformer, and no friction compensation or lower gains of the tasks, helps here".to_owned()
+        } else {
+            changed::alternatives(&tried)
         };
-        let help = match self.scale {
-            GearScale::AntiresonanceHz => format!(
-                "{instead}lower the gains of the tasks, declare `joint.NAME.gear_stiffness_nm_per_rad` if the stiffness \
-                 is known, or `gears = \"rigid\"` in [interface] if the gears are rigid"
-            ),
-            GearScale::DeclaredStiffness => {
-                format!(
-                    "{instead}lower the gains of the tasks or the drives, or correct `gear_stiffness_nm_per_rad`"
-                )
+        let of_gears = match self.scale {
+            GearScale::AntiresonanceHz => {
+                "if the stiffness of the gears is known, declare `joint.NAME.gear_stiffness_nm_per_rad`, or `gears = \"rigid\"` in \
+                 [interface] if they are rigid"
             }
+            GearScale::DeclaredStiffness => "correct `gear_stiffness_nm_per_rad` if the stiffness is another",
         };
+        let help = format!("{tried}; {of_gears}");
         let profile = experiment.profile().0;
         Some(
             Finding::new(Code::GearOscillation, &["profile", profile, "transformer"], message, help)

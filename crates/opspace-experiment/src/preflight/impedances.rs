@@ -4,11 +4,13 @@
 //! ([`opspace_transformer::impedance`]). Where the real part of the impedance and the viscous friction of the joint add up
 //! to less than zero, a resonance of gear, link or contact at that frequency may grow.
 
+use super::changed;
 use super::diagnostic::short;
 use crate::codes::Code;
 use crate::finding::Finding;
 use crate::run::experiment::Experiment;
 use opspace_backend::Sample;
+use opspace_backend::quantity::Positive;
 use opspace_model::{Data, update};
 use opspace_transformer::impedance::impedance_near;
 use opspace_transformer::moving_joint::MovingJoint;
@@ -26,6 +28,9 @@ const FREQUENCIES: u32 = 13;
 /// Negative damping beyond the viscous friction that is reported, as a fraction of kv (of that friction, if kv is zero): Coulomb friction and the damping of
 /// gears absorb less.
 const REPORTED: f64 = 0.1;
+
+/// Factor of the rates that are proposed: delays and lags are half as long.
+const FASTER: f64 = 2.0;
 
 /// Real part of a joint's impedance.
 #[derive(Clone, Debug, PartialEq)]
@@ -100,14 +105,7 @@ impl JointImpedance {
         if experiment.robot().gears() == Gears::Rigid {
             return None;
         }
-        // A servo without damping is compared with the friction that damps its joint.
-        let scale = |joint: &Self| match joint.kv_nms_per_rad {
-            0.0 => joint.viscous_nms_per_rad,
-            kv => kv,
-        };
-        let relative = |joint: &Self| (joint.least_nms_per_rad + joint.viscous_nms_per_rad) / scale(joint);
-        let active = impedances.iter().filter(|joint| relative(joint) < -REPORTED);
-        let worst = active.min_by(|a, b| relative(a).total_cmp(&relative(b)))?;
+        let worst = most_active(impedances)?;
         let [from, to] = worst.active_hz?;
         let transformer = experiment.transformer_name()?;
         let message = format!(
@@ -119,11 +117,61 @@ impl JointImpedance {
             worst.at_hz,
             short(worst.viscous_nms_per_rad),
         );
-        let help = "use 'extrapolation' or 'extrapolation+current'".to_owned();
+        let of_gears = "declare `gears = \"rigid\"` in [interface] if the gears are rigid";
+        let helps = remedies(experiment);
+        let help = if helps.is_empty() {
+            format!(
+                "no transformer, and no faster interface, makes the joint passive: use a drive whose setpoints act sooner; {of_gears}"
+            )
+        } else {
+            format!("{}; {of_gears}", changed::alternatives(&helps))
+        };
         let profile = experiment.profile().0;
         Some(
             Finding::new(Code::ActiveImpedance, &["profile", profile, "transformer"], message, help)
                 .of_robot(),
         )
     }
+}
+
+/// Returns the joint that is the most active for its damping, if any is reported.
+fn most_active(impedances: &[JointImpedance]) -> Option<&JointImpedance> {
+    // A servo without damping is compared with the friction that damps its joint.
+    let scale = |joint: &JointImpedance| match joint.kv_nms_per_rad {
+        0.0 => joint.viscous_nms_per_rad,
+        kv => kv,
+    };
+    let relative =
+        |joint: &JointImpedance| (joint.least_nms_per_rad + joint.viscous_nms_per_rad) / scale(joint);
+    let active = impedances.iter().filter(|joint| relative(joint) < -REPORTED);
+    active.min_by(|a, b| relative(a).total_cmp(&relative(b)))
+}
+
+/// Remedies with which no joint is active.
+fn remedies(experiment: &Experiment) -> Vec<String> {
+    let helps = |changed: Option<Experiment>| {
+        changed.and_then(|changed| impedances(&changed)).is_some_and(|found| most_active(&found).is_none())
+    };
+    let mut found = Vec::new();
+    for name in changed::other_transformers(experiment) {
+        if helps(changed::with_transformer(experiment, &name)) {
+            found.push(format!("use '{name}'"));
+            break;
+        }
+    }
+    let (profile, parameters) = experiment.profile();
+    let doubled = FASTER * parameters.servo_hz.get();
+    let faster = changed::with_robot(experiment, |robot| {
+        if let (Some(of_file), Ok(servo_hz)) =
+            (robot.file.profile.get_mut(profile), Positive::try_from(doubled))
+        {
+            of_file.servo_hz = servo_hz;
+        }
+    });
+    if helps(faster) {
+        found.push(format!(
+            "drives and an interface of twice the rate, `profile.{profile}.servo_hz = {doubled:?}`"
+        ));
+    }
+    found
 }

@@ -66,10 +66,7 @@ impl NudgedArm {
         let bare = bare(experiment, transformer)?;
         let (robot, profile) = (bare.robot(), bare.profile().1);
         let n = robot.model.n();
-        let gain = bare.task().file.friction_compensation.gain.get();
-        let compensated =
-            robot.joints().iter().map(|j| gain * j.friction.viscous_nms_per_rad.get()).collect();
-        let law = DMatrix::from_diagonal(&DVector::from_vec(compensated)) - law_damping(experiment)?;
+        let law = -law_damping(experiment)?;
         let mut data = Data::new(&robot.model);
         update(&robot.model, &mut data, &bare.start().ok()?, &vec![0.0; n]).then_some(())?;
         let acceleration = NUDGE_RAD_PER_S / (f64::from(NUDGED_TICKS) * profile.period_s());
@@ -80,6 +77,11 @@ impl NudgedArm {
         let kv = gains.iter().map(|gains| if is_damped { gains.damping } else { gains.stiffness }).collect();
         let nominal = bare.arm_config().ok()?;
         Some(Self { bare, nominal, law, push, kv })
+    }
+
+    /// Returns the arm with this fraction of the damping of its tasks.
+    pub(super) fn with_gains(self, fraction: f64) -> Self {
+        Self { law: self.law * fraction, ..self }
     }
 
     /// Configuration of the nominal arm, of which variations are made.
@@ -111,8 +113,10 @@ impl NudgedArm {
             _ => self.nominal.start.clone(),
         };
         let transformer = Box::new(HeldSetpoints { takes, rest, compliance });
-        let law = DMatrix::zeros(self.push.len(), self.push.len());
-        self.follow(varied, self.control_loop(law, LoopConfig { transformer, ..config })?)
+        let n = self.push.len();
+        let friction = FrictionCompensation::none(n);
+        let alone = LoopConfig { transformer, friction, friction_observer: None, ..config };
+        self.follow(varied, self.control_loop(DMatrix::zeros(n, n), alone)?)
     }
 
     /// Simulates a nudge of a variation of the arm with a control loop.
@@ -159,17 +163,15 @@ impl NudgedArm {
         if after.has_grown_from(&before) { grows(&dq) } else { Some(Nudge::DiesOut) }
     }
 
-    /// Control loop without rest period, torque ramp, and friction compensation besides that in the law.
+    /// Control loop without rest period and torque ramp.
     fn control_loop(&self, law: DMatrix<f64>, config: LoopConfig) -> Option<ControlLoop> {
-        let n = config.model.n();
         let safety = SafetyParameters {
             torque_ramp_s: NonNegative::default(),
             tare_s: NonNegative::default(),
             ..config.safety
         };
         let controller = Box::new(NudgedDamping { law, push: self.push.clone(), cycles: 0 });
-        let friction = FrictionCompensation::none(n);
-        ControlLoop::new(LoopConfig { controller, safety, friction, ..config }).ok()
+        ControlLoop::new(LoopConfig { controller, safety, ..config }).ok()
     }
 }
 

@@ -32,14 +32,13 @@
 //! slope of a compensation at rest, Fc/v₀, is a negative damping while the joint moves only in presliding.
 
 use super::boundary::boundary;
-use super::diagnostic::short;
+use super::gain_remedies;
 use super::nudge::NudgedArm;
 use super::variation::Variation;
 use crate::codes::Code;
 use crate::finding::Finding;
 use crate::run::experiment::Experiment;
-use opspace_backend::{CommandKind, Measured};
-use opspace_transformer::Gears;
+use opspace_backend::CommandKind;
 use std::fmt;
 
 /// Excess below which the margin is reported: a slightly stiffer gear or a rounded gain would make the run unstable.
@@ -158,41 +157,15 @@ impl GainMargin {
             at_most(excess, "only"),
             self.transformer,
         );
-        let (profile, robot) = (experiment.profile().0, experiment.robot());
-        let relief = match self.servo_loop {
-            ServoLoop::Position => {
-                let index = robot.model.joint(joint).ok()?;
-                // A servo without damping is damped by the friction of its joint.
-                let kv = match experiment.servo_gains().ok()?[index].damping {
-                    0.0 => robot.joints()[index].friction.viscous_nms_per_rad.get(),
-                    kv => kv,
-                };
-                format!(
-                    "damp the motion that the task leaves free: raise `compliant_damping_per_s` of its compliant axes (2 if \
-                     absent), or `damping_nms_per_rad` of a joint-damping task at joint '{joint}' by {}",
-                    short((LEAST_EXCESS - excess) * kv)
-                )
-            }
-            ServoLoop::Velocity => {
-                format!("compensate less of the friction of joint '{joint}' or add damping to it")
-            }
+        let profile = experiment.profile().0;
+        let help = gain_remedies::help(experiment, self, joint, LEAST_EXCESS - excess, least);
+        let help = if help.is_empty() {
+            "no transformer, and no friction compensation or damping of this file, helps: other nominal gains do not change this \
+             margin, but identified ones (`opspace identify`) may be relied on"
+                .to_owned()
+        } else {
+            help
         };
-        let measured = robot.file.interface.measured.contains(&Measured::MotorCurrent);
-        let name = match (self.transformer.starts_with("paper"), robot.gears()) {
-            (false, _) => &self.transformer,
-            (true, Gears::Rigid) => "emulation",
-            (true, Gears::Elastic) => "extrapolation",
-        };
-        let current = match self.transformer.ends_with("+current") || !measured {
-            true => String::new(),
-            false => {
-                format!(
-                    "write profile.{profile}.transformer = \"{name}+current\", which corrects wrong gains by measured motor \
-                     current, or "
-                )
-            }
-        };
-        let help = format!("{current}{relief}");
         Some(
             Finding::new(Code::SmallGainMargin, &["profile", profile, "transformer"], message, help)
                 .of_robot(),

@@ -32,6 +32,7 @@ mod random_arms;
 mod random_servos;
 mod real_robot;
 mod recorded;
+mod remedies;
 mod report;
 mod reserves;
 mod robot_file;

@@ -214,10 +214,30 @@ fn setting_error_names_the_setting() {
         ("seed=", "a value is missing after `=`"),
         ("task.rest.damping_ratio=400 N/m", "`400 N/m` is neither a TOML value nor a single word"),
         ("robot=[1", "`[1` is neither a TOML value nor a single word"),
+        ("via.0.position=[.1, 0.2]", "`[.1, 0.2]` has a number without a digit before the point"),
     ];
     for (setting, message) in cases {
         let error = refusal(&[setting]);
         assert_eq!(error.to_string(), format!("--set {setting}: {message}"));
+    }
+}
+
+/// Compared: the proposed spelling, and the number with a zero before its point. Points of texts and of numbers with a digit stay.
+#[test]
+fn missing_digit_before_a_point_is_shown() {
+    for (given, proposed) in [
+        ("[.1,0.2]", "[0.1,0.2]"),
+        ("[-.1, +.25]", "[-0.1, +0.25]"),
+        ("{ x = .5, y = '.5' }", "{ x = 0.5, y = '.5' }"),
+    ] {
+        let error = refusal(&[&format!("start_rad={given}")]);
+        assert_eq!(error.help(), Some(&*format!("write `{proposed}`")), "{given}");
+    }
+    // A number alone is understood.
+    assert!(set(&["duration_s=.5"]).expect("applied").text().contains("duration_s = 0.5"));
+    for other in ["[.x]", "[.1", "[1.2.3]"] {
+        let error = refusal(&[&format!("start_rad={other}")]);
+        assert!(error.message().contains("neither a TOML value"), "{other}: {}", error.message());
     }
 }
 

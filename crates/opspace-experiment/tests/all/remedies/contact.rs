@@ -1,0 +1,156 @@
+//! Remedies for collisions, objects of the environment, and contact.
+
+use super::case::{Case, HAND, TIP, number_after, only};
+use opspace_backend::CommandKind;
+use opspace_experiment::preflight::not_checked;
+use opspace_experiment::{Code, ControllerKind};
+
+pub fn start_in_collision(code: Code) {
+    let near = Case::project("panda-obstacles").set("obstacle.ball.sphere.center_m=[0.35, 0.0, 0.55]");
+    let help = near.only(code).help;
+    assert!(help.contains("another start") && help.contains("capsules"), "{help}");
+    let turned = near.clone().set("start_rad.joint1=1.5708").set("task.flange.reference=\"hold\"");
+    near.is_helped(code, &[turned]);
+}
+
+pub fn reference_in_collision(code: Code) {
+    let through = Case::project("panda-obstacles");
+    let help = through.only(code).help;
+    assert!(help.contains("give the path more distance"), "{help}");
+    through.is_helped(code, &[through.clone().replace("[0.32, 0.2, 0.44]", "[0.1, 0.6, 0.44]")]);
+    let goal = Case::project("panda-obstacles").set("duration_s=3.0").replace(
+        "[[task.flange.cartesian.reference.waypoints]]\ntime_s = 4.5\nposition = { offset_m = [0.0, 0.0, 0.0] }\n",
+        "",
+    );
+    let at_goal = goal.clone().replace("[0.32, 0.2, 0.44]", "[0.307, 0.35, 0.49]");
+    let help = at_goal.only(code).help;
+    assert!(help.contains("move the goal or the obstacle"), "{help}");
+    at_goal.is_helped(
+        code,
+        &[
+            goal.replace("[0.32, 0.2, 0.44]", "[0.1, 0.6, 0.44]"),
+            at_goal.clone().replace("[0.0, 0.35, -0.1]", "[0.0, 0.1, 0.0]"),
+        ],
+    );
+}
+
+/// A wall below the tip of the planar arm, at a height.
+fn wall(height_m: f64) -> Case {
+    Case::of(TIP).add(&format!(
+        "[environment.table.wall]\nframe = \"tip\"\npoint_m = [0.0, 0.0, {height_m:?}]\nnormal = [0.0, 0.0, 1.0]\n\
+         stiffness_n_per_m = 10000.0\ndamping_ns_per_m = 50.0"
+    ))
+}
+
+pub fn start_in_object(code: Code) {
+    const HIGH_M: f64 = 1.6;
+    let help = wall(HIGH_M).only(code).help;
+    assert!(help.contains("or start elsewhere"), "{help}");
+    let by_m = number_after(&help, "by ");
+    wall(HIGH_M).is_helped(code, &[wall(HIGH_M - by_m), wall(HIGH_M).set("start_rad.elbow=0.8")]);
+}
+
+pub fn object_out_of_reach(code: Code) {
+    const LOW_M: f64 = -2.5;
+    let closer_m = number_after(&wall(LOW_M).only(code).help, "move 'table' ");
+    wall(LOW_M).is_helped(code, &[wall(LOW_M + closer_m)]);
+}
+
+pub fn ignored_compliance(code: Code) {
+    let gains = "gains = { frequency_rad_per_s = 14.0, damping_ratio = 1.0 }";
+    let spring = "impedance = { stiffness_n_per_m = 500.0, damping_ratio = 0.7 }";
+    let of =
+        |controller| Case::of(HAND).replace(gains, spring).options(|options| options.controller = controller);
+    assert!(of(ControllerKind::Ik).only(code).help.contains("controller 'osc'"));
+    of(ControllerKind::Ik).is_helped(code, &[of(ControllerKind::Osc)]);
+}
+
+pub fn damped_compliance(code: Code) {
+    let compliant = Case::of(HAND)
+        .replace("x = \"motion\"", "x = \"compliant\"")
+        .set("robot.interface.gears=\"elastic\"");
+    let unknown = compliant
+        .clone()
+        .set("robot.interface.measured=[\"position\"]")
+        .set("robot.profile.a-med.servo.elbow.cascaded.gain_uncertainty=0.3");
+    let help = unknown.only(code).help;
+    assert!(help.contains("--backend torque") && help.contains("gain_uncertainty"), "{help}");
+    let known = unknown.clone().set("robot.profile.a-med.servo.elbow.cascaded.gain_uncertainty=0.0");
+    let current = unknown.clone().set("robot.interface.measured=[\"position\", \"motor-current\"]");
+    unknown.is_helped(code, &[known, current, unknown.clone().backend(CommandKind::Torque)]);
+}
+
+/// The hand presses along x, with these values of its force.
+fn pressing(values: &str) -> Case {
+    Case::of(HAND).replace("x = \"motion\"", "x = \"force\"").replace(
+        "frame = \"hand\"",
+        &format!("frame = \"hand\"\nforce = {{ sensor = \"wrist\", target_n = {{ x = -20.0 }}, {values} }}"),
+    )
+}
+
+pub fn contact_oscillation(code: Code) {
+    let of = |gain: f64, more: &str| {
+        pressing(&format!("gain = {gain:?}, surface = {{ stiffness_n_per_m = 50000.0 }}{more}"))
+    };
+    let help = of(20.0, "").only(code).help;
+    let damping = format!(", damping_per_s = {:?}", number_after(&help, "`damping_per_s` to "));
+    of(20.0, "").is_helped(code, &[of(number_after(&help, "at most "), ""), of(20.0, &damping)]);
+}
+
+pub fn contact_impact(code: Code) {
+    let of = |speed: f64| {
+        pressing(&format!(
+            "contact = {{ approach_m_per_s = {speed:?} }}, surface = {{ stiffness_n_per_m = 100000.0, damping_ns_per_m = 500.0 }}"
+        ))
+    };
+    let slower = number_after(&of(1.5).only(code).help, "approach_m_per_s = ");
+    of(1.5).is_helped(code, &[of(slower)]);
+}
+
+/// The hand of inverse kinematics presses down.
+const PRESS: &str = r#"
+robot = "ROBOTS/asimo-arm"
+duration_s = 1.5
+settle_s = 1.0
+priority = ["hand", "rest"]
+start_rad = { shoulder_pitch = -0.45, shoulder_roll = -0.35, shoulder_yaw = 0.25, elbow = -1.35 }
+
+[task.hand.cartesian]
+frame = "hand"
+axes = { x = "motion", y = "motion", z = "force" }
+gains = { frequency_rad_per_s = 14.0, damping_ratio = 1.0 }
+reference = "hold"
+force = { sensor = "wrist", target_n = { z = 20.0 }, admittance_ns_per_m = 50.0 }
+
+[task.rest.joint-posture]
+frequency_rad_per_s = 6.0
+damping_ratio = 0.8
+"#;
+
+/// A table of a stiffness below the hand.
+fn table(stiffness: f64) -> String {
+    format!(
+        "[environment.table.wall]\nframe = \"hand\"\npoint_m = [0.0, 0.0, -0.164]\nnormal = [0.0, 0.0, 1.0]\n\
+         stiffness_n_per_m = {stiffness:?}\ndamping_ns_per_m = 5.0"
+    )
+}
+
+fn pressing_down() -> Case {
+    Case::of(PRESS).options(|options| options.controller = ControllerKind::Ik)
+}
+
+pub fn unstable_admittance(code: Code) {
+    let low = pressing_down().add(&table(50_000.0));
+    let good = number_after(&low.only(code).help, "admittance_ns_per_m = ");
+    low.is_helped(code, &[low.clone().set(format!("task.hand.force.admittance_ns_per_m={good:?}"))]);
+}
+
+pub fn unknown_contact(code: Code) {
+    let unknown = |case: &Case| not_checked(&case.experiment());
+    let help = only(code, &unknown(&pressing_down())).help;
+    assert!(help.contains("raise admittance_ns_per_m"), "{help}");
+    assert_eq!(unknown(&pressing_down().set("task.hand.force.admittance_ns_per_m=100.0")), []);
+    // The page names the environment, too: the contact is then checked.
+    assert!(code.page().contains("Add the object to [environment]"));
+    assert_eq!(unknown(&pressing_down().add(&table(500.0))), []);
+}

@@ -1,0 +1,82 @@
+//! Remedies for what a run shows: the finding of its summary is gone with the remedy of its page.
+
+use super::case::{Case, JOINTS};
+use opspace_backend::CommandKind;
+use opspace_experiment::Code;
+
+/// Checks that the run of a case has a finding with the code, that its page has the advice, and that no run of `remedied` has it.
+fn is_helped(code: Code, case: &Case, advice: &str, remedied: &[Case]) {
+    let (_, what_to_do) = code.page().split_once("**What to do.**").unwrap();
+    assert!(what_to_do.contains(advice), "{code}: {advice} in {what_to_do}");
+    let found = |case: &Case| case.run().findings.of(code).map(ToString::to_string).collect::<Vec<_>>();
+    assert_ne!(found(case), [""; 0], "{code}");
+    for (alternative, case) in remedied.iter().enumerate() {
+        assert_eq!(found(case), [""; 0], "{code}, alternative {alternative} of: {advice}");
+    }
+}
+
+fn torque(name: &str) -> Case {
+    Case::project(name).backend(CommandKind::Torque)
+}
+
+pub fn never_touched(code: Code) {
+    let press = torque("press-wall").set("duration_s=3.0").set("task.hand.reference=\"hold\"");
+    let far = press.clone().set("environment.board.wall.point_m=[0.9, 0.0, 0.0]");
+    is_helped(code, &far, "Start closer to the surface", std::slice::from_ref(&press));
+    let pulls = press.clone().set("task.hand.force.target_n.x=10.0");
+    is_helped(code, &pulls, "check the sign of the force", std::slice::from_ref(&press));
+    // 30 mm at 10 mm/s.
+    let slow = press
+        .set("environment.board.wall.point_m=[0.41, 0.0, 0.0]")
+        .set("task.hand.force.contact={approach_m_per_s=0.01}");
+    is_helped(code, &slow, "approach it for longer", &[slow.clone().set("duration_s=8.0")]);
+}
+
+pub fn joints_held(code: Code) {
+    let held = Case::of(JOINTS)
+        .replace("elbow = 1.0", "elbow = 0.05")
+        .backend(CommandKind::Torque)
+        .set("friction_compensation.gain=0.0")
+        .set("task.joints.gains.frequency_rad_per_s=3.0");
+    let remedied = [
+        held.clone().set("task.joints.gains.frequency_rad_per_s=40.0"),
+        held.clone().set("friction_compensation.gain=0.8"),
+    ];
+    is_helped(code, &held, "raise the gains, or declare the friction", &remedied);
+}
+
+pub fn goal_not_reached(code: Code) {
+    let goal = |offset: &str| {
+        torque("panda-goals").set("event=[]").set("duration_s=3.0").set(format!(
+            "task.flange.reference={{ point-to-point = {{ position = {{ offset_m = {offset} }}, duration_s = 1.0 }} }}"
+        ))
+    };
+    let behind = goal("[-0.35, 0.0, -0.2]");
+    let elsewhere = behind.clone().set("start_rad.joint2=-0.2").set("start_rad.joint4=-2.0");
+    is_helped(code, &behind, "Move the goal", &[goal("[-0.05, 0.0, -0.1]"), elsewhere]);
+    let rest = "task.rest={ joint-tracking = { gains = { frequency_rad_per_s = 10.0, damping_ratio = 1.0 }, reference = { \
+                point-to-point = { goal = { offset_rad = { joint4 = 0.3 } }, duration_s = 1.0 } } } }";
+    let below = goal("[0.0, 0.0, 0.0]").set(rest);
+    let rest_alone = below.clone().set("priority=[\"rest\"]");
+    is_helped(code, &below, "reorder `priority`", &[rest_alone]);
+}
+
+pub fn reference_limited(code: Code) {
+    let circle = |radius_m: f64, hz: f64| {
+        torque("panda-goals").set("event=[]").set("duration_s=3.0").set("limits.velocity_fraction=0.2").set(format!(
+            "task.flange.reference={{ sinusoid = {{ y = [{{ amplitude_m = {radius_m:?}, frequency_hz = {hz:?} }}] }} }}"
+        ))
+    };
+    is_helped(
+        code,
+        &circle(0.12, 1.0),
+        "Make the motion longer or smaller",
+        &[circle(0.12, 0.2), circle(0.015, 1.0)],
+    );
+}
+
+pub fn escaped_singularity(code: Code) {
+    let straight = torque("ur5e-straight");
+    let bent = straight.clone().set("start_rad.elbow=0.5");
+    is_helped(code, &straight, "start away from the singular pose", &[bent]);
+}
