@@ -2,6 +2,7 @@
 //! the simulated robot, the torque error of an encoder and simulated rounding.
 #![expect(clippy::unwrap_used, reason = "a test that can't go on has failed")]
 
+use crate::coupled_common::project;
 use opspace_backend::CommandKind;
 use opspace_experiment::preflight::{
     Quantity, Variation, diagnostics, floors, gear_margin, impedances, margins_with, refusals,
@@ -106,6 +107,30 @@ fn emulation_oscillates_on_elastic_gears_and_extrapolation_does_not() {
         let completed = matches!(finished.outcome, RunOutcome::Completed);
         assert_eq!(completed, completes, "{transformer}: {:?}", finished.outcome);
     }
+}
+
+/// Compared: nudges of an arm under a friction observer, with and without a constant compensation of friction, and a run of the
+/// simulated robot. What the constant part compensates is not compensated a second time by the observer.
+#[test]
+fn observed_friction_is_compensated_once() {
+    let handle = |gain: f64, gears: &[String]| {
+        let friction = format!("friction_compensation={{ gain = {gain:?}, observer_rad_per_s = 60.0 }}");
+        let settings = [&[friction], gears].concat();
+        let options = RunOptions {
+            backend: CommandKind::Position,
+            transformer: Some(TransformerName::EXTRAPOLATION.with_current(true)),
+            duration_s: Some(2.0),
+            ..RunOptions::default()
+        };
+        Experiment::load(Files::Disk, &project("tasks/handle.toml"), None, options, &settings).unwrap()
+    };
+    let elastic = ["robot.interface.gears=\"elastic\"".to_owned()];
+    for gain in [0.0, 0.8] {
+        assert_eq!(gear_margin(&handle(gain, &elastic)).unwrap().oscillates, [], "{gain}");
+    }
+    assert_eq!(refusals(&handle(0.8, &elastic)), []);
+    let finished = handle(0.8, &typical_gears()).run(Cursor::new(Vec::new()), &Progress::default()).unwrap();
+    assert_eq!(finished.outcome, RunOutcome::Completed);
 }
 
 /// Gears that are not declared rigid select another transformer, and say so; the emulation is then refused on a real

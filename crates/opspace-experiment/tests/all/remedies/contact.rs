@@ -47,7 +47,10 @@ pub fn start_in_object(code: Code) {
     let help = wall(HIGH_M).only(code).help;
     assert!(help.contains("or start elsewhere"), "{help}");
     let by_m = number_after(&help, "by ");
-    wall(HIGH_M).is_helped(code, &[wall(HIGH_M - by_m), wall(HIGH_M).set("start_rad.elbow=0.8")]);
+    wall(HIGH_M).is_helped(
+        code,
+        &[wall(HIGH_M - by_m), wall(HIGH_M).set("start_rad={ shoulder = 1.2, elbow = 0.3 }")],
+    );
 }
 
 pub fn object_out_of_reach(code: Code) {
@@ -74,8 +77,14 @@ pub fn damped_compliance(code: Code) {
         .set("robot.interface.measured=[\"position\"]")
         .set("robot.profile.a-med.servo.elbow.cascaded.gain_uncertainty=0.3");
     let help = unknown.only(code).help;
-    assert!(help.contains("--backend torque") && help.contains("gain_uncertainty"), "{help}");
-    let known = unknown.clone().set("robot.profile.a-med.servo.elbow.cascaded.gain_uncertainty=0.0");
+    assert!(
+        help.contains("--backend torque") && help.contains("measured motor current leaves none"),
+        "{help}"
+    );
+    let known = unknown.clone().set(format!(
+        "robot.profile.a-med.servo.elbow.cascaded.gain_uncertainty={:?}",
+        0.01 * number_after(&help, "±")
+    ));
     let current = unknown.clone().set("robot.interface.measured=[\"position\", \"motor-current\"]");
     unknown.is_helped(code, &[known, current, unknown.clone().backend(CommandKind::Torque)]);
 }

@@ -19,7 +19,9 @@ pub fn margin_above_range(code: Code) {
             .set(format!("limits.position_margin_rad={margin_rad:?}"))
     };
     let wide = margin(1.2);
-    let half_range = number_after(&wide.only(code).help, "well below ");
+    let half_ranges = wide.found().into_iter().filter(|finding| finding.code == code);
+    let half_range =
+        half_ranges.map(|finding| number_after(&finding.help, "well below ")).fold(f64::INFINITY, f64::min);
     wide.is_helped(code, &[margin(0.5 * half_range)]);
 }
 
@@ -62,7 +64,7 @@ pub fn limit_on_the_way(code: Code) {
 pub fn weight_above_limit(code: Code) {
     let weak = Case::of(TIP).set("limits.torque_fraction=0.16");
     let fraction = number_after(&weak.only(code).help, "torque_fraction to at least ");
-    let upright = weak.clone().set("start_rad.shoulder=1.3");
+    let upright = weak.clone().set("start_rad={ shoulder = 1.3, elbow = 0.4 }");
     weak.is_helped(code, &[weak.clone().set(format!("limits.torque_fraction={fraction:?}")), upright]);
     let weaker = Case::of(TIP).set("robot.joint.shoulder.torque_limit_nm=8.0");
     let help = weaker.only(code).help;
@@ -72,7 +74,7 @@ pub fn weight_above_limit(code: Code) {
     );
     let needed = number_after(&weaker.only(code).message, "needs ");
     let corrected = weaker.clone().set(format!("robot.joint.shoulder.torque_limit_nm={:?}", 1.05 * needed));
-    weaker.is_helped(code, &[weaker.clone().set("start_rad.shoulder=1.3"), corrected]);
+    weaker.is_helped(code, &[weaker.clone().set("start_rad={ shoulder = 1.3, elbow = 0.4 }"), corrected]);
 }
 
 pub fn weight_above_rate(code: Code) {

@@ -15,7 +15,7 @@ const ARM: &str = r#"<robot name="arm">
 /// Codes of the warnings about a URDF.
 fn codes(urdf: &str) -> Vec<&'static str> {
     let loaded = Model::from_urdf(urdf).unwrap_or_else(|error| panic!("{error}: {urdf}"));
-    let of_file = loaded.warnings.iter().map(|warning| warning.kind.code());
+    let of_file = loaded.warnings.iter().map(|warning| warning.kind().code());
     of_file.chain(model_warnings(&loaded.model).iter().map(|warning| warning.code())).collect()
 }
 
