@@ -4,6 +4,7 @@
 
 mod case;
 mod contact;
+mod couplings;
 mod limits;
 mod models;
 mod references;
@@ -36,6 +37,7 @@ cases! {
     MovesDuringRamp references::moves_during_ramp,
     ReferenceTooFast references::reference_too_fast,
     UnfinishedReference references::unfinished_reference,
+    HalfTurn references::half_turn,
     LateEvent references::late_event,
     EarlyStatistics references::early_statistics,
     SingularStart references::singular_start,
@@ -59,6 +61,7 @@ cases! {
     ContactImpact contact::contact_impact,
     UnstableAdmittance contact::unstable_admittance,
     UnknownContact contact::unknown_contact,
+    UnknownSensorLoad contact::unknown_sensor_load,
     GainsTooHigh stability::gains_too_high,
     SmallGainMargin stability::small_gain_margin,
     UnstableSimulation stability::unstable_simulation,
@@ -66,7 +69,9 @@ cases! {
     ActiveImpedance stability::active_impedance,
     FeedForwardImpulse stability::feed_forward_impulse,
     NarrowSetpointLimits stability::narrow_setpoint_limits,
+    NoPassivityControl couplings::no_passivity_control,
     NeverTouched runs::never_touched,
+    ContactLost runs::contact_lost,
     JointsHeld runs::joints_held,
     GoalNotReached runs::goal_not_reached,
     ReferenceLimited runs::reference_limited,
@@ -78,6 +83,7 @@ cases! {
     NegativeLimit models::negative_limit,
     FarLimit models::far_limit,
     UndeclaredPrefix models::undeclared_prefix,
+    IgnoredMimic models::ignored_mimic,
     FarCentre models::far_centre,
     SmallInertia models::small_inertia,
     LargeInertia models::large_inertia,
@@ -88,22 +94,8 @@ cases! {
 
 /// Codes without a case, each with its reason.
 const EXCEPTIONS: &[(Code, &str)] = &[
-    (
-        Code::HalfTurn,
-        "`encoders_within_a_turn` has goals that are half a turn away, and the waypoint between that is advised",
-    ),
-    (Code::UnknownSensorLoad, "no robot of this project has joints beyond a force sensor"),
     (Code::UnknownGains, "the advice is a simulation, which changes nothing of what is known before the run"),
-    (
-        Code::NoPassivityControl,
-        "`coupled_kinds` has couplings of both kinds: the advice is to remove the key that is named",
-    ),
-    (Code::ContactLost, "the contact of no simulated task of this project is lost for good"),
     (Code::CyclesMissed, "the advice is to find what delays the bus or the process"),
-    (
-        Code::IgnoredMimic,
-        "the change is of robot.toml, which a URDF alone does not have; `trees` has both models",
-    ),
     (Code::NoShape, "`logs_do_not_need_meshes` has capsules of robot.toml in place of shapes"),
     (Code::MeshNotFound, "the advice is to supply the file of a mesh"),
     (Code::MeshFormat, "the advice is to convert the file of a mesh"),

@@ -163,3 +163,26 @@ pub fn unknown_contact(code: Code) {
     assert!(code.page().contains("Add the object to [environment]"));
     assert_eq!(unknown(&pressing_down().add(&table(500.0))), []);
 }
+
+pub fn unknown_sensor_load(code: Code) {
+    // The elbow moves the forearm beyond this sensor.
+    let sensor = Case::of(HAND)
+        .set("robot.force_sensor.arm={ frame = \"upper_arm\" }")
+        .set("robot.simulated.force_sensor.arm={ bandwidth_hz = 500.0, noise_n = 0.05, noise_nm = 0.005, bias_n = 2.0, bias_nm = 0.1 }");
+    let help = sensor.only(code).help;
+    assert!(
+        help.contains("state `load` in [force_sensor.arm]") && help.contains("`locked_joints`"),
+        "{help}"
+    );
+    let stated =
+        sensor.clone().set("robot.force_sensor.arm.load={ mass_kg = 1.0, centre_m = [0.0, 0.0, -0.1] }");
+    // Without the elbow there is one joint less, and the task keeps the height free.
+    let locked = sensor
+        .clone()
+        .replace(", elbow = -1.35", "")
+        .set("robot.locked_joints.elbow=-1.35")
+        .replace("z = \"motion\" }", "}")
+        .replace("y = \"motion\", }", "y = \"motion\" }")
+        .set("task.hand.reference=\"hold\"");
+    sensor.is_helped(code, &[stated, locked]);
+}

@@ -1,7 +1,7 @@
 //! Remedies for the values of a URDF: each is a change of the text at the place that a warning names.
 
 use opspace_experiment::Code;
-use opspace_model::{Model, model_warnings};
+use opspace_model::{Model, UrdfOptions, model_warnings};
 
 /// Arm of two links without warnings; each test changes a part of it.
 const ARM: &str = r#"<robot name="arm">
@@ -134,4 +134,14 @@ pub fn unequal_masses(code: Code) {
     is_helped(code, mass, placeholder, &[mass], "Give both in kg");
     let fixed = ARM.replace(mass, placeholder).replace(RANGE, &elbow("fixed", r#"lower="-1" upper="1""#));
     assert_eq!(codes(&fixed), [""; 0]);
+}
+
+pub fn ignored_mimic(code: Code) {
+    let mimics =
+        ARM.replace(RANGE, &RANGE.replace("<axis", "<mimic joint=\"shoulder\" multiplier=\"0.5\"/><axis"));
+    assert!(codes(&mimics).contains(&code.name()), "{:?}", codes(&mimics));
+    assert!(code.page().contains("enforce_mimic = true"));
+    let options = UrdfOptions { enforce_mimic: true, ..UrdfOptions::default() };
+    let folded = Model::from_urdf_with(&mimics, options).unwrap();
+    assert_eq!((folded.warnings.len(), folded.model.n()), (0, 1));
 }

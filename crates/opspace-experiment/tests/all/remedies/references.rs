@@ -114,6 +114,23 @@ pub fn unfinished_reference(code: Code) {
     goal(0.02, 2.0).is_helped(code, &[goal(0.02, 5.0), goal(0.2, 2.0)]);
 }
 
+pub fn half_turn(code: Code) {
+    let reference = |goals: &str| {
+        Case::of(TIP).set("start_rad={ shoulder = 0.0 }").set("duration_s=10.0").set("priority=[\"arm\"]").set(format!(
+            "task={{ arm = {{ joint-tracking = {{ gains = {{ frequency_rad_per_s = 14.0, damping_ratio = 1.0 }}, reference = {{ waypoints \
+             = [{goals}] }} }} }} }}"
+        ))
+    };
+    let to = |time_s: f64, goal: &str| format!("{{ time_s = {time_s:?}, goal = {{ {goal} }} }}");
+    let goal = to(8.0, "absolute_rad = { shoulder = 3.1416 }");
+    let absolute = reference(&goal);
+    let help = absolute.only(code).help;
+    assert!(help.contains("`offset_rad`") && help.contains("a waypoint between"), "{help}");
+    let between = to(4.0, "absolute_rad = { shoulder = 1.5 }");
+    let remedied = [to(8.0, "offset_rad = { shoulder = 3.1416 }"), format!("{between}, {goal}")];
+    absolute.is_helped(code, &remedied.map(|goals| reference(&goals)));
+}
+
 pub fn late_event(code: Code) {
     let event = |time_s: f64, run_s: f64| {
         Case::of(HAND).set(format!("duration_s={run_s:?}")).add(&format!(

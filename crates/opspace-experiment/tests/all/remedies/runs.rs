@@ -32,6 +32,16 @@ pub fn never_touched(code: Code) {
     is_helped(code, &slow, "approach it for longer", &[slow.clone().set("duration_s=8.0")]);
 }
 
+pub fn contact_lost(code: Code) {
+    // The hand leaves the wall before the statistics begin.
+    let leaves = torque("press-wall")
+        .set("duration_s=4.0")
+        .set("settle_s=3.5")
+        .set("task.hand.reference=\"hold\"")
+        .set("event=[{ time_s = 1.5, set = [\"task.hand.cartesian.force.target_n.x=20.0\"] }]");
+    is_helped(code, &leaves, "a smaller `settle_s`", &[leaves.clone().set("settle_s=0.5")]);
+}
+
 pub fn joints_held(code: Code) {
     let held = Case::of(JOINTS)
         .replace("elbow = 1.0", "elbow = 0.05")
