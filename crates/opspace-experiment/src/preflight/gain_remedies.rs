@@ -87,7 +87,7 @@ fn more_damping(
 ) -> Option<String> {
     let with = |change: &dyn Fn(&mut TaskParameters) -> Option<()>| {
         let changed = with_task(experiment, |file| {
-            file.task.get_mut(name).and_then(|task| change(task));
+            file.task.get_mut(name).and_then(change);
         })?;
         helps(&changed).then_some(())
     };

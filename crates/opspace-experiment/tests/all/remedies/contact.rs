@@ -1,9 +1,12 @@
 //! Remedies for collisions, objects of the environment, and contact.
 
 use super::case::{Case, HAND, TIP, number_after, only};
+use crate::coupled_common::project;
 use opspace_backend::CommandKind;
 use opspace_experiment::preflight::not_checked;
 use opspace_experiment::{Code, ControllerKind};
+use std::fs;
+use tempfile::TempDir;
 
 pub fn start_in_collision(code: Code) {
     let near = Case::project("panda-obstacles").set("obstacle.ball.sphere.center_m=[0.35, 0.0, 0.55]");
@@ -176,13 +179,20 @@ pub fn unknown_sensor_load(code: Code) {
     );
     let stated =
         sensor.clone().set("robot.force_sensor.arm.load={ mass_kg = 1.0, centre_m = [0.0, 0.0, -0.1] }");
-    // Without the elbow there is one joint less, and the task keeps the height free.
-    let locked = sensor
-        .clone()
-        .replace(", elbow = -1.35", "")
-        .set("robot.locked_joints.elbow=-1.35")
-        .replace("z = \"motion\" }", "}")
-        .replace("y = \"motion\", }", "y = \"motion\" }")
-        .set("task.hand.reference=\"hold\"");
+    // A joint that is locked has no entries in robot.toml. The task keeps the height free.
+    let folder = TempDir::new().unwrap();
+    let robot = fs::read_to_string(project("robots/asimo-arm/robot.toml")).unwrap();
+    let (before, joint) = robot.split_once("[joint.elbow]\n").unwrap();
+    let (_, rest) = joint.split_once("\n\n").unwrap();
+    let without: String = rest.split_inclusive('\n').filter(|line| !line.starts_with("elbow = ")).collect();
+    fs::write(
+        folder.path().join("robot.toml"),
+        format!("locked_joints = {{ elbow = -1.35 }}\n{before}{without}"),
+    )
+    .unwrap();
+    fs::copy(project("robots/asimo-arm/asimo-arm.urdf"), folder.path().join("asimo-arm.urdf")).unwrap();
+    let own = sensor.clone().replace(", elbow = -1.35", "");
+    let own = own.replace(project("robots/asimo-arm").to_str().unwrap(), folder.path().to_str().unwrap());
+    let locked = own.replace(", z = \"motion\" }", " }").set("task.hand.reference=\"hold\"");
     sensor.is_helped(code, &[stated, locked]);
 }
