@@ -2,8 +2,6 @@
 
 use super::changed::{alternatives, with_task, with_transformer};
 use super::diagnostic::{at_least, at_most, short};
-use super::nudge::{Nudge, NudgedArm};
-use super::servo_gain::{GainMargin, ServoLoop};
 use crate::run::experiment::Experiment;
 use opspace_backend::quantity::NonNegative;
 use opspace_control::{AxisMode, PerAxis, PerJoint, TaskParameters};
@@ -18,28 +16,20 @@ const RATIOS: [f64; 3] = [2.0, 4.0, 8.0];
 /// Fractions of the present friction compensation that are tried.
 const OF_FRICTION: [f64; 4] = [0.9, 0.8, 0.5, 0.2];
 
-/// Describes the remedies that help; empty without any. `missing` is the excess that the margin lacks, and `least` the excess at
-/// which the arm has to be stable.
+/// Describes the remedies that help; empty without any. `missing` is the excess that the margin lacks.
 pub(super) fn help(
     experiment: &Experiment,
-    margin: &GainMargin,
+    transformer: &str,
     joint: &str,
     missing: f64,
-    least: f64,
+    helps: &dyn Fn(&Experiment) -> bool,
 ) -> String {
-    let helps = |changed: &Experiment| is_stable(changed, margin.servo_loop, least).unwrap_or(false);
     let mut found: Vec<String> = Vec::new();
-    found.extend(corrected(experiment, &margin.transformer, &helps));
-    found.extend(less_friction(experiment, &helps));
+    found.extend(corrected(experiment, transformer, helps));
+    found.extend(less_friction(experiment, helps));
     let named = experiment.task().file.priority.iter();
-    found.extend(named.filter_map(|name| more_damping(experiment, name, joint, missing, &helps)));
+    found.extend(named.filter_map(|name| more_damping(experiment, name, joint, missing, helps)));
     alternatives(&found)
-}
-
-fn is_stable(experiment: &Experiment, servo_loop: ServoLoop, least: f64) -> Option<bool> {
-    let nudged = NudgedArm::new(experiment, &experiment.transformer_name()?)?;
-    let varied = servo_loop.varied().of(nudged.nominal(), 1.0 + least)?;
-    Some(matches!(nudged.nudge(&varied)?, Nudge::DiesOut))
 }
 
 /// Proposes the correction by motor current, if it is measured: on elastic gears that of the extrapolation.

@@ -2,8 +2,6 @@
 
 use super::changed::{other_transformers, with_task, with_transformer};
 use super::diagnostic::short;
-use super::gears::first_oscillation;
-use super::nudge::NudgedArm;
 use crate::run::experiment::Experiment;
 use opspace_backend::quantity::{NonNegative, Positive};
 
@@ -13,31 +11,27 @@ const OBSERVER_RAD_PER_S: Positive = Positive::literal(60.0);
 /// Fraction of the present friction compensation, and of the frequencies of the tasks, that is proposed.
 const LOWER: f64 = 0.5;
 
-/// Remedies with which the arm is stable on all gears that it may have.
-pub(super) fn that_help(experiment: &Experiment) -> Vec<String> {
+/// Tells if an arm is stable on all gears that it may have, with a fraction of the damping of its tasks.
+type IsStable<'a> = &'a dyn Fn(&Experiment, f64) -> bool;
+
+/// Remedies with which the arm is stable.
+pub(super) fn that_help(experiment: &Experiment, is_stable: IsStable<'_>) -> Vec<String> {
     let mut found = Vec::new();
     // The first transformer that helps is enough.
     let transformers = other_transformers(experiment);
     let stable =
         |name: &_| with_transformer(experiment, name).is_some_and(|changed| is_stable(&changed, 1.0));
     found.extend(transformers.iter().find(|name| stable(name)).map(|name| format!("use '{name}'")));
-    found.extend(friction_observer(experiment));
-    found.extend(friction_gain(experiment));
+    found.extend(friction_observer(experiment, is_stable));
+    found.extend(friction_gain(experiment, is_stable));
     if is_stable(experiment, LOWER) {
         found.push(format!("lower the frequencies of the tasks to {LOWER} times their values"));
     }
     found
 }
 
-/// True if the arm is stable with a fraction of the damping of its tasks.
-fn is_stable(experiment: &Experiment, gains: f64) -> bool {
-    let nudged = experiment.transformer_name().and_then(|name| NudgedArm::new(experiment, &name));
-    let margin = nudged.and_then(|nudged| first_oscillation(&nudged.with_gains(gains)));
-    margin.is_some_and(|margin| margin.oscillates.is_empty())
-}
-
 /// Proposes a friction observer, or to omit it. It needs a force sensor.
-fn friction_observer(experiment: &Experiment) -> Option<String> {
+fn friction_observer(experiment: &Experiment, is_stable: IsStable<'_>) -> Option<String> {
     let present = experiment.task().file.friction_compensation.observer_rad_per_s;
     let other = present.is_none().then_some(OBSERVER_RAD_PER_S);
     if other.is_some() && experiment.robot().file.force_sensor.is_empty() {
@@ -53,7 +47,7 @@ fn friction_observer(experiment: &Experiment) -> Option<String> {
 }
 
 /// Proposes less friction compensation.
-fn friction_gain(experiment: &Experiment) -> Option<String> {
+fn friction_gain(experiment: &Experiment, is_stable: IsStable<'_>) -> Option<String> {
     let gain = LOWER * experiment.task().file.friction_compensation.gain.get();
     let lower = NonNegative::try_from(gain).ok().filter(|_| gain > 0.0)?;
     let changed = with_task(experiment, |file| file.friction_compensation.gain = lower)?;

@@ -79,7 +79,7 @@ impl GearMargin {
             return None;
         }
         let message = format!("with transformer '{transformer}' the arm on elastic gears {self}");
-        let tried = gear_remedies::that_help(experiment);
+        let tried = gear_remedies::that_help(experiment, &is_stable);
         let tried = if tried.is_empty() {
             "no transformer, and no friction compensation or lower gains of the tasks, helps here".to_owned()
         } else {
@@ -145,6 +145,13 @@ pub(super) fn first_oscillation(nudged: &NudgedArm) -> Option<GearMargin> {
         }
     }
     Some(margin)
+}
+
+/// True if the arm is stable with a fraction of the damping of its tasks.
+fn is_stable(experiment: &Experiment, gains: f64) -> bool {
+    let nudged = experiment.transformer_name().and_then(|name| NudgedArm::new(experiment, &name));
+    let margin = nudged.and_then(|nudged| first_oscillation(&nudged.with_gains(gains)));
+    margin.is_some_and(|margin| margin.oscillates.is_empty())
 }
 
 impl GearMargin {

@@ -33,7 +33,7 @@
 
 use super::boundary::boundary;
 use super::gain_remedies;
-use super::nudge::NudgedArm;
+use super::nudge::{Nudge, NudgedArm};
 use super::variation::Variation;
 use crate::codes::Code;
 use crate::finding::Finding;
@@ -115,6 +115,13 @@ pub fn gain_margin(experiment: &Experiment) -> Option<GainMargin> {
     Some(GainMargin { servo_loop, excess, joint, transformer: transformer.to_string() })
 }
 
+/// True if an experiment is stable with this excess of its gains; `None` if it cannot be simulated.
+fn is_stable(experiment: &Experiment, servo_loop: ServoLoop, least: f64) -> Option<bool> {
+    let nudged = NudgedArm::new(experiment, &experiment.transformer_name()?)?;
+    let varied = servo_loop.varied().of(nudged.nominal(), 1.0 + least)?;
+    Some(matches!(nudged.nudge(&varied)?, Nudge::DiesOut))
+}
+
 /// Describes a margin, which may be below the resolution.
 fn at_most(excess: f64, word: &str) -> String {
     if excess < RESOLUTION {
@@ -158,7 +165,9 @@ impl GainMargin {
             self.transformer,
         );
         let profile = experiment.profile().0;
-        let help = gain_remedies::help(experiment, self, joint, LEAST_EXCESS - excess, least);
+        let helps = |changed: &Experiment| is_stable(changed, self.servo_loop, least).unwrap_or(false);
+        let missing = LEAST_EXCESS - excess;
+        let help = gain_remedies::help(experiment, &self.transformer, joint, missing, &helps);
         let help = if help.is_empty() {
             "no transformer, and no friction compensation or damping of this file, helps: other nominal gains do not change this \
              margin, but identified ones (`opspace identify`) may be relied on"

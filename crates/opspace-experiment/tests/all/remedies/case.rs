@@ -63,13 +63,13 @@ fn root() -> PathBuf {
 
 /// Task file with settings and options.
 #[derive(Clone)]
-pub struct Case {
+pub struct TaskCase {
     text: String,
     settings: Vec<String>,
     options: RunOptions,
 }
 
-impl Case {
+impl TaskCase {
     /// Returns the case of a text, in which `ROBOTS` is the folder of the robots.
     pub fn of(text: &str) -> Self {
         let text = text.replace("ROBOTS", root().join("robots").to_str().unwrap());

@@ -1,6 +1,6 @@
 //! Remedies for collisions, objects of the environment, and contact.
 
-use super::case::{Case, HAND, TIP, number_after, only};
+use super::case::{HAND, TIP, TaskCase, number_after, only};
 use crate::coupled_common::project;
 use opspace_backend::CommandKind;
 use opspace_experiment::preflight::not_checked;
@@ -9,7 +9,7 @@ use std::fs;
 use tempfile::TempDir;
 
 pub fn start_in_collision(code: Code) {
-    let near = Case::project("panda-obstacles").set("obstacle.ball.sphere.center_m=[0.35, 0.0, 0.55]");
+    let near = TaskCase::project("panda-obstacles").set("obstacle.ball.sphere.center_m=[0.35, 0.0, 0.55]");
     let help = near.only(code).help;
     assert!(help.contains("another start") && help.contains("capsules"), "{help}");
     let turned = near.clone().set("start_rad.joint1=1.5708").set("task.flange.reference=\"hold\"");
@@ -17,11 +17,11 @@ pub fn start_in_collision(code: Code) {
 }
 
 pub fn reference_in_collision(code: Code) {
-    let through = Case::project("panda-obstacles");
+    let through = TaskCase::project("panda-obstacles");
     let help = through.only(code).help;
     assert!(help.contains("give the path more distance"), "{help}");
     through.is_helped(code, &[through.clone().replace("[0.32, 0.2, 0.44]", "[0.1, 0.6, 0.44]")]);
-    let goal = Case::project("panda-obstacles").set("duration_s=3.0").replace(
+    let goal = TaskCase::project("panda-obstacles").set("duration_s=3.0").replace(
         "[[task.flange.cartesian.reference.waypoints]]\ntime_s = 4.5\nposition = { offset_m = [0.0, 0.0, 0.0] }\n",
         "",
     );
@@ -38,8 +38,8 @@ pub fn reference_in_collision(code: Code) {
 }
 
 /// A wall below the tip of the planar arm, at a height.
-fn wall(height_m: f64) -> Case {
-    Case::of(TIP).add(&format!(
+fn wall(height_m: f64) -> TaskCase {
+    TaskCase::of(TIP).add(&format!(
         "[environment.table.wall]\nframe = \"tip\"\npoint_m = [0.0, 0.0, {height_m:?}]\nnormal = [0.0, 0.0, 1.0]\n\
          stiffness_n_per_m = 10000.0\ndamping_ns_per_m = 50.0"
     ))
@@ -65,14 +65,15 @@ pub fn object_out_of_reach(code: Code) {
 pub fn ignored_compliance(code: Code) {
     let gains = "gains = { frequency_rad_per_s = 14.0, damping_ratio = 1.0 }";
     let spring = "impedance = { stiffness_n_per_m = 500.0, damping_ratio = 0.7 }";
-    let of =
-        |controller| Case::of(HAND).replace(gains, spring).options(|options| options.controller = controller);
+    let of = |controller| {
+        TaskCase::of(HAND).replace(gains, spring).options(|options| options.controller = controller)
+    };
     assert!(of(ControllerKind::Ik).only(code).help.contains("controller 'osc'"));
     of(ControllerKind::Ik).is_helped(code, &[of(ControllerKind::Osc)]);
 }
 
 pub fn damped_compliance(code: Code) {
-    let compliant = Case::of(HAND)
+    let compliant = TaskCase::of(HAND)
         .replace("x = \"motion\"", "x = \"compliant\"")
         .set("robot.interface.gears=\"elastic\"");
     let unknown = compliant
@@ -93,8 +94,8 @@ pub fn damped_compliance(code: Code) {
 }
 
 /// The hand presses along x, with these values of its force.
-fn pressing(values: &str) -> Case {
-    Case::of(HAND).replace("x = \"motion\"", "x = \"force\"").replace(
+fn pressing(values: &str) -> TaskCase {
+    TaskCase::of(HAND).replace("x = \"motion\"", "x = \"force\"").replace(
         "frame = \"hand\"",
         &format!("frame = \"hand\"\nforce = {{ sensor = \"wrist\", target_n = {{ x = -20.0 }}, {values} }}"),
     )
@@ -147,8 +148,8 @@ fn table(stiffness: f64) -> String {
     )
 }
 
-fn pressing_down() -> Case {
-    Case::of(PRESS).options(|options| options.controller = ControllerKind::Ik)
+fn pressing_down() -> TaskCase {
+    TaskCase::of(PRESS).options(|options| options.controller = ControllerKind::Ik)
 }
 
 pub fn unstable_admittance(code: Code) {
@@ -158,7 +159,7 @@ pub fn unstable_admittance(code: Code) {
 }
 
 pub fn unknown_contact(code: Code) {
-    let unknown = |case: &Case| not_checked(&case.experiment());
+    let unknown = |case: &TaskCase| not_checked(&case.experiment());
     let help = only(code, &unknown(&pressing_down())).help;
     assert!(help.contains("raise admittance_ns_per_m"), "{help}");
     assert_eq!(unknown(&pressing_down().set("task.hand.force.admittance_ns_per_m=100.0")), []);
@@ -169,7 +170,7 @@ pub fn unknown_contact(code: Code) {
 
 pub fn unknown_sensor_load(code: Code) {
     // The elbow moves the forearm beyond this sensor.
-    let sensor = Case::of(HAND)
+    let sensor = TaskCase::of(HAND)
         .set("robot.force_sensor.arm={ frame = \"upper_arm\" }")
         .set("robot.simulated.force_sensor.arm={ bandwidth_hz = 500.0, noise_n = 0.05, noise_nm = 0.005, bias_n = 2.0, bias_nm = 0.1 }");
     let help = sensor.only(code).help;

@@ -1,11 +1,11 @@
 //! Remedies for limits that contradict each other, the start, the references or the weight.
 
-use super::case::{Case, HAND, JOINTS, TIP, number_after, number_before};
+use super::case::{HAND, JOINTS, TIP, TaskCase, number_after, number_before};
 use opspace_experiment::Code;
 
 pub fn fraction_above_one(code: Code) {
     for key in ["velocity_fraction", "torque_fraction"] {
-        let above = Case::of(HAND).set(format!("limits.{key}=1.5"));
+        let above = TaskCase::of(HAND).set(format!("limits.{key}=1.5"));
         let fraction = number_after(&above.only(code).help, &format!("{key} = "));
         above.is_helped(code, &[above.clone().set(format!("limits.{key}={fraction:?}"))]);
     }
@@ -13,7 +13,7 @@ pub fn fraction_above_one(code: Code) {
 
 pub fn margin_above_range(code: Code) {
     let margin = |margin_rad: f64| {
-        Case::of(JOINTS)
+        TaskCase::of(JOINTS)
             .set("start_rad.elbow=-1.134")
             .set("task.joints.reference=\"hold\"")
             .set(format!("limits.position_margin_rad={margin_rad:?}"))
@@ -27,7 +27,7 @@ pub fn margin_above_range(code: Code) {
 
 pub fn start_in_margin(code: Code) {
     let start = |elbow: f64| {
-        Case::of(JOINTS).set("task.joints.reference=\"hold\"").set(format!("start_rad.elbow={elbow:?}"))
+        TaskCase::of(JOINTS).set("task.joints.reference=\"hold\"").set(format!("start_rad.elbow={elbow:?}"))
     };
     let near = start(-0.004);
     let help = near.only(code).help;
@@ -38,18 +38,18 @@ pub fn start_in_margin(code: Code) {
 
 pub fn target_beyond_limits(code: Code) {
     let target = |elbow: f64| {
-        Case::of(JOINTS)
+        TaskCase::of(JOINTS)
             .replace("offset_rad = { elbow = 1.0 }", &format!("absolute_rad = {{ elbow = {elbow:?} }}"))
     };
     let most = number_after(&target(0.15).only(code).help, "at most ");
     target(0.15).is_helped(code, &[target(most)]);
-    let posture = |elbow: f64| Case::of(HAND).set(format!("task.rest.posture_rad.elbow={elbow:?}"));
+    let posture = |elbow: f64| TaskCase::of(HAND).set(format!("task.rest.posture_rad.elbow={elbow:?}"));
     let least = number_after(&posture(-2.5).only(code).help, "at least ");
     posture(-2.5).is_helped(code, &[posture(least)]);
 }
 
 pub fn limit_on_the_way(code: Code) {
-    let folded = Case::project("panda-folded");
+    let folded = TaskCase::project("panda-folded");
     let help = folded.only(code).help;
     assert!(
         help.contains("make the motion smaller, or free an axis") && help.contains("opspace model "),
@@ -62,11 +62,11 @@ pub fn limit_on_the_way(code: Code) {
 }
 
 pub fn weight_above_limit(code: Code) {
-    let weak = Case::of(TIP).set("limits.torque_fraction=0.16");
+    let weak = TaskCase::of(TIP).set("limits.torque_fraction=0.16");
     let fraction = number_after(&weak.only(code).help, "torque_fraction to at least ");
     let upright = weak.clone().set("start_rad={ shoulder = 1.3, elbow = 0.4 }");
     weak.is_helped(code, &[weak.clone().set(format!("limits.torque_fraction={fraction:?}")), upright]);
-    let weaker = Case::of(TIP).set("robot.joint.shoulder.torque_limit_nm=8.0");
+    let weaker = TaskCase::of(TIP).set("robot.joint.shoulder.torque_limit_nm=8.0");
     let help = weaker.only(code).help;
     assert!(
         help.contains("a posture with less gravity torque") && help.contains("check the limit"),
@@ -82,7 +82,7 @@ pub fn weight_above_rate(code: Code) {
         let motion = format!(
             "reference.point-to-point = {{ position = {{ offset_m = [0.6, 0.0, 0.0] }}, duration_s = {duration_s:?} }}"
         );
-        Case::of(TIP)
+        TaskCase::of(TIP)
             .replace("reference = \"hold\"", &motion)
             .set("duration_s=60.0")
             .set(format!("robot.joint.shoulder.torque_rate_limit_nm_per_s={rate:?}"))
@@ -96,7 +96,7 @@ pub fn weight_above_rate(code: Code) {
 
 pub fn unreachable_speed(code: Code) {
     let limit = |acceleration: f64| {
-        Case::of(HAND).set(format!("robot.joint.elbow.acceleration_limit_rad_per_s2={acceleration:?}"))
+        TaskCase::of(HAND).set(format!("robot.joint.elbow.acceleration_limit_rad_per_s2={acceleration:?}"))
     };
     let least = number_after(&limit(10.0).only(code).help, "at least ");
     limit(10.0).is_helped(code, &[limit(least)]);

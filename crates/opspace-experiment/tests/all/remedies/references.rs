@@ -1,14 +1,14 @@
 //! Remedies for references: reach, speed, time, and freedom.
 
-use super::case::{Case, HAND, JOINTS, TIP, after, number_after, number_before};
+use super::case::{HAND, JOINTS, TIP, TaskCase, after, number_after, number_before};
 use opspace_experiment::Code;
 
 /// Number by which a motion that is slower or smaller without a stated factor is divided.
 const MUCH: f64 = 10.0;
 
 /// The tip of the planar arm is to move along the direction of the stretched arm, which ends at `reach_m`.
-fn far(reach_m: f64) -> Case {
-    Case::of(TIP).replace(
+fn far(reach_m: f64) -> TaskCase {
+    TaskCase::of(TIP).replace(
         "reference = \"hold\"",
         &format!(
             "reference.point-to-point = {{ position = {{ absolute_m = [{reach_m:?}, 0.0, 0.5] }}, duration_s = 1.5 }}"
@@ -28,8 +28,8 @@ pub fn goal_out_of_reach(code: Code) {
 }
 
 /// The elbow moves by some angle in some time.
-fn elbow(by_rad: f64, duration_s: f64) -> Case {
-    Case::of(JOINTS)
+fn elbow(by_rad: f64, duration_s: f64) -> TaskCase {
+    TaskCase::of(JOINTS)
         .replace("elbow = 1.0", &format!("elbow = {by_rad:?}"))
         .replace("duration_s = 1.0", &format!("duration_s = {duration_s:?}"))
 }
@@ -55,7 +55,7 @@ pub fn torque_above_limit(code: Code) {
         let wave = format!(
             "reference.sinusoid.x = [{{ amplitude_m = {amplitude_m:?}, frequency_hz = {frequency_hz:?} }}]"
         );
-        Case::of(TIP).replace("reference = \"hold\"", &wave)
+        TaskCase::of(TIP).replace("reference = \"hold\"", &wave)
     };
     let times = number_before(&wave(0.1, FAST_HZ).only(code).help, " times as long");
     let remedied = [wave(0.1, FAST_HZ / times), wave(0.1 / times.powi(2), FAST_HZ)];
@@ -70,11 +70,11 @@ pub fn moves_during_ramp(code: Code) {
         )
     };
     let line = HAND.lines().find(|line| line.starts_with("reference")).unwrap();
-    let at_once = |duration_s: f64| Case::of(HAND).replace(line, &motion(duration_s)).set(RAMP);
+    let at_once = |duration_s: f64| TaskCase::of(HAND).replace(line, &motion(duration_s)).set(RAMP);
     let found = at_once(0.2).only(code);
     assert!(found.help.contains("[[event]]") && found.help.contains("more slowly"), "{}", found.help);
     let ramp_s = number_after(&found.message, "first ");
-    let later = Case::of(HAND).replace(line, "reference = \"hold\"").set(RAMP).add(&format!(
+    let later = TaskCase::of(HAND).replace(line, "reference = \"hold\"").set(RAMP).add(&format!(
         "[[event]]\ntime_s = {ramp_s:?}\nset = [\"task.hand.cartesian.{}\"]",
         motion(0.2).replace('"', "\\\"")
     ));
@@ -83,7 +83,7 @@ pub fn moves_during_ramp(code: Code) {
 
 pub fn reference_too_fast(code: Code) {
     let limited = |limit: &str, duration_s: f64| {
-        Case::of(HAND)
+        TaskCase::of(HAND)
             .replace("frame = \"hand\"", &format!("frame = \"hand\"\nspeed_limit_m_per_s = {limit}"))
             .replace("duration_s = 1.0", &format!("duration_s = {duration_s:?}"))
     };
@@ -95,7 +95,7 @@ pub fn reference_too_fast(code: Code) {
 
 pub fn unfinished_reference(code: Code) {
     let late = |duration_s: f64, run_s: f64| {
-        Case::of(HAND)
+        TaskCase::of(HAND)
             .replace("0.05] }, duration_s = 1.0", &format!("0.05] }}, duration_s = {duration_s:?}"))
             .set(format!("duration_s={run_s:?}"))
     };
@@ -107,7 +107,7 @@ pub fn unfinished_reference(code: Code) {
             "reference.goal = {{ position = {{ offset_m = [0.05, 0.0, 0.05] }}, velocity_m_per_s = {velocity:?}, \
              acceleration_m_per_s2 = 1.0, jerk_m_per_s3 = 10.0 }}"
         );
-        Case::of(HAND).replace(line, &goal).set(format!("duration_s={run_s:?}"))
+        TaskCase::of(HAND).replace(line, &goal).set(format!("duration_s={run_s:?}"))
     };
     let help = goal(0.02, 2.0).only(code).help;
     assert!(help.contains("increase duration_s") && help.contains("limits of the goal's motion"), "{help}");
@@ -116,7 +116,7 @@ pub fn unfinished_reference(code: Code) {
 
 pub fn half_turn(code: Code) {
     let reference = |goals: &str| {
-        Case::of(TIP).set("start_rad={ shoulder = 0.0 }").set("duration_s=10.0").set("priority=[\"arm\"]").set(format!(
+        TaskCase::of(TIP).set("start_rad={ shoulder = 0.0 }").set("duration_s=10.0").set("priority=[\"arm\"]").set(format!(
             "task={{ arm = {{ joint-tracking = {{ gains = {{ frequency_rad_per_s = 14.0, damping_ratio = 1.0 }}, reference = {{ waypoints \
              = [{goals}] }} }} }} }}"
         ))
@@ -133,7 +133,7 @@ pub fn half_turn(code: Code) {
 
 pub fn late_event(code: Code) {
     let event = |time_s: f64, run_s: f64| {
-        Case::of(HAND).set(format!("duration_s={run_s:?}")).add(&format!(
+        TaskCase::of(HAND).set(format!("duration_s={run_s:?}")).add(&format!(
             "[[event]]\ntime_s = {time_s:?}\nset = [\"task.hand.cartesian.gains.damping_ratio=0.9\"]"
         ))
     };
@@ -144,13 +144,13 @@ pub fn late_event(code: Code) {
 }
 
 pub fn early_statistics(code: Code) {
-    let early = Case::of(HAND).set("settle_s=0.1");
+    let early = TaskCase::of(HAND).set("settle_s=0.1");
     let settle_s = number_after(&early.only(code).help, "settle_s = ");
     early.is_helped(code, &[early.clone().set(format!("settle_s={settle_s:?}"))]);
 }
 
 pub fn singular_start(code: Code) {
-    let straight = Case::of(TIP).replace("shoulder = 0.6, elbow = 1.2", "shoulder = 0.0, elbow = 0.0");
+    let straight = TaskCase::of(TIP).replace("shoulder = 0.6, elbow = 1.2", "shoulder = 0.0, elbow = 0.0");
     let found = straight.only(code);
     let bent = straight.clone().set(format!("start_rad.elbow={}", after(&found.help, "'elbow' at ")));
     straight.is_helped(code, &[bent]);
@@ -168,7 +168,7 @@ pub fn singular_start(code: Code) {
 
 pub fn uncontrolled_freedom(code: Code) {
     let rest = "[task.rest.joint-posture]\nfrequency_rad_per_s = 6.0\ndamping_ratio = 0.8\n";
-    let free = Case::of(HAND).replace("\"hand\", \"rest\"", "\"hand\"").replace(rest, "");
+    let free = TaskCase::of(HAND).replace("\"hand\", \"rest\"", "\"hand\"").replace(rest, "");
     let help = free.only(code).help;
     let with = |gains: &str| {
         let (table, _) = gains.split_once('\n').unwrap();
@@ -180,7 +180,7 @@ pub fn uncontrolled_freedom(code: Code) {
 }
 
 pub fn compliant_drift(code: Code) {
-    let led = Case::of(HAND).replace("x = \"motion\"", "x = \"compliant\"");
+    let led = TaskCase::of(HAND).replace("x = \"motion\"", "x = \"compliant\"");
     let help = led.only(code).help;
     assert!(help.contains("use \"motion\" with a spring"), "{help}");
     let (_, spring) = help.split_once("stiffness_n_per_m = { ").unwrap();
@@ -190,5 +190,5 @@ pub fn compliant_drift(code: Code) {
     let spring = format!(
         "impedance = {{ stiffness_n_per_m = {{ {of_axis}, y = {stiffness:?}, z = {stiffness:?} }}, damping_ratio = 0.7 }}"
     );
-    led.is_helped(code, &[Case::of(HAND).replace(gains, &spring)]);
+    led.is_helped(code, &[TaskCase::of(HAND).replace(gains, &spring)]);
 }

@@ -1,22 +1,22 @@
 //! Remedies for what a run shows: the finding of its summary is gone with the remedy of its page.
 
-use super::case::{Case, JOINTS, number_after};
+use super::case::{JOINTS, TaskCase, number_after};
 use opspace_backend::CommandKind;
 use opspace_experiment::Code;
 
 /// Checks that the run of a case has a finding with the code, that its page has the advice, and that no run of `remedied` has it.
-fn is_helped(code: Code, case: &Case, advice: &str, remedied: &[Case]) {
+fn is_helped(code: Code, case: &TaskCase, advice: &str, remedied: &[TaskCase]) {
     let (_, what_to_do) = code.page().split_once("**What to do.**").unwrap();
     assert!(what_to_do.contains(advice), "{code}: {advice} in {what_to_do}");
-    let found = |case: &Case| case.run().findings.of(code).map(ToString::to_string).collect::<Vec<_>>();
+    let found = |case: &TaskCase| case.run().findings.of(code).map(ToString::to_string).collect::<Vec<_>>();
     assert_ne!(found(case), [""; 0], "{code}");
     for (alternative, case) in remedied.iter().enumerate() {
         assert_eq!(found(case), [""; 0], "{code}, alternative {alternative} of: {advice}");
     }
 }
 
-fn torque(name: &str) -> Case {
-    Case::project(name).backend(CommandKind::Torque)
+fn torque(name: &str) -> TaskCase {
+    TaskCase::project(name).backend(CommandKind::Torque)
 }
 
 pub fn never_touched(code: Code) {
@@ -43,7 +43,7 @@ pub fn contact_lost(code: Code) {
 }
 
 pub fn joints_held(code: Code) {
-    let held = Case::of(JOINTS)
+    let held = TaskCase::of(JOINTS)
         .replace("elbow = 1.0", "elbow = 0.05")
         .backend(CommandKind::Torque)
         .set("friction_compensation.gain=0.0")
@@ -72,7 +72,7 @@ pub fn goal_not_reached(code: Code) {
     let rest = "task.rest={ joint-tracking = { joints = [\"joint4\"], gains = { frequency_rad_per_s = 10.0, damping_ratio = 1.0 }, reference = { \
                 point-to-point = { goal = { offset_rad = { joint4 = 0.3 } }, duration_s = 1.0 } } } }";
     let below = goal("[0.0, 0.0, 0.0]").set(rest);
-    let is_missed = |case: &Case| case.run().findings.of(code).any(|goal| goal.task() == Some("rest"));
+    let is_missed = |case: &TaskCase| case.run().findings.of(code).any(|goal| goal.task() == Some("rest"));
     assert!(is_missed(&below) && code.page().contains("reorder `priority`"));
     assert!(!is_missed(&below.set("priority=[\"rest\", \"flange\"]")));
 }

@@ -1,6 +1,6 @@
 //! Remedies for gains, drives and gears.
 
-use super::case::{Case, HAND, after, number_after, only};
+use super::case::{HAND, TaskCase, after, number_after, only};
 use opspace_backend::CommandKind;
 use opspace_experiment::preflight::{JointImpedance, gain_margin, gear_margin, impedances, margins_with};
 use opspace_experiment::{Code, Experiment, Finding};
@@ -15,7 +15,7 @@ pub fn gains_too_high(code: Code) {
         [(CommandKind::Torque, 800.0), (CommandKind::Position, 1000.0), (CommandKind::Velocity, 1000.0)]
     {
         let of = |frequency: f64| {
-            Case::of(HAND)
+            TaskCase::of(HAND)
                 .backend(backend)
                 .set("robot.profile.a-med.estimator.velocity=\"filter\"")
                 .set(format!("task.hand.gains.frequency_rad_per_s={frequency:?}"))
@@ -46,18 +46,19 @@ fn in_file(setting: &str) -> String {
 }
 
 pub fn small_gain_margin(code: Code) {
-    let found = |case: &Case| {
+    let found = |case: &TaskCase| {
         let experiment = case.experiment();
         gain_margin(&experiment).and_then(|margin| margin.finding(&experiment))
     };
     let led = |transformer: &str| {
-        Case::project("gravity-compensation").set(format!("robot.profile.a-med.transformer={transformer}"))
+        TaskCase::project("gravity-compensation")
+            .set(format!("robot.profile.a-med.transformer={transformer}"))
     };
-    let compliant = Case::project("compliant-x")
+    let compliant = TaskCase::project("compliant-x")
         .set("robot.profile.a-med.transformer=emulation")
         .set("friction_compensation.gain=0.95");
     let damped = led("emulation").set("task.rest.joint-damping.damping_nms_per_rad=0.5");
-    let elastic = Case::of(HAND).set(ELASTIC).set("robot.profile.a-med.transformer=extrapolation");
+    let elastic = TaskCase::of(HAND).set(ELASTIC).set("robot.profile.a-med.transformer=extrapolation");
     let mut kinds: Vec<String> = Vec::new();
     for case in [led("emulation"), damped, compliant, elastic] {
         let finding = found(&case).expect("a small margin");
@@ -76,11 +77,11 @@ pub fn small_gain_margin(code: Code) {
 
 pub fn unstable_simulation(code: Code) {
     let gain = |kp: f64| {
-        Case::project("gravity-compensation")
+        TaskCase::project("gravity-compensation")
             .transformer("paper")
             .set(format!("robot.simulated.true_over_nominal.kp={kp:?}"))
     };
-    let found = |case: &Case| {
+    let found = |case: &TaskCase| {
         let experiment = case.experiment();
         margins_with(&experiment, &experiment.transformer_name().unwrap()).unwrap().finding(&experiment)
     };
@@ -91,14 +92,14 @@ pub fn unstable_simulation(code: Code) {
 }
 
 /// Finding about oscillation on elastic gears.
-fn on_gears(case: &Case) -> Option<Finding> {
+fn on_gears(case: &TaskCase) -> Option<Finding> {
     let experiment = case.experiment();
     gear_margin(&experiment)?.finding(&experiment)
 }
 
 pub fn gear_oscillation(code: Code) {
     let hold =
-        |transformer: &str| Case::of(HAND).set("task.hand.reference=\"hold\"").transformer(transformer);
+        |transformer: &str| TaskCase::of(HAND).set("task.hand.reference=\"hold\"").transformer(transformer);
     let declared = ASIMO.iter().zip([20e3, 12e3, 8e3, 5e3]).fold(
         hold("emulation+current"),
         |case, (joint, stiffness)| {
@@ -111,14 +112,15 @@ pub fn gear_oscillation(code: Code) {
         hold("emulation+current").set(ELASTIC),
         hold("emulation").set(ELASTIC).set("robot.interface.measured=[\"position\"]"),
         declared.clone(),
-        Case::project("follow-wall").transformer("extrapolation+current").set(ELASTIC),
+        TaskCase::project("follow-wall").transformer("extrapolation+current").set(ELASTIC),
     ];
     let mut named: Vec<&str> = Vec::new();
     for case in &cases {
         let finding = on_gears(case).expect("an oscillation");
         assert_eq!(finding.code, code);
         let help = &finding.help;
-        let is_stable = |changed: Case, what: &str| assert_eq!(on_gears(&changed), None, "{what} of {help}");
+        let is_stable =
+            |changed: TaskCase, what: &str| assert_eq!(on_gears(&changed), None, "{what} of {help}");
         if let Some((_, rest)) = help.split_once("use '") {
             let (transformer, _) = rest.split_once('\'').unwrap();
             is_stable(case.clone().transformer(transformer), transformer);
@@ -154,12 +156,12 @@ pub fn gear_oscillation(code: Code) {
 }
 
 pub fn active_impedance(code: Code) {
-    let found = |case: &Case| {
+    let found = |case: &TaskCase| {
         let experiment: Experiment = case.experiment();
         JointImpedance::finding(&impedances(&experiment).unwrap(), &experiment)
     };
     let soft = |transformer: &str| {
-        Case::of(HAND)
+        TaskCase::of(HAND)
             .options(|options| options.profile = Some("b-soft".to_owned()))
             .set(ELASTIC)
             .transformer(transformer)
@@ -183,7 +185,7 @@ pub fn active_impedance(code: Code) {
 }
 
 pub fn feed_forward_impulse(code: Code) {
-    let fed = Case::of(HAND)
+    let fed = TaskCase::of(HAND)
         .transformer("extrapolation")
         .set("robot.profile.a-med.servo.elbow.cascaded.velocity_feed_forward=1.0");
     let help = fed.only(code).help;
@@ -201,7 +203,7 @@ pub fn feed_forward_impulse(code: Code) {
 
 pub fn narrow_setpoint_limits(code: Code) {
     let of = |acceleration: f64| {
-        Case::of(HAND)
+        TaskCase::of(HAND)
             .transformer("extrapolation")
             .set("robot.profile.a-med.setpoint_limits.reaction=\"clamp\"")
             .set(format!("robot.profile.a-med.setpoint_limits.joint.elbow={{ acceleration_rad_per_s2 = {acceleration:?} }}"))
