@@ -138,16 +138,15 @@ pub fn alternatives(experiment: &Experiment) -> Vec<Margins> {
 }
 
 impl Margins {
-    /// Describes the margins of the first gain and of elastic gears in a line.
+    /// Describes the margins of the first gain and of elastic gears, a line each.
     #[must_use]
-    pub fn in_short(&self) -> String {
-        let gain = match (&self.unstable, self.ranges.first()) {
-            (Some(joint), _) => format!("unstable with nominal values ({joint})"),
-            (None, Some(range)) => format!("{} {range}", range.quantity.name()),
-            (None, None) => String::new(),
-        };
-        let gears = self.gears.as_ref().map(|gears| format!("; elastic gears: {gears}"));
-        format!("{gain}{}", gears.unwrap_or_default())
+    pub fn in_short(&self) -> Vec<String> {
+        let line = |name: &str, value: &dyn fmt::Display| format!("{name:<25} {value}");
+        let unstable =
+            self.unstable.iter().map(|joint| format!("unstable with its nominal values ({joint})"));
+        let gain = self.ranges.iter().take(1).map(|range| line(range.quantity.name(), range));
+        let gears = self.gears.iter().map(|gears| line("elastic gears", gears));
+        unstable.chain(gain).chain(gears).collect()
     }
 }
 

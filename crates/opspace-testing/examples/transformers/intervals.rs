@@ -1,14 +1,13 @@
 //! Figure of what the hand feels over the width of the gains' interval, without motor current: its motion and its force, relative to
 //! those at the torque robot.
 //!
-//! Random arms and drives; true kp at both ends of the interval, and as declared; on the own plant and on MuJoCo. Medians over the
-//! arms whose torque robot is not stopped.
+//! Random arms and drives; true kp at both ends of the interval, and as declared. Medians over the arms whose torque robot is not
+//! stopped. With MuJoCo, its medians are printed too.
 
 use crate::draw::Draw;
 use crate::plot::{BLUE, GREEN, Line, ORANGE, Panel, draw};
 use crate::{Completed, median, run, sorted};
 use opspace_backend::CommandKind;
-use opspace_mujoco::Mujoco;
 use opspace_sim::PhysicsEngine;
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -18,7 +17,7 @@ const WIDTHS: [f64; 7] = [0.0, 0.02, 0.05, 0.1, 0.15, 0.2, 0.3];
 
 /// True kp within its interval, with names and colours.
 const PLACES: [(f64, &str, plotters::style::RGBColor); 3] =
-    [(-1.0, "lower end", BLUE), (0.0, "as declared", GREEN), (1.0, "upper end", ORANGE)];
+    [(-1.0, "the lower end", BLUE), (0.0, "the declared value", GREEN), (1.0, "the upper end", ORANGE)];
 
 /// Tasks that have an operator's hand.
 const TASKS: [&str; 2] = ["gravity compensation", "free compliance"];
@@ -30,8 +29,11 @@ type Quantity = fn(&Completed) -> f64;
 const OF_HAND: [(&str, Quantity); 2] =
     [("motion of the hand", |one| one.hand_m), ("force of the hand", |one| one.hand_n)];
 
-/// Plants: width of their lines, px.
-const PLANTS: [(&str, u32); 2] = [("own plant", 8), ("MuJoCo", 3)];
+/// Plants; the figure is of the first.
+const PLANTS: [&str; 2] = ["own plant", "MuJoCo"];
+
+/// Width of a line, px.
+const LINE_PX: u32 = 8;
 
 /// Runs that were stopped where the torque robot is not, and ratios to the torque robot of those that were not.
 #[derive(Default)]
@@ -43,9 +45,9 @@ struct Results {
 }
 
 /// Runs all arms, prints the medians, and draws them.
-pub fn draw_figure(path: &str, arms: usize, seed: u64) {
-    let mujoco = Arc::new(Mujoco::find(None).expect("MuJoCo")) as Arc<dyn PhysicsEngine>;
-    let engines = [None, Some(mujoco)];
+pub fn draw_figure(path: &str, arms: usize, seed: u64, mujoco: Option<Arc<dyn PhysicsEngine>>) {
+    let engines: Vec<Option<Arc<dyn PhysicsEngine>>> =
+        std::iter::once(None).chain(mujoco.map(Some)).collect();
     // By task, plant, place and width.
     let mut all: BTreeMap<[usize; 4], Results> = BTreeMap::new();
     for (plant, engine) in engines.iter().enumerate() {
@@ -72,19 +74,12 @@ pub fn draw_figure(path: &str, arms: usize, seed: u64) {
     for (quantity, (of_hand, _)) in OF_HAND.iter().enumerate() {
         for (task, name) in TASKS.iter().enumerate() {
             let mut lines = Vec::new();
-            for (plant, (plant_name, px)) in PLANTS.iter().enumerate() {
-                for (place, (_, place_name, color)) in PLACES.iter().enumerate() {
-                    let points = (0..WIDTHS.len()).map(|width| {
-                        let results = &all[&[task, plant, place, width]];
-                        (100.0 * WIDTHS[width], median(&sorted(results.ratios[quantity].iter().copied())))
-                    });
-                    lines.push(Line::new(
-                        &format!("{place_name}, {plant_name}"),
-                        *color,
-                        *px,
-                        points.collect(),
-                    ));
-                }
+            for (place, (_, place_name, color)) in PLACES.iter().enumerate() {
+                let points = (0..WIDTHS.len()).map(|width| {
+                    let results = &all[&[task, 0, place, width]];
+                    (100.0 * WIDTHS[width], median(&sorted(results.ratios[quantity].iter().copied())))
+                });
+                lines.push(Line::new(&format!("kp at {place_name}"), *color, LINE_PX, points.collect()));
             }
             let title = format!("{name}: {of_hand}");
             let x_label = "half-width of the gains' interval, %".to_owned();
@@ -95,9 +90,9 @@ pub fn draw_figure(path: &str, arms: usize, seed: u64) {
         let Results { runs, stopped, ratios } = results;
         let of = |quantity: usize| median(&sorted(ratios[quantity].iter().copied()));
         println!(
-            "{}, {}, kp at {}, {:.0} %: {stopped} of {runs} stopped, motion x {:.2}, force x {:.2}",
+            "{}, {}, kp at {}, {:.0} %: {stopped} of {runs} stopped, motion x {:.3}, force x {:.3}",
             TASKS[*task],
-            PLANTS[*plant].0,
+            PLANTS[*plant],
             PLACES[*place].1,
             100.0 * WIDTHS[*width],
             of(0),

@@ -11,7 +11,7 @@
 
 //!
 //! ```text
-//! cargo run --release -p opspace-testing --example transformers -- figure FILE.svg ARMS SEED
+//! cargo run --release -p opspace-testing --example transformers -- figure FILE.svg [mujoco] ARMS SEED
 //! ```
 //!
 //! draws what the hand feels over the width of the gains' interval: see [`intervals`].
@@ -55,13 +55,13 @@ fn main() -> ExitCode {
     let has = |word: &str| words.iter().any(|given| given == word);
     let numbers: Vec<f64> = words.iter().filter_map(|word| word.parse().ok()).collect();
     let (arms, seed) = (numbers.first().map_or(20, |n| *n as usize), numbers.get(1).map_or(1, |n| *n as u64));
-    if has("figure") {
-        let path = words.iter().find(|word| word.ends_with(".svg")).expect("a file that ends with .svg");
-        intervals::draw_figure(path, arms, seed);
-        return ExitCode::SUCCESS;
-    }
     let engine =
         has("mujoco").then(|| Arc::new(Mujoco::find(None).expect("MuJoCo")) as Arc<dyn PhysicsEngine>);
+    if has("figure") {
+        let path = words.iter().find(|word| word.ends_with(".svg")).expect("a file that ends with .svg");
+        intervals::draw_figure(path, arms, seed, engine);
+        return ExitCode::SUCCESS;
+    }
     let current = has("current");
     let names = ["extrapolation", "paper", "emulation"]
         .map(|name| TransformerName::literal(name).with_current(current));
