@@ -6,6 +6,7 @@ use opspace_experiment::{Files, RobotDefinition};
 use opspace_log::Recording;
 use opspace_model::{Data, forward_kinematics, frame_placement};
 use opspace_testing::random::Random;
+use opspace_transformer::ServoParameters;
 use std::fmt::Write as _;
 use std::fs;
 
@@ -14,9 +15,6 @@ const TOLERANCE: (f64, f64) = (0.06, 0.003);
 
 /// The same with assumed gains, which leave the joints damping.
 const WITH_ASSUMED_GAINS: (f64, f64) = (0.3, 0.003);
-
-/// Setting of exact gains.
-const EXACT: &str = "robot.profile.default.servo.joint_defaults.cascaded.gain_uncertainty=0.0";
 
 /// URDF of a random tree of this many joints in its trunk: revolute, continuous, prismatic and fixed joints, with and
 /// without branches, limits of effort and velocity, and friction.
@@ -109,7 +107,11 @@ fn runs_without_a_value(urdf: &str, about: &str) {
     let checked = opspace(folder.path(), &["check", "mine", "mine/first-task.toml"]).exits(0).stdout;
     assert!(checked.contains("assumed, results rest on them"), "{about}: {checked}");
     let run = opspace(folder.path(), &["run", "mine/first-task.toml", "--out", "out"]).exits(0);
-    opspace(folder.path(), &["run", "mine/first-task.toml", "--out", "exact", "--set", EXACT]).exits(0);
+    let robot = RobotDefinition::load(Files::Disk, &at("mine"), &[]).unwrap();
+    let settings = exact_gains(&robot);
+    let mut exact = vec!["run", "mine/first-task.toml", "--out", "exact"];
+    settings.iter().for_each(|setting| exact.extend(["--set", setting]));
+    opspace(folder.path(), &exact).exits(0);
     assert!(run.stdout.contains("ASSUMED all results of robot 'mine'"), "{about}: {}", run.stdout);
     let summary = read_json(at("out/summary.json"));
     assert!(summary["assumed"].as_array().is_some_and(|keys| !keys.is_empty()), "{about}");
@@ -122,11 +124,20 @@ fn runs_without_a_value(urdf: &str, about: &str) {
     let time_s: f64 = words[5].parse().unwrap();
     let (_, name) = said.split_once("The tip '").unwrap();
     let name = name.split('\'').next().unwrap();
-    let robot = RobotDefinition::load(Files::Disk, &at("mine"), &[]).unwrap();
     for (out, tolerance) in [("out", WITH_ASSUMED_GAINS), ("exact", TOLERANCE)] {
         let log = Recording::read(at(out).join("run.mcap")).unwrap();
         check_displacement(&robot, &log, name, (asked_m, axis, time_s), tolerance, about);
     }
+}
+
+/// Settings with which the gains of the servos are known exactly.
+fn exact_gains(robot: &RobotDefinition) -> Vec<String> {
+    let servos = robot.profile(None).unwrap().1.servo.iter();
+    let of = |(joint, servo): (&String, &ServoParameters)| {
+        let kind = if matches!(servo, ServoParameters::Pid(_)) { "pid" } else { "cascaded" };
+        format!("robot.profile.default.servo.{joint}.{kind}.gain_uncertainty=0.0")
+    };
+    servos.map(of).collect()
 }
 
 /// Checks the displacement of the tip `name` along an axis: `asked_m` after `time_s`, and none after twice this time.
