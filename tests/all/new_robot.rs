@@ -13,7 +13,7 @@ use std::fs;
 /// Largest error of the tip's displacement, as a fraction of it, and m, with gains that are known exactly.
 const TOLERANCE: (f64, f64) = (0.06, 0.003);
 
-/// The same with assumed gains, which leave the joints damping.
+/// Largest error with assumed gains, which leave damping to the joints.
 const WITH_ASSUMED_GAINS: (f64, f64) = (0.3, 0.003);
 
 /// URDF of a random tree of this many joints in its trunk: revolute, continuous, prismatic and fixed joints, with and

@@ -141,7 +141,7 @@ impl Margins {
     /// Describes the margins of the first gain and of elastic gears, a line each.
     #[must_use]
     pub fn in_short(&self) -> Vec<String> {
-        let line = |name: &str, value: &dyn fmt::Display| format!("{name:<25} {value}");
+        let line = |name: &str, value: &dyn fmt::Display| format!("{name}: {value}");
         let unstable =
             self.unstable.iter().map(|joint| format!("unstable with its nominal values ({joint})"));
         let gain = self.ranges.iter().take(1).map(|range| line(range.quantity.name(), range));
