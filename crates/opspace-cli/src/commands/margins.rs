@@ -50,7 +50,9 @@ impl Strength {
         }
         for margins in &self.alternatives {
             let _ = writeln!(text, "    {}", margins.transformer.as_str());
-            margins.in_short().iter().for_each(|line| drop(writeln!(text, "      {line}")));
+            for line in margins.in_short() {
+                let _ = writeln!(text, "      {line}");
+            }
         }
         let names = self.floors.iter().map(|floor| floor.joint.chars().count());
         let width = names.max().unwrap_or(0).clamp(5, 30);
