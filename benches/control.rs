@@ -230,15 +230,7 @@ fn input<'a>(
 ) -> ControlInput<'a> {
     static NO_FEEDFORWARD: [f64; 32] = [0.0; 32];
     let feedforward_torque = &NO_FEEDFORWARD[..model.n()];
-    ControlInput {
-        model,
-        data,
-        measurement,
-        feedforward_torque,
-        damping_torque: &[],
-        targets,
-        clock_s: measurement.time_s,
-    }
+    ControlInput::new(model, data, measurement, feedforward_torque, targets)
 }
 
 impl<'a> Bench<'a> {

@@ -110,7 +110,7 @@ fn controller_and_transformer(bencher: Bencher, task: &str) {
     assert!(update(model, &mut data, measurement.q.as_slice(), measurement.dq.as_slice()));
     let mut controller = experiment.controller().expect("was checked");
     let (targets, feedforward) = (Targets::none(), vec![0.0; model.n()]);
-    controller.start(&input(model, &data, &measurement, &feedforward, &targets));
+    controller.start(&ControlInput::new(model, &data, &measurement, &feedforward, &targets));
     let profile = experiment.profile().1;
     let servos = experiment.robot().servos(profile);
     let gains = servos.iter().map(|servo| servo.gains(profile.servo_period_s())).collect();
@@ -119,7 +119,7 @@ fn controller_and_transformer(bencher: Bencher, task: &str) {
     let mut q_desired = vec![0.0; model.n()];
     bencher.bench_local(|| {
         measurement.time_s += 1e-3;
-        let input = input(model, &data, black_box(&measurement), &feedforward, &targets);
+        let input = ControlInput::new(model, &data, black_box(&measurement), &feedforward, &targets);
         controller.update(&input, &mut tau);
         transformer.transform(&data, &tau, &mut q_desired);
     });
@@ -199,23 +199,4 @@ fn record_a_cycle(bencher: Bencher, task: &str) {
     drop(recorder);
     let (written, _) = writer.finish().expect("the sink does not fail");
     assert_eq!(written.dropped, 0);
-}
-
-/// Controller input whose clock counts from the start of control.
-fn input<'a>(
-    model: &'a Model,
-    data: &'a Data,
-    measurement: &'a Measurement,
-    feedforward_torque: &'a [f64],
-    targets: &'a Targets,
-) -> ControlInput<'a> {
-    ControlInput {
-        model,
-        data,
-        measurement,
-        feedforward_torque,
-        damping_torque: &[],
-        targets,
-        clock_s: measurement.time_s,
-    }
 }

@@ -27,6 +27,22 @@ pub struct ControlInput<'a> {
     pub clock_s: f64,
 }
 
+impl<'a> ControlInput<'a> {
+    /// Returns the input at a measurement, whose time is that of the clock, for drives that add no torques. `feedforward_torque` is
+    /// added to the command (n; Nm or N).
+    #[must_use]
+    pub fn new(
+        model: &'a Model,
+        data: &'a Data,
+        measurement: &'a Measurement,
+        feedforward_torque: &'a [f64],
+        targets: &'a Targets,
+    ) -> Self {
+        let clock_s = measurement.time_s;
+        Self { model, data, measurement, feedforward_torque, damping_torque: &[], targets, clock_s }
+    }
+}
+
 /// A control law that computes commands from measurements, independently of the kind of robot.
 pub trait Controller: Observable + Send {
     /// Kind of the commands that [`update`](Self::update) writes.

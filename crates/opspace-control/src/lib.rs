@@ -47,15 +47,7 @@
 //! for tick in 0..1500 {
 //!     seen.time_s = f64::from(tick) * context.period_s;
 //!     assert!(update(&model, &mut data, seen.q.as_slice(), seen.dq.as_slice()));
-//!     let input = ControlInput {
-//!         model: &model,
-//!         data: &data,
-//!         measurement: &seen,
-//!         feedforward_torque: &no_feedforward,
-//!         damping_torque: &[],
-//!         targets: &no_targets,
-//!         clock_s: seen.time_s,
-//!     };
+//!     let input = ControlInput::new(&model, &data, &seen, &no_feedforward, &no_targets);
 //!     if tick == 0 {
 //!         controller.start(&input);
 //!     }

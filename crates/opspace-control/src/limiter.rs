@@ -6,7 +6,7 @@ use crate::hierarchy::task_hierarchy::TaskHierarchy;
 use crate::hierarchy::task_parameters::Compensation;
 use crate::limits::bounds::Bounds;
 use crate::limits::collision_bounds::CollisionBounds;
-use crate::limits::drag::{self, Drag};
+use crate::limits::drag::Drag;
 use crate::limits::joint_bound::Uncommanded;
 use crate::limits::joint_limits::LimitParameters;
 use crate::limits::push::Push;
@@ -117,7 +117,7 @@ impl Limiter {
             .iter()
             .any(|level| !level.held_back.does_not_resist() || level.held_back.standstill().acts());
         if let Some(collision) = &mut self.collision {
-            let uncommanded = Uncommanded { push: self.push.acceleration(), drag: self.drag.accelerations() };
+            let uncommanded = Uncommanded { push: self.push.acceleration(), drag: &self.drag };
             collision.update(model, data, &self.bias_acceleration, uncommanded);
         }
         self.speed_count = 0;
@@ -126,7 +126,7 @@ impl Limiter {
             for kind in 0..2 {
                 let Some(slot) = self.speeds.get_mut(self.speed_count) else { return };
                 if let Some(upper) = level.speed_bound(kind, horizon_s, slot.row.as_mut_slice()) {
-                    let [_, drag] = drag::combined(slot.row.as_slice(), self.drag.accelerations());
+                    let [_, drag] = self.drag.along(slot.row.as_slice());
                     slot.upper = upper - slot.row.dot(&self.bias_acceleration) - drag;
                     self.speed_count += 1;
                 }
@@ -169,7 +169,7 @@ impl Limiter {
 
     /// Computes the joint bounds in this state; `commanded` are the last commanded torques (n).
     pub(crate) fn bound(&mut self, input: &ControlInput<'_>, commanded: &DVector<f64>) {
-        let uncommanded = Uncommanded { push: self.push.acceleration(), drag: self.drag.accelerations() };
+        let uncommanded = Uncommanded { push: self.push.acceleration(), drag: &self.drag };
         self.bounds.update(input.measurement, uncommanded, input.feedforward_torque, commanded);
         self.torque_bounds.lower.copy_from(&self.bounds.torque.lower);
         self.torque_bounds.upper.copy_from(&self.bounds.torque.upper);

@@ -17,21 +17,15 @@
 //!
 //! # Stops
 //!
-//! | stop | robots with `on_stop = "setpoints"` | others |
-//! |---|---|---|
-//! | planned end, request, fault | setpoints, one per cycle, that come to rest within their limits; then the robot's own stop | the robot's own stop |
-//! | the robot can't be read, or refuses a command | the robot's own stop; without limits, a setpoint before it | the robot's own stop |
-//! | panic | the robot's own stop | the robot's own stop |
-//!
-//! A joint whose setpoints have no limits is not slowed down: it gets one setpoint, and its servo brakes it. The setpoint of a position
-//! robot balances the weight, and is ahead of the measured position by v/kp. That of a velocity robot balances the weight.
-//! While setpoints come to rest, the phase is [`Phase::Stopping`]. No limit of the other rows above acts, and no fault is found.
+//! The table in [`stops`] says what is sent at a stop, and what stops the robot.
 //!
 //! # Missed cycles
 //!
 //! Missed cycles are detected from the robot's clock. Up to `max_missed_cycles` of them are tolerated: time and
 //! references continue. After more, the robot is held until it stands still. Then the estimates start anew, the
 //! references are approached again from the robot's position, and torques ramp in as at the start.
+
+pub mod stops;
 
 use crate::collision_detector::Collision;
 use crate::external_torque::ExternalTorque;
@@ -45,15 +39,11 @@ use crate::watchdog::Watchdog;
 use nalgebra::DVector;
 use opspace_backend::signal_names::{COMMAND, FAULT, PHASE, TICK_CHANNEL, TORQUE_DESIRED, TORQUE_SATURATED};
 use opspace_backend::{
-    Capabilities, Command, CommandKind, DeviceFault, GravityCompensation, Layout, Observable, Sample,
-    SignalRecorder, StopMethod,
+    Capabilities, Command, CommandKind, GravityCompensation, Layout, Observable, Sample, SignalRecorder,
 };
 use opspace_control::{ControlInput, Controller, Measurement, Targets};
 use opspace_model::{Data, JointUnits, Model};
 use opspace_transformer::{FrictionCompensation, Transformer};
-
-/// Duration after which a stop ends at the latest, s: a robot that comes to rest more slowly has no useful limits.
-const LONGEST_STOP_S: f64 = 10.0;
 
 /// Result of a cycle.
 #[derive(Clone, Copy, Debug)]
@@ -227,41 +217,6 @@ impl ControlLoop {
             }
             Err(fault) => self.stop_for(fault),
         }
-    }
-
-    /// Stops because the robot could not be read or rejected a command. The result has the last command if the state is
-    /// known.
-    pub fn fail(&mut self, fault: DeviceFault) -> Step<'_> {
-        self.take_back();
-        match self.phase {
-            Phase::Stopped => {}
-            // The fault or request that stopped the run remains its outcome.
-            Phase::Stopping => self.abandon(),
-            _ if self.guard.as_ref().is_some_and(Guard::has_limits) => {
-                self.fault = Some(Fault::Device(fault));
-                self.fill_row();
-                self.abandon();
-            }
-            _ => return self.stop_for(Fault::Device(fault)),
-        }
-        self.result()
-    }
-
-    /// Stops without a command: the robot's own stop follows.
-    pub(crate) fn abandon(&mut self) {
-        self.phase = Phase::Stopped;
-        self.outgoing = Outgoing::None;
-        self.torque_desired.fill(f64::NAN);
-        self.command.fill(f64::NAN);
-    }
-
-    /// Stops on request. The result has the first command of the stop, which replaces the command of this cycle.
-    pub fn stop(&mut self) -> Step<'_> {
-        self.take_back();
-        if self.phase != Phase::Stopped && self.phase != Phase::Stopping {
-            self.enter_stop();
-        }
-        self.result()
     }
 
     /// Result of the last cycle.
@@ -578,73 +533,6 @@ impl ControlLoop {
             GravityCompensation::Controller => self.state.data.gravity[joint],
             GravityCompensation::Robot => 0.0,
         }
-    }
-
-    /// Takes back the command of this cycle, which another one replaces.
-    fn take_back(&mut self) {
-        if let Some(guard) = self.guard.as_mut().filter(|_| self.outgoing == Outgoing::Setpoint) {
-            guard.replace();
-        }
-        self.outgoing = Outgoing::None;
-    }
-
-    /// Latches the fault, fills the row and stops.
-    fn stop_for(&mut self, fault: Fault) -> Step<'_> {
-        self.fault = Some(fault);
-        self.outgoing = Outgoing::None;
-        self.fill_row();
-        self.enter_stop();
-        self.result()
-    }
-
-    fn enter_stop(&mut self) {
-        self.phase = Phase::Stopped;
-        if self.capabilities.on_stop == StopMethod::Setpoints && self.begin_stop() {
-            self.come_to_rest();
-        }
-        self.torque_desired.fill(f64::NAN);
-        self.command.fill(f64::NAN);
-    }
-
-    /// Computes the next setpoints of a stop.
-    fn come_to_rest(&mut self) {
-        let missed = self.state.estimator.missed();
-        let Some(guard) = &mut self.guard else { return };
-        self.stopping_s += self.capabilities.period_s;
-        let is_last = guard.come_to_rest(missed) || self.stopping_s > LONGEST_STOP_S;
-        self.phase = if is_last { Phase::Stopped } else { Phase::Stopping };
-        if check_finite(guard.setpoint()).is_err() {
-            return self.abandon();
-        }
-        self.transformer.sent(&self.state.data, guard.setpoint());
-        self.outgoing = Outgoing::Setpoint;
-    }
-
-    /// Computes the setpoints of joints that are stopped without limits. For a position robot they balance the weight and are ahead
-    /// of the measured positions by v/kp; the robot keeps them, and the stiff servos stop the arm. For a velocity robot the servos'
-    /// damping brakes the arm. If the state is unknown or outdated, the previous setpoints remain. Returns false if no setpoint
-    /// is to be sent.
-    fn begin_stop(&mut self) -> bool {
-        let estimator = &self.state.estimator;
-        let unknown = !estimator.is_known() || self.state.data.q.iter().any(|q| !q.is_finite());
-        for i in 0..self.torque_desired.len() {
-            self.torque_desired[i] = self.holding_torque(i);
-        }
-        let estimator = &self.state.estimator;
-        let Some(guard) = &mut self.guard else { return false };
-        guard.stop_watching();
-        if unknown || estimator.is_outdated() {
-            return guard.begin_stop_at_previous();
-        }
-        let torque = self.torque_desired.as_slice();
-        if self.capabilities.command == CommandKind::Velocity {
-            guard.brake(torque);
-        } else {
-            self.transformer.transform(&self.state.data, torque, guard.setpoint_mut());
-        }
-        guard.keep_within_reach(estimator.measurement());
-        guard.begin_stop();
-        true
     }
 
     fn fill_row(&mut self) {

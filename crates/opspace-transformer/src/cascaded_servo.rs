@@ -110,7 +110,11 @@ impl ServoStructure for CascadedServo {
     /// kv scales the whole torque: only kp matters.
     fn remaining_damping(&self, gain_uncertainty: f64) -> RemainingDamping {
         let opposing = self.kv_nms_per_rad.get() * (1.0 - self.velocity_feed_forward.get());
-        RemainingDamping::new(opposing * gain_uncertainty / (1.0 + gain_uncertainty), opposing)
+        RemainingDamping::new(
+            opposing * gain_uncertainty / (1.0 + gain_uncertainty),
+            opposing,
+            gain_uncertainty,
+        )
     }
 
     fn scale(&mut self, kp: f64, kv: f64) {

@@ -125,7 +125,11 @@ impl ServoStructure for PidServo {
             DerivativeOf::Error => 0.0,
         };
         let opposing = not_fed_forward * self.damping_nms_per_rad.get();
-        RemainingDamping::new(2.0 * opposing * gain_uncertainty / (1.0 + gain_uncertainty), opposing)
+        RemainingDamping::new(
+            2.0 * opposing * gain_uncertainty / (1.0 + gain_uncertainty),
+            opposing,
+            gain_uncertainty,
+        )
     }
 
     fn scale(&mut self, kp: f64, kv: f64) {

@@ -51,12 +51,17 @@ pub struct RemainingDamping {
     pub damping: f64,
     /// Part E of it that does not act on motion along the reference, Nms/rad (Ns/m).
     pub along_reference: f64,
+    /// Largest damping with which a drive whose gains are at the upper ends of their intervals drives the joint along the reference:
+    /// E at these gains, Nms/rad (Ns/m).
+    pub driving: f64,
 }
 
 impl RemainingDamping {
-    /// Returns the damping D (Nms/rad, Ns/m) of a servo that opposes motion by `opposing` (Nms/rad, Ns/m).
-    pub(crate) fn new(damping: f64, opposing: f64) -> Self {
-        Self { damping, along_reference: damping.min(ALONG_REFERENCE * opposing) }
+    /// Returns the damping D (Nms/rad, Ns/m) of a servo that opposes motion by `opposing` (Nms/rad, Ns/m), and whose gains are known
+    /// to the fraction `gain_uncertainty` of them.
+    pub(crate) fn new(damping: f64, opposing: f64, gain_uncertainty: f64) -> Self {
+        let along_reference = damping.min(ALONG_REFERENCE * opposing);
+        Self { damping, along_reference, driving: (1.0 + gain_uncertainty) * along_reference }
     }
 
     /// Returns this damping for a joint with these limits of torque (Nm, N) and speed (rad/s, m/s), whose gains are known to the
@@ -72,9 +77,9 @@ impl RemainingDamping {
 
     /// Interval of the torques that the drive of a joint of velocity `v` (rad/s, m/s), whose reference has this velocity, adds to
     /// the desired one, Nm (N). Gains at the lower ends of their intervals, (1 − u) kp, leave twice the damping. Gains at the upper
-    /// ends leave none, and the drive adds E c.
+    /// ends leave none, and the drive adds (1 + u) E c.
     pub(crate) fn torques(self, v: f64, reference: f64) -> [f64; 2] {
-        let driving = self.along_reference * followed(v, reference);
+        let driving = self.driving * followed(v, reference);
         let [a, b] = [-2.0 * self.torque(v, reference), driving];
         [a.min(b), a.max(b)]
     }

@@ -122,7 +122,7 @@ impl Bounds {
         let (q, dq) = (&measurement.q, &measurement.dq);
         for i in 0..before.len() {
             let (velocity, braking) = (l.velocity[i], self.braking[i]);
-            let (push, drag) = (uncommanded.push[i], uncommanded.drag[i]);
+            let (push, drag) = (uncommanded.push[i], uncommanded.drag.accelerations()[i]);
             let joint = JointState { q: q[i], dq: dq[i], push, drag, velocity, braking, horizon_s };
             let [lower, upper] = joint.interval(l.lower[i], l.upper[i], l.acceleration[i]);
             (self.acceleration.lower[i], self.acceleration.upper[i]) = (lower, upper);
@@ -140,9 +140,14 @@ impl Bounds {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::limits::drag::Drag;
     use crate::limits::horizon::HORIZON_S;
 
-    const UNDISTURBED: Uncommanded<'_> = Uncommanded { push: &[0.0], drag: &[[0.0; 2]] };
+    /// Updates the bounds of a joint that nothing disturbs.
+    fn update(bounds: &mut Bounds, measurement: &Measurement, before: f64) {
+        let undisturbed = Uncommanded { push: &[0.0], drag: &Drag::new(1) };
+        bounds.update(measurement, undisturbed, &[0.0], &DVector::from_element(1, before));
+    }
 
     fn bounds(limits: JointLimits) -> Bounds {
         let braking = limits.acceleration.clone();
@@ -176,7 +181,7 @@ mod tests {
             let (mut q, mut dq) = (0.0, 0.0);
             let (mut fastest, mut hardest) = (0.0_f64, 0.0_f64);
             for _ in 0..5000 {
-                bounds.update(&at(q, dq), UNDISTURBED, &[0.0], &DVector::zeros(1));
+                update(&mut bounds, &at(q, dq), 0.0);
                 let a = bounds.acceleration.upper[0];
                 hardest = hardest.max(a.abs());
                 q += period * (dq + 0.5 * period * a);
@@ -213,12 +218,7 @@ mod tests {
                 for left in [1e-3, 1e-2, 0.1, 0.5, 1.5] {
                     let v = viable(&bounds, left);
                     let mut most = |v: f64| {
-                        bounds.update(
-                            &at(sign * (end - left), sign * v),
-                            UNDISTURBED,
-                            &[0.0],
-                            &DVector::zeros(1),
-                        );
+                        update(&mut bounds, &at(sign * (end - left), sign * v), 0.0);
                         let a = &bounds.acceleration;
                         if sign > 0.0 { a.upper[0] } else { -a.lower[0] }
                     };
@@ -245,7 +245,7 @@ mod tests {
         let mut bounds = bounds(limits);
         let (mut q, mut dq) = (1.2, 0.5);
         for _ in 0..5000 {
-            bounds.update(&at(q, dq), UNDISTURBED, &[0.0], &DVector::zeros(1));
+            update(&mut bounds, &at(q, dq), 0.0);
             let a = bounds.acceleration.upper[0];
             assert!(a.is_finite() && bounds.acceleration.lower[0] <= a);
             q += 1e-3 * (dq + 0.5e-3 * a);
@@ -283,7 +283,7 @@ mod tests {
                     |_| a,
                     |_| torque,
                 );
-                bounds.update(&measurement, UNDISTURBED, &[0.0], &before);
+                update(&mut bounds, &measurement, 0.0);
                 let within = bounds.acceleration.contains(0, a) && bounds.torque.contains(0, torque);
                 assert!(within || !plain, "{q} {dq} {a} {torque}");
                 let viable =
@@ -311,7 +311,7 @@ mod tests {
         for q in [-1.0, -0.01, -0.005, 0.0, 0.01, 0.5] {
             for dq in [-5.0, -0.3, 0.0, 0.2, 5.0] {
                 for before in [-9.0, -5.0, 0.0, 4.99, 7.0] {
-                    bounds.update(&at(q, dq), UNDISTURBED, &[0.0], &DVector::from_element(1, before));
+                    update(&mut bounds, &at(q, dq), before);
                     let [a, t] = [&bounds.acceleration, &bounds.torque];
                     assert!(a.lower[0] <= a.upper[0] && a.lower[0].is_finite() && a.upper[0].is_finite());
                     assert!(t.lower[0] <= t.upper[0] && t.upper[0] <= 5.0 && t.lower[0] >= -5.0);

@@ -28,7 +28,6 @@
 use crate::algebra::dot;
 use crate::limits::bounds::Bounds;
 use crate::limits::collision_limits::CollisionLimits;
-use crate::limits::drag;
 use crate::limits::joint_bound::{JointState, Uncommanded};
 use crate::qp::lexicographic::SpeedBound;
 use crate::qp::quadratic_program::axpy;
@@ -250,7 +249,7 @@ impl CollisionBounds {
         if left > stop_m && -rate <= velocity {
             return SPARE_FRACTION * (left - stop_m);
         }
-        let [low, high] = drag::combined(&self.gradient, uncommanded.drag);
+        let [low, high] = uncommanded.drag.along(&self.gradient);
         let state = JointState {
             q: -proximity.distance_m,
             dq: -rate,
@@ -338,6 +337,7 @@ struct Reach {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::limits::drag::Drag;
     use crate::limits::joint_limits::JointLimits;
     use nalgebra::{Matrix3, Vector3};
     use opspace_model::collision::{CapsuleSource, CollisionShape, HalfSpace, LinkCapsule};
@@ -402,7 +402,7 @@ mod tests {
                     rate = amplitude.map(|a| rng.random_range(0.0..3.0) / f64::max(a, 0.1));
                 }
                 let t = PERIOD_S * f64::from(cycle);
-                let no_drag = vec![[0.0; 2]; still.len()];
+                let no_drag = Drag::new(still.len());
                 let undisturbed = Uncommanded { push: still.as_slice(), drag: &no_drag };
                 let mut q: Vec<f64> =
                     (0..JOINTS).map(|i| amplitude[i] * (rate[i] * t + phase[i]).sin()).collect();

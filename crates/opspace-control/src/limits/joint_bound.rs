@@ -40,6 +40,7 @@
 //! The drives may add torques to the commanded ones that are known within intervals only ([`drag`](crate::limits::drag)). The
 //! largest acceleration by them that is directed towards a bound is subtracted from the bound.
 
+use crate::limits::drag::Drag;
 use crate::limits::joint_limits::JointLimits;
 use opspace_model::{Data, Model, Postures, update};
 
@@ -105,8 +106,8 @@ pub(crate) fn viable_speed(left: f64, braking: f64, horizon_s: f64) -> f64 {
 pub(crate) struct Uncommanded<'a> {
     /// By external forces, as the motion shows them.
     pub push: &'a [f64],
-    /// By the damping of the joints: the least one, at most zero, and the largest one.
-    pub drag: &'a [[f64; 2]],
+    /// By the damping of the joints.
+    pub drag: &'a Drag,
 }
 
 /// State, acceleration by external forces and by damping, velocity limit and braking acceleration of a joint, and the horizon

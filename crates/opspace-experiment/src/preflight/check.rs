@@ -104,7 +104,7 @@ impl Condition {
 }
 
 /// The built-in checks, in the order of their diagnostics.
-static BUILT_IN: [Check; 24] = [
+static BUILT_IN: &[Check] = &[
     Check::start(
         "limits",
         "limits that contradict each other, the start posture or the arm's weight",
@@ -235,7 +235,7 @@ impl Entry for Check {
     const KIND: &'static str = "check";
 
     fn built_in() -> &'static [Self] {
-        &BUILT_IN
+        BUILT_IN
     }
 
     fn name(&self) -> &str {

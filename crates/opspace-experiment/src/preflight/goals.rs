@@ -283,9 +283,16 @@ mod tests {
         let mut measurement = Measurement::new(n, 0, false);
         measurement.q.copy_from_slice(&case.start);
         let (feedforward, targets) = (vec![0.0; n], Targets::none());
-        task.start(&crate::run::rollout::input(model, &case.data, &measurement, &feedforward, &targets));
+        task.start(&opspace_control::ControlInput::new(
+            model,
+            &case.data,
+            &measurement,
+            &feedforward,
+            &targets,
+        ));
         measurement.time_s = 1.0;
-        let control = crate::run::rollout::input(model, &case.data, &measurement, &feedforward, &targets);
+        let control =
+            opspace_control::ControlInput::new(model, &case.data, &measurement, &feedforward, &targets);
         task.observe(&TaskInput { control, limited: true, target: TaskTarget::none(0.0) });
         task
     }

@@ -7,7 +7,6 @@
 //! because so small a motion contains no information.
 
 use crate::run::experiment::{Experiment, RunOptions};
-use crate::run::rollout::input;
 use nalgebra::{DMatrix, DVector, Vector3};
 use opspace_backend::quantity::{NonNegative, Positive};
 use opspace_backend::{Backend, CommandKind, Observable, Sample, SignalRecorder};
@@ -241,11 +240,12 @@ fn law_damping(experiment: &Experiment) -> Option<DMatrix<f64>> {
         let mut controller = experiment.unlimited_controller(experiment.profile().1.period_s())?;
         update(model, &mut data, measurement.q.as_slice(), &rest).then_some(())?;
         measurement.dq.fill(0.0);
-        controller.start(&input(model, &data, &measurement, &rest, &targets));
+        controller.start(&ControlInput::new(model, &data, &measurement, &rest, &targets));
         measurement.dq = dq;
         update(model, &mut data, measurement.q.as_slice(), measurement.dq.as_slice()).then_some(())?;
         let mut torque = DVector::zeros(n);
-        controller.update(&input(model, &data, &measurement, &rest, &targets), torque.as_mut_slice());
+        controller
+            .update(&ControlInput::new(model, &data, &measurement, &rest, &targets), torque.as_mut_slice());
         Some(torque)
     };
     let mut damping = DMatrix::zeros(n, n);

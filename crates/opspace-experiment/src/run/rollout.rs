@@ -58,25 +58,6 @@ pub(crate) struct RolloutCase<'a> {
     pub controller: Box<dyn Fn(f64) -> Option<OperationalSpaceController> + 'a>,
 }
 
-/// Returns the controller input at a measurement; its clock starts with control.
-pub(crate) fn input<'a>(
-    model: &'a Model,
-    data: &'a Data,
-    measurement: &'a Measurement,
-    feedforward_torque: &'a [f64],
-    targets: &'a Targets,
-) -> ControlInput<'a> {
-    ControlInput {
-        model,
-        data,
-        measurement,
-        feedforward_torque,
-        damping_torque: &[],
-        targets,
-        clock_s: measurement.time_s,
-    }
-}
-
 /// Rollout of a run.
 pub(crate) struct Rollout {
     /// Instants in order of time; empty if the references cannot be followed.
@@ -231,7 +212,8 @@ impl<'a> RolloutState<'a> {
         if !update(model, &mut self.data, self.measurement.q.as_slice(), self.measurement.dq.as_slice()) {
             return None;
         }
-        let input = input(model, &self.data, &self.measurement, &self.feedforward_torque, &self.targets);
+        let input =
+            ControlInput::new(model, &self.data, &self.measurement, &self.feedforward_torque, &self.targets);
         if !self.started {
             self.controller.start(&input);
             self.started = true;

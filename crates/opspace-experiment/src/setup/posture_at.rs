@@ -1,14 +1,15 @@
 //! Search for a posture in which a task's target is reached: inverse kinematics within the joint ranges, from several starts.
 
 use crate::files::toml_path::dotted;
-use crate::run::rollout::{error, input};
+use crate::run::rollout::error;
 use crate::setup::own_body::OwnBody;
 use nalgebra::{DVector, Matrix6, Matrix6xX, Vector6};
 use opspace_backend::quantity::Positive;
 use opspace_control::references::reference::Waypoint;
 use opspace_control::{
     Axes, AxisGains, AxisMode, CartesianParameters, CartesianReference, CartesianTask, ControlContext,
-    ControlError, Measurement, OrientationGoal, PositionGoal, Targets, Task, TaskInput, TaskTarget,
+    ControlError, ControlInput, Measurement, OrientationGoal, PositionGoal, Targets, Task, TaskInput,
+    TaskTarget,
 };
 use opspace_model::{Data, JointKind, Model, kinematics};
 use std::f64::consts::TAU;
@@ -145,9 +146,9 @@ pub fn posture_at(
     let mut measurement = Measurement::new(n, 0, false);
     measurement.q.copy_from_slice(start);
     let (feedforward, targets) = (vec![0.0; n], Targets::none());
-    task.start(&input(model, &data, &measurement, &feedforward, &targets));
+    task.start(&ControlInput::new(model, &data, &measurement, &feedforward, &targets));
     measurement.time_s = 1.0;
-    let control = input(model, &data, &measurement, &feedforward, &targets);
+    let control = ControlInput::new(model, &data, &measurement, &feedforward, &targets);
     task.observe(&TaskInput { control, limited: true, target: TaskTarget::none(0.0) });
 
     let ranges = model.joints().iter().map(|joint| {

@@ -1,6 +1,7 @@
 //! Diagnostics before a run: each kind on a file that causes it, and none on the files of the project.
 #![expect(clippy::unwrap_used, reason = "a test that can't go on has failed")]
 
+use crate::task_texts::{HAND, PRESS, TIP, table};
 use opspace_backend::CommandKind;
 use opspace_control::reach;
 use opspace_experiment::Progress;
@@ -15,26 +16,6 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use tempfile::TempDir;
 
-/// A Cartesian task without diagnostics.
-const HAND: &str = r#"
-robot = "ROBOTS/asimo-arm"
-duration_s = 2.0
-settle_s = 0.5
-priority = ["hand", "rest"]
-start_rad = { shoulder_pitch = -0.45, shoulder_roll = -0.35, shoulder_yaw = 0.25, elbow = -1.35 }
-friction_compensation = { gain = 1.0 }
-
-[task.hand.cartesian]
-frame = "hand"
-axes = { x = "motion", y = "motion", z = "motion" }
-gains = { frequency_rad_per_s = 14.0, damping_ratio = 1.0 }
-reference.point-to-point = { position = { offset_m = [0.05, 0.0, 0.05] }, duration_s = 1.0 }
-
-[task.rest.joint-posture]
-frequency_rad_per_s = 6.0
-damping_ratio = 0.8
-"#;
-
 /// A joint task without diagnostics.
 const JOINTS: &str = r#"
 robot = "ROBOTS/asimo-arm"
@@ -46,21 +27,6 @@ start_rad = { elbow = -1.35 }
 [task.joints.joint-tracking]
 gains = { frequency_rad_per_s = 14.0, damping_ratio = 1.0 }
 reference.point-to-point = { goal = { absolute_rad = { elbow = -0.35 } }, duration_s = 1.0 }
-"#;
-
-/// A task without diagnostics on two links of 1 m in the x-z plane.
-const TIP: &str = r#"
-robot = "ROBOTS/planar-2-link"
-duration_s = 2.0
-settle_s = 0.5
-priority = ["tip"]
-start_rad = { shoulder = 0.6, elbow = 1.2 }
-
-[task.tip.cartesian]
-frame = "tip"
-axes = { x = "motion", z = "motion" }
-gains = { frequency_rad_per_s = 14.0, damping_ratio = 1.0 }
-reference = "hold"
 "#;
 
 fn root() -> PathBuf {
@@ -812,33 +778,6 @@ fn too_short_run_is_reported() {
     assert_says(&found, "settle_s", &["start at 0.1 s", "over the first 0.2 s", "settle_s = 0.2"]);
 }
 
-/// A task with a force axis of inverse kinematics, without diagnostics.
-const PRESS: &str = r#"
-robot = "ROBOTS/asimo-arm"
-duration_s = 1.5
-settle_s = 1.0
-priority = ["hand", "rest"]
-start_rad = { shoulder_pitch = -0.45, shoulder_roll = -0.35, shoulder_yaw = 0.25, elbow = -1.35 }
-
-[task.hand.cartesian]
-frame = "hand"
-axes = { x = "motion", y = "motion", z = "force" }
-gains = { frequency_rad_per_s = 14.0, damping_ratio = 1.0 }
-reference = "hold"
-force = { sensor = "wrist", target_n = { z = 20.0 }, admittance_ns_per_m = 100.0 }
-
-[task.rest.joint-posture]
-frequency_rad_per_s = 6.0
-damping_ratio = 0.8
-
-[environment.table.wall]
-frame = "hand"
-point_m = [0.0, 0.0, -0.164]
-normal = [0.0, 0.0, 1.0]
-stiffness_n_per_m = 50000.0
-damping_ns_per_m = 5.0
-"#;
-
 /// Compared: the phase margin of an admittance with the simulated force of an arm without friction. Below zero it oscillates;
 /// the proposed admittance is quiet, and nothing is reported.
 #[test]
@@ -850,17 +789,18 @@ fn unstable_admittance_is_reported() {
         let recording = Recording::from_bytes(&finished.sink.into_inner()).unwrap();
         metrics(experiment, &recording).contact.force_rms_n.unwrap()
     };
+    let press = format!("{PRESS}{}", table(50_000.0));
     for (profile, given) in [("a-med", "50.0"), ("b-soft", "20.0")] {
         let set = format!("task.hand.cartesian.force.admittance_ns_per_m={given}");
         let options = RunOptions { profile: Some(profile.to_owned()), ..ik() };
-        let unstable = experiment(PRESS, &[], options.clone(), &[no_friction, &set]);
+        let unstable = experiment(&press, &[], options.clone(), &[no_friction, &set]);
         let found = diagnostics(&unstable);
         let [finding] = &found[..] else { panic!("{found:#?}") };
         assert_eq!(finding.key(), "task.hand.cartesian.force.admittance_ns_per_m");
         assert!(finding.message.contains("would be unstable on 'table' of 50000 N/m"), "{}", finding.message);
         let proposed = finding.help.split(' ').nth(2).unwrap();
         let set = format!("task.hand.cartesian.force.admittance_ns_per_m={proposed}.0");
-        let steady = experiment(PRESS, &[], options, &[no_friction, &set]);
+        let steady = experiment(&press, &[], options, &[no_friction, &set]);
         assert_eq!(diagnostics(&steady), []);
         let [unstable, steady] = [&unstable, &steady].map(force_rms_n);
         assert!(unstable > 1.0 && steady < 0.2, "{profile}: {unstable} N, {steady} N with {proposed} Ns/m");
@@ -868,7 +808,7 @@ fn unstable_admittance_is_reported() {
     // The servos yield too: with 100 Ns/m, no object is too stiff.
     let unknown = |given: &str| {
         let set = format!("task.hand.cartesian.force.admittance_ns_per_m={given}");
-        not_checked(&experiment(&PRESS[..PRESS.find("[environment").unwrap()], &[], ik(), &[&set]))
+        not_checked(&experiment(PRESS, &[], ik(), &[&set]))
     };
     assert_eq!(unknown("100.0"), []);
     let found = unknown("50.0");

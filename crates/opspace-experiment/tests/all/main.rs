@@ -46,6 +46,7 @@ mod surface_axes;
 mod tapped_arm;
 mod task_kinds;
 mod task_metrics;
+mod task_texts;
 mod time_optimal_paths;
 mod time_optimal_torques;
 mod unreached_goals;

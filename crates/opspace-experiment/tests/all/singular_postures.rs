@@ -37,15 +37,7 @@ fn nearly_singular_postures_are_those_that_the_controller_damps() {
         let q = Postures::new(model, 1.0).posture(number);
         assert!(update(model, &mut data, &q, &feedforward_torque));
         measurement.q.copy_from_slice(&q);
-        let input = ControlInput {
-            model,
-            data: &data,
-            measurement: &measurement,
-            feedforward_torque: &feedforward_torque,
-            damping_torque: &[],
-            targets: &targets,
-            clock_s: 0.0,
-        };
+        let input = ControlInput::new(model, &data, &measurement, &feedforward_torque, &targets);
         controller.start(&input);
         controller.update(&input, &mut tau);
         let mut row = vec![0.0; signals.iter().map(|signal| signal.len()).sum()];

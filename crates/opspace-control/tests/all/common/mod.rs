@@ -220,15 +220,7 @@ pub fn at_state(model: &Model, q: &[f64], dq: &[f64], time_s: f64) -> (Data, Mea
 pub fn input<'a>(model: &'a Model, data: &'a Data, measurement: &'a Measurement) -> ControlInput<'a> {
     static NO_TARGETS: LazyLock<Targets> = LazyLock::new(Targets::none);
     static NO_FEEDFORWARD: [f64; 32] = [0.0; 32];
-    ControlInput {
-        model,
-        data,
-        measurement,
-        feedforward_torque: &NO_FEEDFORWARD[..model.n()],
-        damping_torque: &[],
-        targets: &NO_TARGETS,
-        clock_s: measurement.time_s,
-    }
+    ControlInput::new(model, data, measurement, &NO_FEEDFORWARD[..model.n()], &NO_TARGETS)
 }
 
 /// Reproducible pseudo-random numbers in [-1, 1].

@@ -1,5 +1,6 @@
 //! Cases of remedies: a task file with settings, its findings, and numbers in printed text.
 
+pub use crate::task_texts::{HAND, TIP};
 use opspace_backend::CommandKind;
 use opspace_experiment::{Code, Experiment, Files, Finding, Progress, RunOptions, Summary, diagnostics};
 use opspace_log::Recording;
@@ -8,26 +9,6 @@ use std::fs;
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
 use tempfile::TempDir;
-
-/// A hand that moves, without findings.
-pub const HAND: &str = r#"
-robot = "ROBOTS/asimo-arm"
-duration_s = 2.0
-settle_s = 0.5
-priority = ["hand", "rest"]
-start_rad = { shoulder_pitch = -0.45, shoulder_roll = -0.35, shoulder_yaw = 0.25, elbow = -1.35 }
-friction_compensation = { gain = 1.0 }
-
-[task.hand.cartesian]
-frame = "hand"
-axes = { x = "motion", y = "motion", z = "motion" }
-gains = { frequency_rad_per_s = 14.0, damping_ratio = 1.0 }
-reference.point-to-point = { position = { offset_m = [0.05, 0.0, 0.05] }, duration_s = 1.0 }
-
-[task.rest.joint-posture]
-frequency_rad_per_s = 6.0
-damping_ratio = 0.8
-"#;
 
 /// A joint that moves, without findings.
 pub const JOINTS: &str = r#"
@@ -40,21 +21,6 @@ start_rad = { elbow = -1.35 }
 [task.joints.joint-tracking]
 gains = { frequency_rad_per_s = 14.0, damping_ratio = 1.0 }
 reference.point-to-point = { goal = { offset_rad = { elbow = 1.0 } }, duration_s = 1.0 }
-"#;
-
-/// Two links of 1 m in the x-z plane that rest, without findings.
-pub const TIP: &str = r#"
-robot = "ROBOTS/planar-2-link"
-duration_s = 2.0
-settle_s = 0.5
-priority = ["tip"]
-start_rad = { shoulder = 0.6, elbow = 1.2 }
-
-[task.tip.cartesian]
-frame = "tip"
-axes = { x = "motion", z = "motion" }
-gains = { frequency_rad_per_s = 14.0, damping_ratio = 1.0 }
-reference = "hold"
 "#;
 
 fn root() -> PathBuf {

@@ -2,6 +2,7 @@
 
 use super::case::{HAND, TIP, TaskCase, number_after, only};
 use crate::coupled_common::project;
+use crate::task_texts::{PRESS, table};
 use opspace_backend::CommandKind;
 use opspace_experiment::preflight::not_checked;
 use opspace_experiment::{Code, ControllerKind};
@@ -120,36 +121,9 @@ pub fn contact_impact(code: Code) {
     of(1.5).is_helped(code, &[of(slower)]);
 }
 
-/// The hand of inverse kinematics presses down.
-const PRESS: &str = r#"
-robot = "ROBOTS/asimo-arm"
-duration_s = 1.5
-settle_s = 1.0
-priority = ["hand", "rest"]
-start_rad = { shoulder_pitch = -0.45, shoulder_roll = -0.35, shoulder_yaw = 0.25, elbow = -1.35 }
-
-[task.hand.cartesian]
-frame = "hand"
-axes = { x = "motion", y = "motion", z = "force" }
-gains = { frequency_rad_per_s = 14.0, damping_ratio = 1.0 }
-reference = "hold"
-force = { sensor = "wrist", target_n = { z = 20.0 }, admittance_ns_per_m = 50.0 }
-
-[task.rest.joint-posture]
-frequency_rad_per_s = 6.0
-damping_ratio = 0.8
-"#;
-
-/// A table of a stiffness below the hand.
-fn table(stiffness: f64) -> String {
-    format!(
-        "[environment.table.wall]\nframe = \"hand\"\npoint_m = [0.0, 0.0, -0.164]\nnormal = [0.0, 0.0, 1.0]\n\
-         stiffness_n_per_m = {stiffness:?}\ndamping_ns_per_m = 5.0"
-    )
-}
-
 fn pressing_down() -> TaskCase {
-    TaskCase::of(PRESS).options(|options| options.controller = ControllerKind::Ik)
+    let press = TaskCase::of(PRESS).replace("admittance_ns_per_m = 100.0", "admittance_ns_per_m = 50.0");
+    press.options(|options| options.controller = ControllerKind::Ik)
 }
 
 pub fn unstable_admittance(code: Code) {
