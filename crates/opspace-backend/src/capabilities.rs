@@ -201,8 +201,8 @@ impl MissedCycle {
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[non_exhaustive]
 pub enum StopMethod {
-    /// Setpoints come to rest within the limits of `setpoint_limits`; then the robot's own stop follows. A joint without such limits gets
-    /// one setpoint that balances its weight, and its servo brakes it.
+    /// Setpoints come to rest within the limits of `setpoint_limits`; then the robot's own stop follows. Those of a joint without
+    /// such limits go, at its speed limit at most, to where they balance its weight, and its servo brakes it.
     Setpoints,
     /// No command follows: the robot's own stop brakes it.
     Robot,

@@ -1,6 +1,5 @@
-//! Guard between transformer and robot: clamps setpoints around the measured state and to the limits of
-//! the drives, checks the following error, and
-//! runs the watchdogs of motor torque, power and oscillation.
+//! Guard between transformer and robot: clamps setpoints around the measured state, to the joints' speed limits and to the
+//! limits of the drives, checks the following error, and runs the watchdogs of motor torque, power and oscillation.
 //!
 //! A torque robot needs no guard: its torques are clamped before.
 
@@ -24,14 +23,14 @@ pub(crate) struct Guard {
     units: JointUnits,
     /// Largest distance of a setpoint from the measured position or velocity (n; rad, m or rad/s, m/s).
     reach: DVector<f64>,
-    /// Largest motion of a joint within a period, at its speed limit (n; rad, m).
+    /// Largest motion of a joint within a period, at its speed limit: no position setpoint steps further (n; rad, m).
     step: DVector<f64>,
     period_s: f64,
     /// Damping kv of each servo (n; Nms/rad, Ns/m).
     damping: Vec<f64>,
-    /// Limits of the drives (n); empty if there are none.
+    /// Setpoints within the limits of the drives (n).
     governors: Vec<GovernedSetpoint>,
-    /// Limits of the drives before the present setpoints (n).
+    /// The same before the present setpoints (n).
     governors_before: Vec<GovernedSetpoint>,
     setpoint: DVector<f64>,
     /// Rate of change of the setpoints (n; rad/s, m/s or rad/s², m/s²); while a cycle is computed, the previous
@@ -72,8 +71,11 @@ impl Guard {
             // Inner loop of (K9): velocity error at which the servo produces full torque.
             CommandKind::Velocity => |gains, torque, _| torque / gains.damping,
         };
-        let governors: Vec<_> =
-            setpoint_limits.iter().map(|l| GovernedSetpoint::new(l, kind, period_s)).collect();
+        let governor = |(joint, &speed): (usize, &f64)| {
+            let declared = setpoint_limits.get(joint).copied().unwrap_or_default();
+            GovernedSetpoint::new(&declared.within_speed(kind, speed), kind, period_s)
+        };
+        let governors: Vec<_> = speeds.iter().enumerate().map(governor).collect();
         Some(Self {
             kind,
             joints: model.joints().iter().map(|j| j.name.clone()).collect(),
@@ -153,6 +155,7 @@ impl Guard {
     pub(crate) fn begin(&mut self, measurement: &Measurement) {
         let before = if self.is_set { &self.setpoint } else { measured(self.kind, measurement) };
         self.rate.copy_from(before);
+        self.clamped.fill(0.0);
         self.governors_before.copy_from_slice(&self.governors);
     }
 
@@ -197,9 +200,16 @@ impl Guard {
         }
     }
 
-    /// Keeps setpoints within the limits of the drives, which have kept the last ones in `missed` cycles.
+    /// Keeps setpoints within the limits of the joints' speeds and of the drives, which have kept the last ones in `missed` cycles.
     pub(crate) fn keep_within_limits(&mut self, missed: u64) {
-        for (governor, setpoint) in self.governors.iter_mut().zip(&mut self.setpoint) {
+        for (i, (governor, setpoint)) in self.governors.iter_mut().zip(&mut self.setpoint).enumerate() {
+            if self.kind == CommandKind::Position {
+                let allowed = within_step(*setpoint, governor.last(), self.step[i]);
+                if allowed != *setpoint {
+                    self.clamped[i] = 1.0;
+                }
+                *setpoint = allowed;
+            }
             if missed > 0 {
                 governor.keep();
             }
@@ -237,22 +247,20 @@ impl Guard {
     pub(crate) fn come_to_rest(&mut self, missed: u64) -> bool {
         let elapsed_s = self.period_s * (missed + 1) as f64;
         let mut is_at_rest = true;
-        self.setpoint.copy_from(&self.last);
-        let setpoints = self.setpoint.iter_mut().zip(&mut self.rate);
-        for (governor, (setpoint, rate)) in self.governors.iter_mut().zip(setpoints) {
+        for (i, governor) in self.governors.iter_mut().enumerate() {
             if missed > 0 {
                 governor.keep();
             }
-            let (end, before) = (*setpoint, governor.last());
-            if governor.is_limited() {
-                *setpoint = match self.kind {
-                    CommandKind::Velocity => governor.follow(end),
-                    _ => governor.brake(end),
-                };
-            }
-            governor.take(*setpoint);
-            *rate = before.map_or(0.0, |before| (*setpoint - before) / elapsed_s);
-            is_at_rest &= !governor.is_limited() || governor.is_at_rest(end);
+            let (end, before) = (self.last[i], governor.last());
+            let setpoint = match self.kind {
+                CommandKind::Velocity => governor.follow(end),
+                _ if governor.is_limited() => governor.brake(end),
+                _ => within_step(end, before, self.step[i]),
+            };
+            governor.take(setpoint);
+            self.setpoint[i] = setpoint;
+            self.rate[i] = before.map_or(0.0, |before| (setpoint - before) / elapsed_s);
+            is_at_rest &= if governor.is_limited() { governor.is_at_rest(end) } else { setpoint == end };
         }
         self.is_set = true;
         is_at_rest
@@ -288,6 +296,11 @@ impl Guard {
             *setpoint = holding[i] / self.damping[i];
         }
     }
+}
+
+/// Returns the position nearest to `setpoint` that is at most a step from the previous setpoint. The first one may be anywhere.
+fn within_step(setpoint: f64, before: Option<f64>, step: f64) -> f64 {
+    before.map_or(setpoint, |before| setpoint.clamp(before - step, before + step))
 }
 
 /// Returns the measured quantity to which setpoints of that kind are compared.

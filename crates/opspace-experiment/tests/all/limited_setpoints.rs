@@ -11,11 +11,13 @@ use opspace_transformer::setpoint_limits::{JointSetpointLimits, SetpointStream};
 use std::io;
 
 /// Tasks of two arms, with their profiles.
-const TASKS: [(&str, &str); 4] = [
+const TASKS: [(&str, &str); 6] = [
     ("tasks/panda-tracking.toml", "interface-1khz"),
     ("tasks/ur5e-tracking.toml", "rtde-500hz"),
     ("tasks/panda-reach.toml", "interface-1khz"),
     ("tasks/ur5e-compliant.toml", "rtde-500hz"),
+    ("tasks/panda-press.toml", "interface-1khz"),
+    ("tasks/ur5e-press.toml", "rtde-500hz"),
 ];
 
 /// Speed of a setpoint at rest, rad/s: the effect of rounding is a hundredth of it.
@@ -25,7 +27,7 @@ const REST_RAD_PER_S: f64 = 1e-7;
 #[test]
 fn no_setpoint_of_a_run_exceeds_a_limit() {
     let mut slow_stops = 0;
-    for seed in 0..16 {
+    for seed in 0..24 {
         let mut random = Random(seed);
         let (task, profile) = TASKS[random.below(TASKS.len())];
         let mut between = |low: f64, high: f64| low * (high / low).powf(random.next());

@@ -2,21 +2,19 @@
 //!
 //! | stop | robots with `on_stop = "setpoints"` | others |
 //! |---|---|---|
-//! | planned end, request, fault | setpoints, one per cycle, that come to rest within their limits; then the robot's own stop | the robot's own stop |
-//! | the robot can't be read | without limits of setpoints, a setpoint and the robot's own stop; with limits the latter alone | the robot's own stop |
-//! | the robot refuses a command | the robot's own stop | the robot's own stop |
+//! | planned end, request, fault | setpoints, one per cycle, until they rest; then the robot's own stop | the robot's own stop |
+//! | the robot can't be read or refuses a command | the robot's own stop | the robot's own stop |
 //! | panic | the robot's own stop | the robot's own stop |
 //!
-//! A joint whose setpoints have no limits is not slowed down: it gets one setpoint, and its servo brakes it. The setpoint of a position
-//! robot balances the weight, and is ahead of the measured position by v/kp. That of a velocity robot balances the weight.
-//! Limited setpoints go on in the direction of motion, also after a collision: a robot whose own stop is faster declares
-//! `on_stop = "robot"`.
+//! Setpoints with declared limits of the drives come to rest within them. They go on in the direction of motion, also after a
+//! collision: a robot whose own stop is faster declares `on_stop = "robot"`. A joint without such limits is braked by its servo: the
+//! setpoint goes to where it balances the weight and is ahead of the measured position by v/kp, in steps of the joint's speed limit
+//! times the period. That of a velocity robot balances the weight at once.
 //!
 //! While setpoints come to rest, the phase is [`Phase::Stopping`]: the controller commands nothing, and no further fault is found.
 
 use super::{ControlLoop, Outgoing, Step, check_finite};
 use crate::fault::Fault;
-use crate::guard::Guard;
 use crate::phase::Phase;
 use opspace_backend::{CommandKind, DeviceFault, StopMethod};
 
@@ -80,12 +78,11 @@ impl ControlLoop {
         self.command.fill(f64::NAN);
     }
 
-    /// True unless the robot's own stop brakes it alone. After a fault of the device there may be no cycles in which limited
-    /// setpoints come to rest.
+    /// True unless the robot's own stop brakes it alone. After a fault of the device there may be no cycles in which setpoints come
+    /// to rest.
     fn brakes_by_setpoints(&self) -> bool {
-        let is_limited = self.guard.as_ref().is_some_and(Guard::has_limits);
         let may_be_silent = matches!(self.fault, Some(Fault::Device(_)));
-        self.capabilities.on_stop == StopMethod::Setpoints && !(is_limited && may_be_silent)
+        self.capabilities.on_stop == StopMethod::Setpoints && !may_be_silent
     }
 
     /// Computes the next setpoints of a stop.
@@ -102,8 +99,8 @@ impl ControlLoop {
         self.outgoing = Outgoing::Setpoint;
     }
 
-    /// Computes the setpoints of joints that are stopped without limits. For a position robot they balance the weight and are ahead
-    /// of the measured positions by v/kp; the robot keeps them, and the stiff servos stop the arm. For a velocity robot the servos'
+    /// Computes the setpoints at which joints without limits of the drives are stopped. For a position robot they balance the weight
+    /// and are ahead of the measured positions by v/kp; the robot keeps them, and the stiff servos stop the arm. For a velocity robot the servos'
     /// damping brakes the arm. If the state is unknown or outdated, the previous setpoints remain. Returns false if no setpoint
     /// is to be sent.
     fn begin_stop(&mut self) -> bool {

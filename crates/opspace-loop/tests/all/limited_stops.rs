@@ -1,4 +1,4 @@
-//! Every setpoint of a run keeps the limits that the drives declare, to the last one of a stop.
+//! Every setpoint of a run keeps the limits that the drives declare, and the speed limit of its joint, to the last one of a stop.
 
 use crate::common::{
     Commanded, LIMITS, PERIOD_S, REST, Received, START, Scripted, capabilities, config, drive_robot,
@@ -17,6 +17,12 @@ const RUNS: u64 = 400;
 
 /// Speed of a setpoint at rest, rad/s: the effect of rounding is a hundredth of it.
 const REST_RAD_PER_S: f64 = 1e-7;
+
+/// Speed limit of the joints, rad/s.
+const SPEED: f64 = 5.0;
+
+/// Rounding of a step, rad.
+const ROUNDING: f64 = 1e-12;
 
 /// Way in which a run ends.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -165,6 +171,10 @@ fn check(draw: &Draw) -> Checked {
             Received::Positions(command) | Received::Velocities(command) => {
                 setpoints += 1;
                 for (i, stream) in streams.iter_mut().enumerate() {
+                    let step = last.map_or(0.0, |[_, before]| (command[i] - before[i]).abs());
+                    if draw.kind == CommandKind::Position && step > SPEED * PERIOD_S + ROUNDING {
+                        problems.push(format!("setpoint {setpoints} of joint {i}: a step of {step:.2e} rad"));
+                    }
                     if let Some(limit) = stream.exceeds(command[i]) {
                         problems.push(format!("setpoint {setpoints} of joint {i}: {}", limit.name()));
                     }

@@ -26,7 +26,7 @@ pub struct Case {
     pub stops_by_refusal: bool,
     /// Cycle in which the run must stop.
     pub stops_in: u64,
-    /// True if the state at the stop is known, so that a last setpoint can be computed.
+    /// True if the state at the stop is known, so that a last setpoint can be computed, and the device has no fault.
     pub known: bool,
 }
 
@@ -62,9 +62,9 @@ pub fn cases() -> Vec<Case> {
             ..PLAIN
         },
         Case { name: "unreadable from the beginning", unreadable: 0..1, stops_in: 0, known: false, ..PLAIN },
-        Case { name: "unreadable once at rest", unreadable: 5..6, stops_in: 5, ..PLAIN },
-        Case { name: "unreadable once", unreadable: WRONG..WRONG + 1, ..fault.clone() },
-        Case { name: "unreadable for good", unreadable: WRONG..u64::MAX, ..fault.clone() },
+        Case { name: "unreadable once at rest", unreadable: 5..6, stops_in: 5, known: false, ..PLAIN },
+        Case { name: "unreadable once", unreadable: WRONG..WRONG + 1, known: false, ..fault.clone() },
+        Case { name: "unreadable for good", unreadable: WRONG..u64::MAX, known: false, ..fault.clone() },
         Case { name: "refused command", refused: Some(WRONG), stops_by_refusal: true, ..fault.clone() },
         Case {
             name: "refused hold",

@@ -83,16 +83,21 @@ impl Record {
         format!("{:?}\n{:?}\n{:?}", self.received, self.received_in, self.outcome)
     }
 
-    /// Checks the rows around a fault: its code from one row on, which is still in `phase`, then 0.2 s of a stopped
-    /// robot. Returns the index of that row.
+    /// Checks the rows around a fault: its code from one row on, which is still in `phase`, then the setpoints of the stop, and 0.2 s
+    /// of a stopped robot. Returns the index of the first row with the code.
     pub fn check_fault_rows(&self, phase: Phase) -> usize {
         let code = f64::from(self.fault().code());
         let (faults, phases) = (self.scalar("fault"), self.phases());
         let first = faults.iter().position(|fault| *fault != 0.0).expect("the fault is in a row");
         assert!(faults[first..].iter().all(|fault| *fault == code), "latched");
         assert_eq!(phases[first], phase.code());
-        assert!(phases[first + 1..].iter().all(|phase| *phase == Phase::Stopped.code()), "stopped");
-        assert_eq!(self.rows.len() - first - 1, AFTERMATH, "0.2 s of aftermath");
+        let stopping =
+            phases[first + 1..].iter().take_while(|phase| **phase == Phase::Stopping.code()).count();
+        let aftermath = &phases[first + 1 + stopping..];
+        assert!(aftermath.iter().all(|phase| *phase == Phase::Stopped.code()), "stopped");
+        // The last setpoint of a stop is sent in a row of its own.
+        let expected = AFTERMATH + usize::from(stopping > 0);
+        assert_eq!(aftermath.len(), expected, "0.2 s of aftermath");
         first
     }
 }
