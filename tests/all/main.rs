@@ -16,6 +16,7 @@ mod dropout;
 mod encoders_within_a_turn;
 mod estimated_force;
 mod exactness;
+mod exit_codes;
 mod experiments;
 mod files;
 mod friction;

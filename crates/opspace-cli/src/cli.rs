@@ -56,7 +56,7 @@ Terms:
 
 Exit codes:
   0    done
-  1    the run failed: a fault, a divergence, or a difference in a replay; or `check --strict` found a problem
+  1    the run failed: STOPPED or FAILED; or a replay differs, or `check --strict` found a problem
   2    invalid arguments or an invalid file
   3    done, but data was lost or a log is damaged
   130  interrupted, log closed";

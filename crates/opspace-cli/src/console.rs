@@ -3,12 +3,12 @@
 use annotate_snippets::renderer::DecorStyle;
 use annotate_snippets::{AnnotationKind, Group, Level, Renderer, Snippet};
 use comfy_table::{CellAlignment, ContentArrangement, LineStyle, TableStyle};
+use opspace_experiment::Metric;
 use opspace_experiment::evaluate::notes::{
     allowed_notes, assumed_notes, final_notes, joint_notes, notes, task_notes,
 };
 use opspace_experiment::evaluate::results::{failures, joint_table, table, task_table};
 use opspace_experiment::evaluate::table::{Cell, Table};
-use opspace_experiment::{Code, Metric};
 use opspace_experiment::{FileError, RunError, Summary};
 use opspace_log::LogError;
 use std::borrow::Cow;
@@ -158,12 +158,8 @@ pub fn results(console: Console, summaries: &[Summary], metrics: &[Metric]) -> S
     allowed_notes(summaries).iter().for_each(|note| text += &format!("ALLOWED {note}\n"));
     failures(summaries).iter().for_each(|failure| text += &format!("FAILED {failure}\n"));
     if let [one] = summaries {
-        one.findings.of(Code::GoalNotReached).for_each(|goal| text += &format!("NOTE {goal}\n"));
-        one.findings.of(Code::IgnoredCompliance).for_each(|task| text += &format!("NOTE {task}\n"));
-        one.findings.of(Code::DampedCompliance).for_each(|left| text += &format!("NOTE {left}\n"));
-        one.findings.of(Code::ReferenceLimited).for_each(|reference| text += &format!("NOTE {reference}\n"));
+        one.findings.notes().for_each(|finding| text += &format!("NOTE {finding}\n"));
         final_notes(one).iter().for_each(|note| text += &format!("NOTE {note}\n"));
-        one.findings.of(Code::EscapedSingularity).for_each(|escape| text += &format!("NOTE {escape}\n"));
     }
     text += &render(&table(summaries, metrics));
     if let [one] = summaries {

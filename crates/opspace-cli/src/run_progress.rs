@@ -9,7 +9,7 @@ use std::time::Duration;
 
 /// Exit code of a robot's run; 1 takes precedence over 130, and 130 over 3.
 pub fn exit_code_of_robot(summary: &Summary) -> Exit {
-    if summary.faulted.is_some() || !summary.missed_expectations.is_empty() {
+    if summary.has_failed() {
         Exit::Failed
     } else if summary.interrupted {
         Exit::Interrupted
@@ -20,7 +20,7 @@ pub fn exit_code_of_robot(summary: &Summary) -> Exit {
     }
 }
 
-/// Exit code of a run: the worst of its robots, and 1 if an expectation was missed.
+/// Exit code of a run: the worst of its robots, and 1 if it failed.
 pub fn exit_code(summary: &RunSummary) -> Exit {
     if summary.has_failed() {
         return Exit::Failed;

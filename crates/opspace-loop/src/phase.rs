@@ -39,6 +39,12 @@ impl Phase {
     pub fn is_after_stop(code: f64) -> bool {
         [Self::Stopping, Self::Stopped].map(Self::code).contains(&code)
     }
+
+    /// True if `code` is the number of a phase in which the robot is held, or its torques ramp in after a hold.
+    #[must_use]
+    pub fn is_interrupted(code: f64) -> bool {
+        [Self::Held, Self::Resuming].map(Self::code).contains(&code)
+    }
 }
 
 /// Standstill test of a robot that is held.

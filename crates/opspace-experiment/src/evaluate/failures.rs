@@ -11,7 +11,7 @@ use opspace_loop::Phase;
 use std::ops::Range;
 
 /// Largest fraction of missed cycles of a run that is worth its numbers.
-const MAX_MISSED: f64 = 0.5;
+const MAX_MISSED: f64 = 0.1;
 
 /// Smallest change of a joint's reference that must move the joint, rad or m.
 const MIN_CHANGE: f64 = 0.01;

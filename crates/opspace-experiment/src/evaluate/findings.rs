@@ -36,6 +36,11 @@ impl Findings {
     pub fn failures(&self) -> impl Iterator<Item = &Finding> {
         self.iter().filter(|finding| finding.code.effect() == Effect::Failed)
     }
+
+    /// Findings that do not make the run a failure.
+    pub fn notes(&self) -> impl Iterator<Item = &Finding> {
+        self.iter().filter(|finding| finding.code.effect() != Effect::Failed)
+    }
 }
 
 impl Serialize for Findings {

@@ -1,7 +1,7 @@
 //! Metrics of a run, computed only from its log, segment by segment.
 //!
-//! Statistics cover the time from `settle_s` after the first control cycle to the last control cycle; the start of
-//! the robot's clock does not matter. Positions are the true ones if the log contains them (simulation), otherwise
+//! Statistics cover the time from `settle_s` after the first control cycle to the last control cycle, without the time in which
+//! the robot is held and the torque ramp after it; the start of the robot's clock does not matter. Positions are the true ones if the log contains them (simulation), otherwise
 //! the measured ones.
 
 mod axis_metrics;
@@ -12,7 +12,7 @@ mod estimates;
 mod hand;
 mod hold_counts;
 mod holds;
-mod interruptions;
+pub(crate) mod interruptions;
 mod joints;
 mod limited_references;
 mod near_pairs;
@@ -33,6 +33,7 @@ pub use crate::metrics::metric_tables::{
 
 use crate::evaluate::failures::{HeldJoints, failures};
 use crate::evaluate::findings::Findings;
+use crate::evaluate::interface_findings::interface_findings;
 use crate::finding::Finding;
 use crate::metrics::metric::{LogMetric, Metric};
 use crate::run::experiment::Experiment;
@@ -182,7 +183,8 @@ impl<'a> Evaluator<'a> {
         let mut limited = self.limited.finish();
         limited.retain(|limited| !is_listed(limited));
         let mut findings = Findings::default();
-        for found in [failures, unreached, limited, self.escapes.finish()] {
+        let interface = interface_findings(&self.interruptions, &evaluation.metrics);
+        for found in [failures, interface, unreached, limited, self.escapes.finish()] {
             findings.extend(found);
         }
         Evaluated { evaluation, findings, interruptions: self.interruptions, times: self.times }

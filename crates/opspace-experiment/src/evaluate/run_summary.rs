@@ -139,16 +139,15 @@ impl RunSummary {
         self.holds.iter().filter(|hold| hold.until_s.is_none())
     }
 
-    /// True if a robot was stopped by a fault or held to the end, or an expectation of the experiment or of a robot was missed.
+    /// True if the run of a robot failed or a robot was held to the end, or an expectation of the experiment was missed.
     #[must_use]
     pub fn has_failed(&self) -> bool {
-        let failed = |robot: &Summary| robot.faulted.is_some() || !robot.missed_expectations.is_empty();
         !self.missed_expectations.is_empty()
-            || self.robots.values().any(failed)
+            || self.robots.values().any(Summary::has_failed)
             || self.held_to_the_end().next().is_some()
     }
 
-    /// Faults, holds to the end and missed expectations, each with the name of its robot.
+    /// Faults, failures, holds to the end and missed expectations, each with the name of its robot.
     #[must_use]
     pub fn failures(&self) -> Vec<String> {
         let mut failures = self.missed_expectations.clone();
@@ -160,6 +159,7 @@ impl RunSummary {
                 let time_s = robot.fault_time_s.unwrap_or(f64::NAN);
                 failures.push(format!("{name} was stopped at {time_s:.3} s: {fault}"));
             }
+            failures.extend(robot.findings.failures().map(|failure| format!("{name}: {failure}")));
             failures.extend(robot.missed_expectations.iter().map(|missed| format!("{name}: {missed}")));
         }
         failures

@@ -115,6 +115,16 @@ impl Replay {
     }
 }
 
+impl Summary {
+    /// True if a fault stopped the run, an expectation was missed, or a finding makes it a failure.
+    #[must_use]
+    pub fn has_failed(&self) -> bool {
+        self.faulted.is_some()
+            || !self.missed_expectations.is_empty()
+            || self.findings.failures().next().is_some()
+    }
+}
+
 impl From<ReplayedCommands> for Replay {
     fn from(commands: ReplayedCommands) -> Self {
         let commands_part_after_s = match commands {

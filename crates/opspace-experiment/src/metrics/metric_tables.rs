@@ -60,6 +60,9 @@ metric_table! {
         setpoints_limited: u64, Smaller, None,
             "Number of setpoints that a drive clamped or refused because of its `setpoint_limits`, of all joints and the whole \
              run; `None` if the simulated drives have no such limits.";
+        setpoints_clamped: u64, Smaller, None,
+            "Number of setpoints that the control loop clamped, of all joints: those further from the measured state than the servo's \
+             full torque explains, and steps of a position beyond the joint's speed limit.";
         torque_saturated_share: f64, Smaller, None,
             "Fraction of interface cycles in which a desired torque was saturated.";
         torque_commanded_max_nm: f64, Neither,

@@ -1,6 +1,5 @@
 //! Section of a page about one run.
 
-use crate::codes::Code;
 use crate::evaluate::notes::final_notes;
 use crate::evaluate::summary::Summary;
 pub use crate::report::collision_moments::{ClosestPair, CollisionMoment, PlacedShape};
@@ -83,16 +82,8 @@ impl RunSection {
         warnings.extend(
             summary.missed_expectations.iter().map(|missed| format!("Expectation missed: {missed}.")),
         );
-        warnings.extend(summary.findings.of(Code::GoalNotReached).map(|goal| format!("Note: {goal}.")));
-        let damped = [Code::IgnoredCompliance, Code::DampedCompliance];
-        let damped = damped.into_iter().flat_map(|code| summary.findings.of(code));
-        warnings.extend(damped.map(|finding| format!("Note: {finding}.")));
-        warnings.extend(
-            summary.findings.of(Code::ReferenceLimited).map(|reference| format!("Note: {reference}.")),
-        );
+        warnings.extend(summary.findings.notes().map(|finding| format!("Note: {finding}.")));
         warnings.extend(final_notes(&summary).iter().map(|note| format!("Note: {note}.")));
-        warnings
-            .extend(summary.findings.of(Code::EscapedSingularity).map(|escape| format!("Note: {escape}.")));
         // Entries for a replay; a robot without a transformer has none to be shown.
         let has_transformer = summary.transformer.is_some();
         let is_shown =

@@ -96,6 +96,13 @@ cases! {
 const EXCEPTIONS: &[(Code, &str)] = &[
     (Code::UnknownGains, "the advice is a simulation, which changes nothing of what is known before the run"),
     (Code::CyclesMissed, "the advice is to find what delays the bus or the process"),
+    (Code::ControlInterrupted, "the advice is to find what delays the bus or the process"),
+    (Code::StaleTargets, "the advice concerns the sender of the targets"),
+    (Code::SetpointsClamped, "the advice is to find what steps"),
+    (
+        Code::SetpointsLimited,
+        "a simulated drive has the limits that are declared, and the loop keeps to them",
+    ),
     (Code::NoShape, "`logs_do_not_need_meshes` has capsules of robot.toml in place of shapes"),
     (Code::MeshNotFound, "the advice is to supply the file of a mesh"),
     (Code::MeshFormat, "the advice is to convert the file of a mesh"),

@@ -6,7 +6,8 @@ use crate::metrics::metric_tables::Metrics;
 use crate::run::experiment::Experiment;
 use opspace_backend::signal_names::{
     self, COMMAND, DQ, LEAST_DISTANCE, LIMITS_SOLVER, MIN_SINGULAR_GAIN, MISSED_CYCLES,
-    SETPOINT_ACCELERATION, SETPOINT_LIMITED, SETPOINT_SPEED, TORQUE_SATURATED, TRUTH_CHANNEL,
+    SETPOINT_ACCELERATION, SETPOINT_CLAMPED, SETPOINT_LIMITED, SETPOINT_SPEED, TORQUE_SATURATED,
+    TRUTH_CHANNEL,
 };
 use opspace_log::Column;
 
@@ -23,6 +24,7 @@ pub(super) struct Cycles {
     damped: Mean,
     least_distance: Option<f64>,
     setpoints_limited: Option<u64>,
+    setpoints_clamped: Option<u64>,
     setpoint_speed: Option<f64>,
     setpoint_acceleration: Option<f64>,
     torque: Option<f64>,
@@ -43,6 +45,7 @@ impl Cycles {
             damped: Mean::default(),
             least_distance: None,
             setpoints_limited: None,
+            setpoints_clamped: None,
             setpoint_speed: None,
             setpoint_acceleration: None,
             torque: None,
@@ -53,11 +56,11 @@ impl Cycles {
     }
 
     pub(super) fn add(&mut self, run: &Run<'_>) {
-        let ticks = run.settled_ticks();
+        let (all, ticks) = (run.settled_ticks(), run.counted_ticks());
         let signal = |name: &str| run.tick.signal(name);
-        self.count += ticks.len() as u64;
+        self.count += all.len() as u64;
         if let Some(missed) = signal(MISSED_CYCLES) {
-            let counts = ticks.clone().map(|k| missed.row(k)[0]).filter(|count| count.is_finite());
+            let counts = all.clone().map(|k| missed.row(k)[0]).filter(|count| count.is_finite());
             self.missed = Some(self.missed.unwrap_or(0.0) + counts.sum::<f64>());
         }
         if let Some(saturated) = signal(TORQUE_SATURATED) {
@@ -88,6 +91,10 @@ impl Cycles {
                 *largest = Some(magnitudes.fold(largest.unwrap_or(0.0), f64::max));
             }
         }
+        if let Some(clamped) = signal(SETPOINT_CLAMPED) {
+            let count = clamped.rows().flatten().filter(|clamped| **clamped == 1.0).count() as u64;
+            self.setpoints_clamped = Some(self.setpoints_clamped.unwrap_or(0) + count);
+        }
         let positions = run.recording.channel(TRUTH_CHANNEL).unwrap_or(run.tick);
         if let Some(limited) = positions.signal(SETPOINT_LIMITED) {
             let joints = (0..positions.len()).flat_map(|k| limited.row(k));
@@ -95,7 +102,7 @@ impl Cycles {
             self.setpoints_limited = Some(self.setpoints_limited.unwrap_or(0) + count);
         }
         if let Some(dq) = positions.signal(DQ) {
-            run.settled(&positions.time_s).for_each(|k| enlarge(&mut self.speed, dq.row(k).iter().copied()));
+            run.counted(&positions.time_s).for_each(|k| enlarge(&mut self.speed, dq.row(k).iter().copied()));
         }
         if let Some(command) = signal(COMMAND).filter(|_| self.commands_torques) {
             for k in ticks {
@@ -117,6 +124,7 @@ impl Cycles {
         metrics.damped_fraction = self.damped.get();
         metrics.least_distance_m = self.least_distance;
         metrics.setpoints_limited = self.setpoints_limited;
+        metrics.setpoints_clamped = self.setpoints_clamped;
         metrics.setpoint_speed_max_rad_per_s = self.setpoint_speed;
         metrics.setpoint_acceleration_max_rad_per_s2 = self.setpoint_acceleration;
         metrics.torque_commanded_max_nm = self.torque;

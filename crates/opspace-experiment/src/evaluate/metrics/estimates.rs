@@ -34,7 +34,7 @@ impl Estimates {
             let (Some(forces), Some(estimate)) = (run.forces_on(frame), run.tick.signal(signal)) else {
                 continue;
             };
-            for k in run.settled(run.joints.0) {
+            for k in run.counted(run.joints.0) {
                 if let Some(row) = run.tick_of(k).map(|tick| estimate.row(tick)) {
                     error_n.add((Vector3::from_column_slice(&row[..3]) - total(&forces, k)).norm());
                 }

@@ -43,7 +43,7 @@ impl Hand {
         if let Some(truth) = run.recording.channel(TRUTH_CHANNEL)
             && let Some(force) = truth.signal(&self.force)
         {
-            for k in run.settled(&truth.time_s) {
+            for k in run.counted(&truth.time_s) {
                 self.force_n.add(masked_norm(&Vector3::from_column_slice(force.row(k)), &self.axes));
             }
         }
@@ -51,10 +51,11 @@ impl Hand {
         self.home = self.home.or_else(|| run.first_pose(frame));
         let Some(home) = self.home else { return };
         let world = AxesFrame::Fixed(Matrix3::identity());
-        let settled = run.settled(run.joints.0);
-        for (_, pose, _) in
-            run.poses(ControlledFrame::Frame(frame), |_| world).filter(|(k, ..)| settled.contains(k))
-        {
+        let mut counted = run.counted(run.joints.0).peekable();
+        for (k, pose, _) in run.poses(ControlledFrame::Frame(frame), |_| world) {
+            if counted.next_if_eq(&k).is_none() {
+                continue;
+            }
             self.motion_m.add(masked_norm(&(pose.translation - home.translation), &self.axes));
         }
     }

@@ -12,7 +12,12 @@ pub(crate) struct Interruptions {
     pub(crate) resumed: u64,
     /// Number of control cycles in which a streamed target of any task was stale.
     pub(crate) stale_target_cycles: u64,
-    was_resuming: bool,
+    /// Number of times that the robot was held.
+    pub(crate) holds: u64,
+    /// Time for which the robot was held or its torques ramped in after a hold, s.
+    pub(crate) interrupted_s: f64,
+    /// Phase and time (s) of the cycle before.
+    before: Option<[f64; 2]>,
 }
 
 impl Interruptions {
@@ -21,10 +26,15 @@ impl Interruptions {
         if let Some(missed) = tick.signal(MISSED_CYCLES) {
             self.missed += missed.rows().map(|row| row[0]).sum::<f64>();
         }
-        for phase in tick.signal(PHASE).into_iter().flat_map(Column::rows) {
-            let is_resuming = phase[0] == Phase::Resuming.code();
-            self.resumed += u64::from(is_resuming && !self.was_resuming);
-            self.was_resuming = is_resuming;
+        for (phase, &time_s) in tick.signal(PHASE).into_iter().flat_map(Column::rows).zip(&tick.time_s) {
+            let [before, before_s] = self.before.unwrap_or([Phase::Rest.code(), time_s]);
+            let begins = |kind: Phase| u64::from(phase[0] == kind.code() && before != kind.code());
+            self.resumed += begins(Phase::Resuming);
+            self.holds += begins(Phase::Held);
+            if Phase::is_interrupted(before) {
+                self.interrupted_s += time_s - before_s;
+            }
+            self.before = Some([phase[0], time_s]);
         }
         let stale_of = signal_names::of("", TARGET_STALE);
         let names = tick.layout.signals.iter().map(|signal| signal.name.as_str());

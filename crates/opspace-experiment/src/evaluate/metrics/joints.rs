@@ -42,7 +42,7 @@ impl JointTorques {
     pub(super) fn add(&mut self, run: &Run<'_>) {
         let desired = run.tick.signal(TORQUE_DESIRED);
         let saturated = run.tick.signal(TORQUE_SATURATED);
-        for k in run.settled_ticks() {
+        for k in run.counted_ticks() {
             let time_s = run.tick.time_s[k];
             self.cycles += 1;
             self.span_s = Some([self.span_s.map_or(time_s, |[first, _]| first), time_s]);

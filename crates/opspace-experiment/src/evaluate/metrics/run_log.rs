@@ -30,6 +30,8 @@ pub(crate) struct Run<'a> {
     pub(crate) start_s: f64,
     pub(crate) from_s: f64,
     pub(crate) to_s: f64,
+    /// Intervals in which the robot is held, or its torques ramp in after a hold, s.
+    held_s: Vec<[f64; 2]>,
     /// Tolerance within which two times are equal, s: times are rounded multiples of a servo period.
     pub(crate) same_s: f64,
 }
@@ -72,6 +74,7 @@ impl<'a> Run<'a> {
             start_s,
             from_s: start_s + experiment.task().file.settle_s.get(),
             to_s,
+            held_s: held_s(tick, &phase),
             same_s,
         })
     }
@@ -81,6 +84,21 @@ impl<'a> Run<'a> {
         let begin = times.partition_point(|&t| t < self.from_s - self.same_s);
         let end = times.partition_point(|&t| t <= self.to_s + self.same_s);
         begin..end.max(begin)
+    }
+
+    /// Indices of the times in the evaluated interval at which the controller acts as it should: not those of a hold, nor of the
+    /// torque ramp after it.
+    pub(crate) fn counted<'b>(&'b self, times: &'b [f64]) -> impl Iterator<Item = usize> + Clone + 'b {
+        let is_held = |time_s: f64| {
+            let begun = self.held_s.partition_point(|[begin_s, _]| *begin_s <= time_s + self.same_s);
+            self.held_s[..begun].last().is_some_and(|[_, end_s]| time_s <= end_s + self.same_s)
+        };
+        self.settled(times).filter(move |&k| !is_held(times[k]))
+    }
+
+    /// Indices of the counted control cycles.
+    pub(crate) fn counted_ticks(&self) -> impl Iterator<Item = usize> + Clone + '_ {
+        self.counted(&self.tick.time_s)
     }
 
     /// Indices of the control cycles in the evaluated interval.
@@ -137,6 +155,19 @@ impl<'a> Run<'a> {
         kinematics(model, &mut data, self.joints.1.row(k), &vec![0.0; model.n()]);
         Some(frame_placement(model, &data, frame))
     }
+}
+
+/// Intervals of the cycles in which the robot is held, or its torques ramp in after a hold, s.
+fn held_s(tick: &ChannelData, phase: &Column<'_>) -> Vec<[f64; 2]> {
+    let is_held = |k: usize| Phase::is_interrupted(phase.row(k)[0]);
+    let mut intervals: Vec<[f64; 2]> = Vec::new();
+    for k in (0..tick.len()).filter(|&k| is_held(k)) {
+        match intervals.last_mut().filter(|_| k > 0 && is_held(k - 1)) {
+            Some([_, end_s]) => *end_s = tick.time_s[k],
+            None => intervals.push([tick.time_s[k]; 2]),
+        }
+    }
+    intervals
 }
 
 /// Mean of numbers that arrive one by one.

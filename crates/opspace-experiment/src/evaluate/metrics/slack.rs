@@ -13,12 +13,12 @@ pub(crate) const UNITS: [&str; 2] = ["m/s²", "rad/s²"];
 pub(super) struct SlackOfTask([RmsMax; 2]);
 
 impl SlackOfTask {
-    /// Adds the cycles after settling in which the task has a priority.
+    /// Adds the counted cycles in which the task has a priority.
     pub(super) fn add(&mut self, run: &Run<'_>, name: &str) {
         let Some(slack) = run.tick.signal(&signal_names::of(name, signal_names::SLACK)) else { return };
         for (sums, unit) in self.0.iter_mut().zip(UNITS) {
             if has(&slack, unit) {
-                let sizes = run.settled_ticks().map(|k| size(&slack, k, unit));
+                let sizes = run.counted_ticks().map(|k| size(&slack, k, unit));
                 sizes.filter(|size| size.is_finite()).for_each(|size| sums.add(size));
             }
         }

@@ -130,7 +130,7 @@ impl ElementErrors {
         let Some(reference) = run.tick.signal(&signal_names::of(name, REFERENCE)) else { return };
         let (times, q) = run.joints;
         let rows: Vec<(usize, usize)> =
-            run.settled(times).filter_map(|k| Some((k, run.tick_of(k)?))).collect();
+            run.counted(times).filter_map(|k| Some((k, run.tick_of(k)?))).collect();
         let selected = |joint: &str| joints.is_none_or(|joints| joints.iter().any(|name| name == joint));
         for (j, (joint, unit)) in q.elements().iter().zip(q.units()).enumerate() {
             let Some(place) = reference.elements().iter().position(|name| name == joint) else { continue };
@@ -149,7 +149,7 @@ impl ElementErrors {
         let Some(error) = run.tick.signal(&signal_names::of(name, ERROR)) else { return };
         for (place, (element, unit)) in error.elements().iter().zip(error.units()).enumerate() {
             let sums = self.of(element, unit);
-            let distances = run.settled_ticks().map(|k| error.row(k)[place].abs());
+            let distances = run.counted_ticks().map(|k| error.row(k)[place].abs());
             distances.filter(|distance| distance.is_finite()).for_each(|distance| sums.add(distance));
         }
     }
@@ -215,7 +215,7 @@ impl CartesianErrors {
             logged_row(reference_velocity, tick)
                 .is_none_or(|v| Vector3::from_column_slice(v).norm() < RESTING_M_PER_S)
         };
-        let settled = run.settled(run.joints.0);
+        let mut counted = run.counted(run.joints.0).peekable();
         let settle_s = run.from_s - run.start_s - run.same_s;
         for row in self.axes.rows(run) {
             let TaskRow { k, pose, rotation, in_world, axes } = row;
@@ -224,11 +224,11 @@ impl CartesianErrors {
                 self.last = [None; 2];
                 continue;
             };
-            let is_settled = settled.contains(&k);
-            if is_settled {
+            let is_counted = counted.next_if_eq(&k).is_some();
+            if is_counted {
                 self.single_axes.add_position(&row);
             }
-            let tick = if is_settled { run.tick_of(k) } else { None };
+            let tick = if is_counted { run.tick_of(k) } else { None };
             if let Some(reference) = logged_row(reference, tick).filter(|_| axes.motion[..3].contains(&true))
             {
                 let error = rotation.tr_mul(&(pose.translation - Vector3::from_column_slice(reference)));
@@ -266,8 +266,8 @@ impl CartesianErrors {
                     }
                     let since_start_s = run.joints.0[k] - run.start_s;
                     let since_s = *contact.controlled_since_s.get_or_insert(since_start_s);
-                    let is_settled = is_settled && since_start_s >= since_s + settle_s;
-                    contact.add(&force, &axes.force, target, since_start_s, is_settled, is_resting);
+                    let is_counted = is_counted && since_start_s >= since_s + settle_s;
+                    contact.add(&force, &axes.force, target, since_start_s, is_counted, is_resting);
                     contact.reduced_s = passivity
                         .zip(tick)
                         .map(|(time_s, tick)| time_s.row(tick).iter().copied().fold(0.0, f64::max));
@@ -277,7 +277,7 @@ impl CartesianErrors {
             let acts = forces.as_ref().is_some_and(|forces| !forces.is_empty());
             if axes.compliant.contains(&true) {
                 let compliance = self.compliance.get_or_insert_default();
-                compliance.add(&row, &axes, force.filter(|_| acts), is_settled);
+                compliance.add(&row, &axes, force.filter(|_| acts), is_counted);
             } else {
                 self.compliance.iter_mut().for_each(CompliantMotion::leave);
             }

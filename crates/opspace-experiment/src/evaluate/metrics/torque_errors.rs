@@ -61,7 +61,7 @@ impl TorqueErrors {
         }
         let Some(servo) = run.recording.channel(SERVO_CHANNEL) else { return };
         if let (Some(desired), Some(motor)) = (servo.signal(TORQUE_DESIRED), servo.signal(MOTOR_TORQUE)) {
-            for k in run.settled(&servo.time_s) {
+            for k in run.counted(&servo.time_s) {
                 self.add_row(self.rows_before + k, desired.row(k), motor.row(k));
             }
         }
@@ -153,7 +153,7 @@ impl HeldRipple {
     fn add(&mut self, run: &Run<'_>) {
         let positions = run.recording.channel(TRUTH_CHANNEL).unwrap_or(run.tick);
         let Some(dq) = positions.signal(DQ) else { return };
-        for k in run.settled(&positions.time_s) {
+        for k in run.counted(&positions.time_s) {
             let torque_per_s = self.stiffness.iter().zip(dq.row(k)).map(|(stiffness, dq)| stiffness * dq);
             self.squares.add(torque_per_s.map(|rate| rate * rate).sum::<f64>());
         }
