@@ -47,7 +47,7 @@ pub(crate) fn uncontrolled(case: &PreflightCase<'_>) -> Option<Finding> {
 }
 
 /// Finds tasks with compliant axes that nothing brings back after a push: no force is regulated, and no object of the
-/// environment holds the frame.
+/// environment holds the frame. A load does not hold it: it falls with the frame.
 pub(crate) fn drifting(case: &PreflightCase<'_>) -> Vec<Finding> {
     let mut found: Vec<Finding> = Vec::new();
     let mut named: Vec<&str> = Vec::new();
@@ -60,21 +60,35 @@ pub(crate) fn drifting(case: &PreflightCase<'_>) -> Vec<Finding> {
             if axes.is_empty() || parameters.force.is_some() || named.contains(&motion.name) {
                 continue;
             }
+            let environment = &case.experiment.task().file.environment;
+            let acts = |object: &&EnvironmentObjectParameters| object.frame() == parameters.frame;
             let holds = |object: &EnvironmentObjectParameters| {
-                object.frame() == parameters.frame
-                    && !matches!(object, EnvironmentObjectParameters::Pushes(_))
+                use EnvironmentObjectParameters::{Mass, Pushes};
+                !matches!(object, Pushes(_) | Mass(_))
             };
-            let is_held = case.experiment.task().file.environment.values().any(holds);
+            let is_held = environment.values().filter(acts).any(holds);
             if is_held || returns_later(case, number, motion.name, compliant) {
                 continue;
             }
             named.push(motion.name);
-            let message = format!(
-                "task '{}': nothing brings {} back along {}: a compliant axis stays where it is pushed to",
-                motion.name,
-                motion.controlled_name(),
-                axes.join(", "),
-            );
+            let load =
+                environment.iter().filter(|(_, object)| acts(object)).find_map(
+                    |(name, object)| match object {
+                        EnvironmentObjectParameters::Mass(mass) => Some((name, mass.mass_kg.get())),
+                        _ => None,
+                    },
+                );
+            let subject = format!("task '{}': nothing", motion.name);
+            let (hand, axes_text) = (motion.controlled_name(), axes.join(", "));
+            let message = match load.filter(|_| compliant[..3].contains(&true)) {
+                Some((name, mass_kg)) => format!(
+                    "{subject} holds the load '{name}' of {} kg along {axes_text}: {hand} falls with it, beyond what friction holds",
+                    short(mass_kg)
+                ),
+                None => format!(
+                    "{subject} brings {hand} back along {axes_text}: a compliant axis stays where it is pushed to"
+                ),
+            };
             let spring = match axes[0].len() {
                 1 => format!("impedance = {{ stiffness_n_per_m = {{ {} = 100.0, ... }} }}", axes[0]),
                 _ => format!("impedance = {{ stiffness_nm_per_rad = {{ {} = 10.0, ... }} }}", axes[0]),

@@ -191,4 +191,8 @@ pub fn compliant_drift(code: Code) {
         "impedance = {{ stiffness_n_per_m = {{ {of_axis}, y = {stiffness:?}, z = {stiffness:?} }}, damping_ratio = 0.7 }}"
     );
     led.is_helped(code, &[TaskCase::of(HAND).replace(gains, &spring)]);
+    // A load does not hold the hand, but falls with it.
+    let load = "environment.load.mass={ frame = \"hand\", mass_kg = 2.0, put_on_s = 0.5 }";
+    let loaded = led.set(load).only(code).message;
+    assert!(loaded.contains("holds the load 'load' of 2 kg"), "{loaded}");
 }
