@@ -29,6 +29,7 @@ fn two_runs_differ_only_in_the_channel_of_wall_clock_times() {
     assert!(text.contains("/opspace/timing: differs first in message 0"), "{text}");
     assert!(text.contains("tick_time is ") && text.contains("(wall-clock times: not counted)"), "{text}");
     let other = opspace(folder.path(), &["log", "diff", "a", "c"]).exits(1).stdout;
+    assert!(other.contains("metadata 'opspace.run': seed is 1 and 2"), "{other}");
     assert!(other.contains("/opspace/truth: differs first in message "), "{other}");
     assert!(other.ends_with("the logs differ\n"), "{other}");
     let rows = |name: &str| Recording::read(folder.path().join(name).join("run.mcap")).unwrap();
@@ -132,7 +133,8 @@ fn damaged_attachment_is_named_and_costs_no_row() {
     opspace(folder.path(), &["log", "export", "damaged.mcap", "-o", "rows.csv"]).exits(0).says(&named);
     let whole = Recording::read(&log).unwrap();
     assert_eq!(read(folder.path().join("rows.csv")).lines().count(), whole.tick().unwrap().len() + 1);
-    opspace(folder.path(), &["log", "diff", "out", "damaged.mcap"]).exits(0);
+    let text = opspace(folder.path(), &["log", "diff", "out", "damaged.mcap"]).exits(3).stdout;
+    assert!(text.ends_with("the rest could not be compared\n") && !text.contains("equal, except"), "{text}");
     let ran = opspace(folder.path(), &["log", "recover", "damaged.mcap", "-o", "new.mcap"]).exits(3);
     assert!(
         ran.stdout.contains("lost: 0 cycles") && ran.stdout.contains("lost: the attachment 'task.toml'"),

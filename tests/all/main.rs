@@ -21,6 +21,7 @@ mod experiments;
 mod files;
 mod friction;
 mod guide;
+mod hostile_inputs;
 mod identification;
 mod identified;
 mod identified_without_current;

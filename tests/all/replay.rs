@@ -5,8 +5,10 @@
 
 use crate::cli_common::{Ran, opspace, project, read_json, run, scratch};
 use crate::coupled;
+use opspace_experiment::run::replay::{replay as replay_recording, replay_log};
+use opspace_experiment::{Experiment, Extensions};
 use opspace_log::header::{GAPS, LOG};
-use opspace_log::{Channel, ChannelData, Header, Pace, Recording, record};
+use opspace_log::{Channel, ChannelData, Header, LogFile, Pace, Recording, record};
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 
@@ -394,4 +396,34 @@ fn old_log_error_names_version_that_reads_it() {
     }
     assert_eq!(fs::read(&log).unwrap(), before);
     assert!(!folder.path().join("report.html").exists());
+}
+
+/// Compared: a replay in segments of any size, and that of the whole log in memory; also of a log that a fault ended, and of
+/// a changed one.
+#[test]
+fn replay_in_segments_is_that_of_the_whole_log() {
+    let folder = scratch();
+    let lost = "robot.simulated.bus.lost_cycles_share=0.05";
+    let logs = [
+        run(folder.path(), "whole", "compliant-x", &[]),
+        run(folder.path(), "lossy", "joint-tracking", &["--set", lost]),
+    ];
+    for log in logs {
+        let recording = Recording::read(&log).unwrap();
+        let experiment = Experiment::of_log(&recording).unwrap();
+        let whole = replay_recording(&experiment, &recording).unwrap();
+        assert!(whole.compared > 1000 && whole.compared == whole.logged, "{whole:?}");
+        assert_eq!((whole.differing, &whole.first_difference), (0, &None));
+        for values in [1, 5000, 77_777] {
+            let file = LogFile::open(&log).unwrap().segment_values(values);
+            assert_eq!(replay_log(&experiment, &file).unwrap(), whole, "segments of {values} values");
+        }
+        // Another gain: the same first difference, wherever a segment ends.
+        let settings = ["robot.safety.torque_ramp_s=0.7".to_owned()];
+        let other = Experiment::of_log_changed(&Extensions::default(), &recording, &settings).unwrap();
+        let whole = replay_recording(&other, &recording).unwrap();
+        assert!(whole.differing > 100, "{whole:?}");
+        let file = LogFile::open(&log).unwrap().segment_values(5000);
+        assert_eq!(replay_log(&other, &file).unwrap(), whole);
+    }
 }

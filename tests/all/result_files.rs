@@ -204,7 +204,7 @@ fn log_cut_short_is_summarised_and_exits_with_3() {
     let recording = Recording::read(folder.path().join("out/run.mcap")).unwrap();
     assert!(recording.damage.is_some() && recording.channels.iter().any(|channel| channel.len() > 100));
     let (code, _, said) = limited("ulimit -f 1; exec \"$1\" run \"$2\" --out none");
-    assert_eq!(code, Some(2), "{said}");
+    assert_eq!(code, Some(3), "{said}");
     assert!(said.contains("can't write the log") && !folder.path().join("none/run.mcap").exists(), "{said}");
 }
 

@@ -1,6 +1,7 @@
 //! Opens a page in the browser of the user, with the opener of the platform.
 
 use crate::console::Console;
+use opspace_model::files::find_program;
 use std::path::Path;
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
@@ -13,12 +14,17 @@ pub fn open(page: &Path, console: Console) {
     // A browser may have another working directory.
     let path = page.canonicalize().unwrap_or_else(|_| page.to_owned());
     let (name, arguments) = opener();
-    let mut command = Command::new(name);
-    command.args(arguments).arg(&path);
-    let started = command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null()).spawn();
+    let started = find_program(name).map(|program| {
+        let mut command = Command::new(program);
+        command.args(arguments).arg(&path);
+        command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null()).spawn()
+    });
     let failure = match started {
-        Err(_) => Some(format!("'{name}' was not found")),
-        Ok(child) => ended(child).filter(|status| !status.success()).map(|_| format!("'{name}' failed")),
+        None => Some(format!("'{name}' was not found")),
+        Some(Err(error)) => Some(format!("'{name}' was not started: {error}")),
+        Some(Ok(child)) => {
+            ended(child).filter(|status| !status.success()).map(|_| format!("'{name}' failed"))
+        }
     };
     match failure {
         None => console.note(&format!("opened {}", page.display())),

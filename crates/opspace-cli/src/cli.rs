@@ -58,7 +58,7 @@ Exit codes:
   0    done
   1    the run failed: STOPPED or FAILED; or a replay differs, or `check --strict` found a problem
   2    invalid arguments or an invalid file
-  3    done, but data was lost or a log is damaged
+  3    done, but data was lost or a log is damaged; or a disk is full
   130  interrupted, log closed";
 
 /// Show what is in a log, recover a damaged one, export one as CSV, or compare two.
@@ -86,12 +86,12 @@ The first line has the names of the columns: time_s, then SIGNAL.ELEMENT_UNIT, f
 torque_desired.elbow_nm. A signal that does not apply is an empty field.")]
     Export(LogExportArgs),
 
-    /// Compare every message of every channel of two logs, and print the first difference of each channel.
+    /// Compare two logs: every message of every channel, attachments and metadata. Prints the first difference of each.
     #[command(after_help = "\
-Exit code 0 if all messages are equal, 1 if any differs. Wall-clock times are in the channel /opspace/timing \
+Exit code 0 if the logs are equal, 1 if they differ. Wall-clock times are in the channel /opspace/timing \
 (computing times), differ from run to run, and do not count: two simulations of the same files and seed are \
-equal. Attachments and metadata are not compared. A damaged log is compared up to the damage (exit code 3 if that \
-part is equal).")]
+equal. A damaged log is compared up to the damage, without the attachments that it lost; the exit code is 3 if no \
+difference is found.")]
     Diff(LogDiffArgs),
 }
 

@@ -65,10 +65,14 @@ impl From<RunError> for Failure {
     fn from(error: RunError) -> Self {
         match error {
             RunError::File(error) => Self::File(error),
-            RunError::Incomplete { .. }
-            | RunError::Locked { .. }
-            | RunError::Write { .. }
-            | RunError::Log(LogError::Write(_)) => Self::Other(error.to_string(), Exit::Bad),
+            RunError::Incomplete { .. } | RunError::Locked { .. } => {
+                Self::Other(error.to_string(), Exit::Bad)
+            }
+            RunError::Write { source: ref cause, .. }
+            | RunError::Log(LogError::Write(ref cause))
+            | RunError::LogCutShort { source: LogError::Write(ref cause), .. } => {
+                Self::Other(error.to_string(), Exit::of_io(cause, Exit::Bad))
+            }
             other => Self::Other(other.to_string(), Exit::Failed),
         }
     }
@@ -78,7 +82,30 @@ impl Failure {
     /// Creates an error about a file that cannot be read, written or created, with the message of the operating
     /// system.
     pub fn io(what: &str, path: &std::path::Path, error: &io::Error) -> Self {
-        Self::Other(format!("{}: {what}: {error}", path.display()), Exit::Bad)
+        Self::Other(format!("{}: {what}: {error}", path.display()), Exit::of_io(error, Exit::Bad))
+    }
+
+    /// Creates an error about results that cannot be printed.
+    pub fn stdout(error: &io::Error) -> Self {
+        match error.kind() {
+            io::ErrorKind::BrokenPipe => Self::ClosedPipe,
+            _ => Self::Other(
+                format!("cannot write to standard output: {error}"),
+                Exit::of_io(error, Exit::Failed),
+            ),
+        }
+    }
+}
+
+impl Exit {
+    /// Exit status after an error of the operating system. A full disk loses results, whatever was written to it.
+    pub fn of_io(error: &io::Error, otherwise: Self) -> Self {
+        match error.kind() {
+            io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded | io::ErrorKind::FileTooLarge => {
+                Self::DataLost
+            }
+            _ => otherwise,
+        }
     }
 }
 
@@ -112,7 +139,7 @@ impl Console {
 
 /// Escapes characters that would move the cursor, change colours or reverse the direction of the text: names in files
 /// are not to be trusted. Line ends and tabs stay.
-fn escaped(text: &str) -> Cow<'_, str> {
+pub fn escaped(text: &str) -> Cow<'_, str> {
     let is_harmful = |c: char| {
         c.is_control() && !matches!(c, '\n' | '\t')
             // Marks and overrides of bidirectional text.
@@ -136,10 +163,7 @@ pub fn print(text: &str) -> Result<(), Failure> {
 /// Prints text to stdout, for a program.
 pub fn print_exactly(text: &str) -> Result<(), Failure> {
     let mut out = io::stdout().lock();
-    out.write_all(text.as_bytes()).and_then(|()| out.flush()).map_err(|error| match error.kind() {
-        io::ErrorKind::BrokenPipe => Failure::ClosedPipe,
-        _ => Failure::Other(format!("cannot write to standard output: {error}"), Exit::Failed),
-    })
+    out.write_all(text.as_bytes()).and_then(|()| out.flush()).map_err(|error| Failure::stdout(&error))
 }
 
 /// Renders results as a table with its notes.

@@ -34,7 +34,7 @@ mod xacro;
 pub use clap;
 pub use command_table::Command;
 use command_table::program;
-use console::Console;
+use console::{Console, Exit, Failure, escaped, report};
 pub use opspace_experiment::Extensions;
 use std::process::ExitCode;
 
@@ -43,12 +43,27 @@ use std::process::ExitCode;
 #[must_use]
 pub fn main_with(extensions: Extensions) -> ExitCode {
     let extensions = &extensions.with(plant::mujoco());
-    let matches = program(extensions).get_matches();
+    let matches = match program(extensions).try_get_matches() {
+        Ok(matches) => matches,
+        Err(error) => return refuse(extensions, &error),
+    };
     let console = Console { verbose: matches.get_flag("verbose"), quiet: matches.get_flag("quiet") };
     // Clap requires a subcommand, one of the table.
     let command = matches.subcommand();
     let command = command.and_then(|(name, args)| Some((extensions.get::<Command>(name)?, args)));
     command.map_or(ExitCode::FAILURE, |(command, args)| command.run(args, extensions, console))
+}
+
+/// Prints help, or the error about arguments. They are quoted in it, and are shown without control characters.
+fn refuse(extensions: &Extensions, error: &clap::Error) -> ExitCode {
+    let shown = std::env::args_os().map(|argument| escaped(&argument.to_string_lossy()).into_owned());
+    match program(extensions).try_get_matches_from(shown) {
+        Err(error) => error.exit(),
+        Ok(_) => {
+            report(&Failure::Other(error.to_string(), Exit::Bad));
+            Exit::Bad.into()
+        }
+    }
 }
 
 /// Code examples of the README, compiled and run as doctests.

@@ -6,9 +6,10 @@ use opspace_experiment::Source;
 use opspace_experiment::run::result_files::{LOG, write_file};
 use opspace_experiment::run::robot_logs::robot_logs;
 use opspace_log::{LogError, LogFile, Recording};
+use opspace_model::files::open_file;
 use serde::Serialize;
 use serde::de::IgnoredAny;
-use std::fs;
+use std::io;
 use std::path::{Path, PathBuf};
 
 /// Writes a file of results into a folder of results.
@@ -53,7 +54,7 @@ impl Format {
 
     /// True if an existing file has this format, or is empty.
     pub fn is_that_of(self, path: &Path) -> bool {
-        let Ok(text) = fs::read_to_string(path) else { return false };
+        let Ok(text) = open_file(path).and_then(io::read_to_string) else { return false };
         let is_json = |text: &str| serde_json::from_str::<IgnoredAny>(text).is_ok();
         text.trim().is_empty()
             || match self {

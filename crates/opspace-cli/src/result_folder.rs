@@ -6,9 +6,10 @@ use crate::outputs::check_outputs;
 use opspace_experiment::run::result_files::{LOG, REPORT, ResultFolder, SUMMARY};
 use opspace_experiment::run::robot_logs::robot_logs;
 use opspace_experiment::suites::suite_rows::{SUITE_ROWS, SuiteRows};
+use opspace_model::files::open_file;
 use serde_json::Value;
-use std::fs;
 use std::path::{Path, PathBuf};
+use std::{fs, io};
 
 /// Name of the folder, within that of a run, for the motion to the start.
 pub const MOVE_TO_START: &str = "move-to-start";
@@ -157,7 +158,8 @@ fn logs_of_rows(folder: &Path) -> Vec<String> {
 
 /// Names of the logs beside the rows of a suite; none if the rows cannot be read.
 fn logs_of_suite(rows: &Path) -> Vec<String> {
-    let read = fs::read_to_string(rows).ok().and_then(|text| serde_json::from_str::<Value>(&text).ok());
+    let text = open_file(rows).and_then(io::read_to_string).ok();
+    let read = text.and_then(|text| serde_json::from_str::<Value>(&text).ok());
     let names = read.as_ref().and_then(|rows| rows[LOGS].as_array()).into_iter().flatten();
     // A name with a folder in it is none that a suite wrote.
     let names =

@@ -17,6 +17,7 @@ use opspace_experiment::run::result_files::{REPORT, ResultFolder};
 use opspace_experiment::suites::suite_rows::{SUITE_ROWS, SuiteRows};
 use opspace_experiment::{Experiment, Extensions, Metric, RunSummary, Source, Summary};
 use opspace_log::LogFile;
+use opspace_model::files::open_file;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
@@ -48,11 +49,12 @@ impl SuiteOutputArgs {
             return Err(Failure::Other("--json and --csv cannot both be `-`".to_owned(), Exit::Bad));
         }
         let Some(path) = &self.baseline else { return Ok(None) };
-        let text = std::fs::read_to_string(path).map_err(|error| match Source::read(path) {
-            // The same message as for any other file.
-            Err(unread) => Failure::from(unread),
-            Ok(_) => Failure::io("cannot be read", path, &error),
-        })?;
+        let text =
+            open_file(path).and_then(std::io::read_to_string).map_err(|error| match Source::read(path) {
+                // The same message as for any other file.
+                Err(unread) => Failure::from(unread),
+                Ok(_) => Failure::io("cannot be read", path, &error),
+            })?;
         let refused = |words: String| Failure::Other(format!("{}: {words}", path.display()), Exit::Bad);
         Baseline::parse(&text).map(Some).map_err(refused)
     }

@@ -1,6 +1,7 @@
 //! Expansion of a xacro file by the program `xacro` of ROS.
 
 use crate::console::{Exit, Failure};
+use opspace_model::files::find_program;
 use std::io::Read;
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
@@ -24,14 +25,17 @@ pub fn expanded(file: &Path) -> Result<String, Failure> {
         let name = if urdf.extension().is_some() { urdf } else { urdf.with_extension("urdf") };
         format!("expand it where ROS is installed: xacro {} > {}", file.display(), name.display())
     };
-    let started = Command::new("xacro")
-        .arg(file)
+    // A name that begins with a hyphen is no option.
+    let file_argument = if file.is_relative() { Path::new(".").join(file) } else { file.to_owned() };
+    let missing = || refuse(format!("the program 'xacro' was not found; {}", by_hand()));
+    let started = Command::new(find_program("xacro").ok_or_else(missing)?)
+        .arg(file_argument)
         .stdin(Stdio::null())
         .stdout(Stdio::piped())
         .stderr(Stdio::piped())
         .spawn();
     let mut child =
-        started.map_err(|_| refuse(format!("the program 'xacro' was not found; {}", by_hand())))?;
+        started.map_err(|error| refuse(format!("the program 'xacro' was not started: {error}")))?;
     // Read meanwhile: a full pipe would stop the program.
     let (out, error) = (reader(child.stdout.take()), reader(child.stderr.take()));
     let Some(success) = wait(&mut child) else {

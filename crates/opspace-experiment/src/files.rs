@@ -12,6 +12,7 @@ pub(crate) mod layered_path;
 pub mod link;
 pub(crate) mod missing;
 pub mod mount;
+pub(crate) mod numbers;
 pub mod origin;
 pub mod overrides;
 pub(crate) mod renamed;

@@ -1,8 +1,9 @@
 //! Bytes of a log, in memory or in a file, and the records in them.
 
 use crate::error::LogError;
-use crate::records::{ATTACHMENT_TIMES_BYTES, PREFIX_BYTES, Raw};
+use crate::records::{ATTACHMENT_TIMES_BYTES, PREFIX_BYTES, Raw, read_length};
 use mcap::records::op;
+use opspace_model::files::open_file;
 use std::fmt;
 use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom};
@@ -52,11 +53,7 @@ impl FileBytes {
     /// If the file can't be read, or isn't a regular file: a device or a pipe may have no end.
     pub fn open(path: &Path) -> Result<Self, LogError> {
         let failed = |source| LogError::Read { path: path.to_owned(), source };
-        // Before the file is opened: to open a pipe waits for its writer.
-        if !std::fs::metadata(path).map_err(failed)?.is_file() {
-            return Err(failed(io::Error::new(io::ErrorKind::InvalidInput, "this is not a regular file")));
-        }
-        File::open(path).and_then(Self::new).map_err(failed)
+        open_file(path).and_then(Self::new).map_err(failed)
     }
 
     /// Returns the bytes of an open file.
@@ -88,13 +85,15 @@ pub(crate) struct OuterRecords<'a> {
     /// First bytes of the present record, as the file has them, its content, and its byte offset.
     prefix: [u8; PREFIX_BYTES],
     body: Vec<u8>,
+    /// Number of bytes of the content in the file.
+    length: u64,
     record_at: u64,
 }
 
 impl<'a> OuterRecords<'a> {
     /// Returns a walk that begins at the byte offset `at`.
     pub fn new(source: &'a dyn Bytes, at: u64) -> Self {
-        Self { source, at, prefix: [0; PREFIX_BYTES], body: Vec::new(), record_at: at }
+        Self { source, at, prefix: [0; PREFIX_BYTES], body: Vec::new(), length: 0, record_at: at }
     }
 
     /// Byte offset of the next record.
@@ -119,10 +118,11 @@ impl<'a> OuterRecords<'a> {
 
     /// Present record.
     pub fn record(&self) -> Raw<'_> {
-        Raw { opcode: self.prefix[0], body: &self.body, at: self.record_at as usize }
+        let at = self.record_at as usize;
+        Raw { opcode: self.prefix[0], body: &self.body, at, length: self.length }
     }
 
-    /// All bytes of the present record, in two parts.
+    /// All bytes of the present record, in two parts; only the first ones of a record that is too long.
     pub fn bytes(&self) -> [&[u8]; 2] {
         [&self.prefix, &self.body]
     }
@@ -130,12 +130,17 @@ impl<'a> OuterRecords<'a> {
     fn read(&mut self, at: u64, rest: u64) -> Result<(), String> {
         let unreadable = |error: io::Error| format!("the file cannot be read at byte {at}: {error}");
         self.source.read_at(at, &mut self.prefix).map_err(unreadable)?;
+        if self.prefix == [0; PREFIX_BYTES] {
+            // A hole of a file without its data would be a long row of empty records.
+            return Err(format!("the file has no record at byte {at}, only zeros"));
+        }
         let [_, length @ ..] = self.prefix;
         let stated = u64::from_le_bytes(length);
         let begin = at + PREFIX_BYTES as u64;
         if self.prefix[0] == op::ATTACHMENT
             && let Some(length) = self.attachment_length(begin, rest)
             && length != stated
+            && read_length(op::ATTACHMENT, length) == length
         {
             // The length of the record may be damaged while its content is intact.
             self.read_body(begin, length).map_err(unreadable)?;
@@ -153,7 +158,8 @@ impl<'a> OuterRecords<'a> {
     }
 
     fn read_body(&mut self, at: u64, length: u64) -> io::Result<()> {
-        self.body.resize(usize::try_from(length).map_err(io::Error::other)?, 0);
+        self.length = length;
+        self.body.resize(read_length(self.prefix[0], length) as usize, 0);
         self.source.read_at(at, &mut self.body)
     }
 

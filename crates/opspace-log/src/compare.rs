@@ -1,9 +1,7 @@
 //! Comparison of a replay's rows with those of a log.
 
-use crate::error::LogError;
-use crate::recording::{ChannelData, Recording};
 use opspace_backend::{Layout, Sink, TICK, TICK_TIME};
-use std::collections::BTreeSet;
+use std::collections::{BTreeSet, VecDeque};
 
 /// First value of a replay that differs from the log.
 #[derive(Clone, Debug, PartialEq)]
@@ -24,28 +22,33 @@ pub struct Difference {
 }
 
 /// Comparison of the control cycles of a replay and of the log, bit for bit. Signals with the same name are compared.
+///
+/// Rows of both arrive in any order, the log's by [`logged_row`](Self::logged_row) and the replay's as those of a [`Sink`].
+/// A row waits in memory for its counterpart only.
 #[derive(Debug)]
-pub struct Comparer<'a> {
-    logged: &'a ChannelData,
+pub struct Comparer {
+    layout: Layout,
     /// Indices of the compared elements, in the log's rows and in the replay's rows.
     slots: Vec<(usize, usize)>,
     /// Sum of squared differences of each slot.
     squares: Vec<f64>,
     unmatched: Vec<String>,
-    next: usize,
+    /// Rows that wait for their counterpart; one of the two is empty.
+    waiting_logged: VecDeque<(f64, Vec<f64>)>,
+    waiting_replayed: VecDeque<Vec<f64>>,
+    logged: usize,
+    compared: usize,
     differing: u64,
-    first: Option<(usize, usize, f64)>,
+    first: Option<Difference>,
 }
 
-impl<'a> Comparer<'a> {
-    /// Returns the comparison of a log's control cycles with a replay whose rows have the layout `replay`.
-    ///
-    /// # Errors
-    /// If the log has no control cycles.
-    pub fn new(recording: &'a Recording, replay: &Layout) -> Result<Self, LogError> {
-        let logged = recording.tick()?;
+impl Comparer {
+    /// Returns the comparison of a log, whose control cycles have the layout `logged`, with a replay whose rows have the
+    /// layout `replay`.
+    #[must_use]
+    pub fn new(logged: &Layout, replay: &Layout) -> Self {
         let mut slots = Vec::new();
-        for (name, from, length) in offsets(&logged.layout) {
+        for (name, from, length) in offsets(logged) {
             let there =
                 offsets(replay).find(|(other, _, other_length)| *other == name && *other_length == length);
             if let Some((_, to, _)) = there
@@ -61,16 +64,40 @@ impl<'a> Comparer<'a> {
                 .filter(|(name, ..)| *name != TICK_TIME)
                 .map(|(name, _, length)| (name.to_owned(), length))
         };
-        let (then, now): (BTreeSet<_>, BTreeSet<_>) =
-            (names(&logged.layout).collect(), names(replay).collect());
+        let (then, now): (BTreeSet<_>, BTreeSet<_>) = (names(logged).collect(), names(replay).collect());
         let unmatched = then.symmetric_difference(&now).map(|(name, _)| name.clone()).collect();
-        Ok(Self { logged, slots, squares, unmatched, next: 0, differing: 0, first: None })
+        Self {
+            layout: logged.clone(),
+            slots,
+            squares,
+            unmatched,
+            waiting_logged: VecDeque::new(),
+            waiting_replayed: VecDeque::new(),
+            logged: 0,
+            compared: 0,
+            differing: 0,
+            first: None,
+        }
+    }
+
+    /// Takes the next control cycle of the log; `time_s` is that of the robot's clock.
+    pub fn logged_row(&mut self, time_s: f64, row: &[f64]) {
+        self.logged += 1;
+        match self.waiting_replayed.pop_front() {
+            Some(replayed) => self.compare(time_s, row, &replayed),
+            None => self.waiting_logged.push_back((time_s, row.to_vec())),
+        }
+    }
+
+    /// Counts control cycles of the log with which the replay has nothing to compare.
+    pub fn logged_rows_without_replay(&mut self, count: usize) {
+        self.logged += count;
     }
 
     /// Number of control cycles compared.
     #[must_use]
     pub fn compared(&self) -> usize {
-        self.next.min(self.logged.len())
+        self.compared
     }
 
     /// Signals that only the log or only the replay has, or that differ in length.
@@ -82,7 +109,7 @@ impl<'a> Comparer<'a> {
     /// Number of control cycles in the log.
     #[must_use]
     pub fn logged(&self) -> usize {
-        self.logged.len()
+        self.logged
     }
 
     /// Number of control cycles that differ.
@@ -94,55 +121,53 @@ impl<'a> Comparer<'a> {
     /// First value that differs.
     #[must_use]
     pub fn first_difference(&self) -> Option<Difference> {
-        let (tick, slot, recomputed) = self.first?;
-        let (at, _) = self.slots[slot];
-        let (signal, element) = name_of(&self.logged.layout, at);
-        Some(Difference {
-            tick,
-            time_s: self.logged.time_s[tick],
-            signal,
-            element,
-            logged: self.logged.row(tick)[at],
-            recomputed,
-        })
+        self.first.clone()
     }
 
     /// Rms difference of each element of a signal, with the element's name.
     #[must_use]
     pub fn rms_difference(&self, signal: &str) -> Vec<(String, f64)> {
-        let count = self.compared().max(1) as f64;
+        let count = self.compared.max(1) as f64;
         (self.slots.iter().zip(&self.squares))
             .filter_map(|(&(at, _), square)| {
-                let (name, element) = name_of(&self.logged.layout, at);
+                let (name, element) = name_of(&self.layout, at);
                 (name == signal).then(|| (element, (square / count).sqrt()))
             })
             .collect()
     }
-}
 
-impl Sink for Comparer<'_> {
-    fn row(&mut self, channel: usize, _time_s: f64, row: &[f64]) {
-        if channel != TICK || self.next >= self.logged.len() {
-            return;
-        }
-        let logged = self.logged.row(self.next);
+    fn compare(&mut self, time_s: f64, logged: &[f64], replayed: &[f64]) {
         let mut differs = false;
-        for (slot, (&(from, to), square)) in self.slots.iter().zip(&mut self.squares).enumerate() {
-            let (was, is) = (logged[from], row[to]);
+        for (&(from, to), square) in self.slots.iter().zip(&mut self.squares) {
+            let (was, is) = (logged[from], replayed[to]);
             if was.to_bits() == is.to_bits() {
                 continue;
             }
             differs = true;
-            if self.first.is_none() {
-                self.first = Some((self.next, slot, is));
-            }
+            let (layout, tick) = (&self.layout, self.compared);
+            self.first.get_or_insert_with(|| {
+                let (signal, element) = name_of(layout, from);
+                Difference { tick, time_s, signal, element, logged: was, recomputed: is }
+            });
             let difference = is - was;
             if difference.is_finite() {
                 *square += difference * difference;
             }
         }
         self.differing += u64::from(differs);
-        self.next += 1;
+        self.compared += 1;
+    }
+}
+
+impl Sink for Comparer {
+    fn row(&mut self, channel: usize, _time_s: f64, row: &[f64]) {
+        if channel != TICK {
+            return;
+        }
+        match self.waiting_logged.pop_front() {
+            Some((time_s, logged)) => self.compare(time_s, &logged, row),
+            None => self.waiting_replayed.push_back(row.to_vec()),
+        }
     }
 }
 

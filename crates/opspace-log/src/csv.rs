@@ -19,7 +19,7 @@ impl<W: Write> CsvWriter<W> {
     /// If the sink fails.
     pub fn new(layout: &Layout, sink: W) -> io::Result<Self> {
         let mut writer = csv::Writer::from_writer(sink);
-        writer.write_record(columns(layout))?;
+        writer.write_record(columns(layout)).map_err(cause)?;
         Ok(Self { writer })
     }
 
@@ -30,7 +30,9 @@ impl<W: Write> CsvWriter<W> {
     pub fn write_rows(&mut self, channel: &ChannelData) -> io::Result<()> {
         for (k, time_s) in channel.time_s.iter().enumerate() {
             let text = |value: &f64| if value.is_nan() { String::new() } else { format!("{value:?}") };
-            self.writer.write_record(std::iter::once(time_s).chain(channel.row(k)).map(text))?;
+            self.writer
+                .write_record(std::iter::once(time_s).chain(channel.row(k)).map(text))
+                .map_err(cause)?;
         }
         Ok(())
     }
@@ -41,6 +43,14 @@ impl<W: Write> CsvWriter<W> {
     /// If the sink fails.
     pub fn flush(&mut self) -> io::Result<()> {
         self.writer.flush()
+    }
+}
+
+/// Error of the sink, whose kind a caller needs to know a full disk.
+fn cause(error: csv::Error) -> io::Error {
+    match error.into_kind() {
+        csv::ErrorKind::Io(error) => error,
+        other => io::Error::other(format!("{other:?}")),
     }
 }
 

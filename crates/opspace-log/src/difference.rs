@@ -1,10 +1,11 @@
-//! Comparison of the messages of two logs, channel by channel and in order.
+//! Comparison of two logs: of their messages, channel by channel and in order, and of their other parts.
 
 use crate::bytes::Bytes;
 use crate::error::{Corruption, LogError};
 use crate::fields::{Definition, Fields};
 use crate::header::TIME_ZERO_NS;
 use crate::log_file::LogFile;
+use crate::parts::{PartDifference, compare_parts};
 use crate::recording::scan;
 use crate::records::{Message, Record};
 use crate::walk::{Step, Walk};
@@ -17,7 +18,9 @@ use std::collections::BTreeMap;
 pub struct LogComparison {
     /// Comparison of each channel: those of the first log in their order, then those that only the second log has.
     pub channels: Vec<ChannelComparison>,
-    /// Damage of each log: messages after it are not compared.
+    /// Differences of attachments and metadata.
+    pub parts: Vec<PartDifference>,
+    /// Damage of each log: messages after it, and parts that it lost, are not compared.
     pub damage: [Option<Corruption>; 2],
 }
 
@@ -60,14 +63,20 @@ impl ChannelComparison {
 }
 
 impl LogComparison {
-    /// True if a channel differs other than that of wall-clock times.
+    /// True if a channel differs other than that of wall-clock times, or an attachment or metadata.
     #[must_use]
     pub fn differs(&self) -> bool {
-        self.channels.iter().any(|channel| channel.differs() && !channel.wall_clock)
+        !self.parts.is_empty() || self.channels.iter().any(|channel| channel.differs() && !channel.wall_clock)
+    }
+
+    /// True if a log is damaged: what could be compared says nothing about the rest.
+    #[must_use]
+    pub fn is_damaged(&self) -> bool {
+        self.damage.iter().any(Option::is_some)
     }
 }
 
-/// Compares every message of every channel of two logs. One unpacked chunk of each is in memory at a time.
+/// Compares every message of every channel of two logs, their attachments and their metadata. One unpacked chunk of each is in memory at a time.
 ///
 /// # Errors
 /// If a log can no longer be read, with its index: 0 or 1.
@@ -77,7 +86,8 @@ pub fn compare_logs(first: &LogFile, second: &LogFile) -> Result<LogComparison, 
     topics.extend(logs[1].topics.iter().filter(|topic| !logs[0].topics.contains(topic)));
     let channels = topics.into_iter().map(|topic| compare(topic, &logs)).collect();
     let [one, other] = logs;
-    Ok(LogComparison { channels, damage: [one.damage, other.damage] })
+    let parts = compare_parts([first.recording(), second.recording()]);
+    Ok(LogComparison { channels, parts, damage: [one.damage, other.damage] })
 }
 
 /// Log and the definitions of its channels.

@@ -54,7 +54,20 @@ impl<'a> LoggedInputs<'a> {
         capabilities: &Capabilities,
         targets: &Layout,
     ) -> Result<Self, LogError> {
-        let tick = recording.tick()?;
+        Self::of_segment(recording, &OutcomeRecord::of(recording), capabilities, targets)
+    }
+
+    /// Returns the logged inputs of a segment of a log with this outcome, which the whole log has.
+    ///
+    /// # Errors
+    /// As [`new`](Self::new).
+    pub fn of_segment(
+        segment: &'a Recording,
+        outcome: &OutcomeRecord,
+        capabilities: &Capabilities,
+        targets: &Layout,
+    ) -> Result<Self, LogError> {
+        let tick = segment.tick()?;
         let signal = |name: &str, length: usize| {
             let found = tick.signal(name).filter(|column| column.elements().len() == length);
             found.ok_or_else(|| LogError::NoSignal { name: name.to_owned() })
@@ -77,12 +90,11 @@ impl<'a> LoggedInputs<'a> {
                 .collect::<Result<_, _>>()?,
         };
         let signals = targets.signals.iter();
-        let device_fault = OutcomeRecord::of(recording).device_fault;
         Ok(Self {
             columns,
             targets: signals.map(|s| signal(&s.name, s.len())).collect::<Result<_, _>>()?,
             // A truncated log has no outcome, so its device fault is unknown.
-            device_fault: device_fault.unwrap_or_else(|| DeviceFault::new(0, "unknown")),
+            device_fault: outcome.device_fault.clone().unwrap_or_else(|| DeviceFault::new(0, "unknown")),
             next: 0,
             sample: Sample::new(capabilities),
             target_row: Vec::with_capacity(targets.width()),

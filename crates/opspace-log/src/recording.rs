@@ -16,7 +16,10 @@ use opspace_backend::{Layout, Signal};
 use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
 
-/// Largest ratio of the memory that all rows need to the size of the file. A number that is absent takes no byte in the
+/// Largest memory of all attachments, tables and definitions of a log together, bytes: a task with its recorded paths has some MiB.
+const MAX_PARTS_BYTES: u64 = 64 << 20;
+
+/// Largest ratio of the memory that all rows need to the size of their chunks. A number that is absent takes no byte in the
 /// file, and one that does not change takes few: logs of runs have ratios of 2 to 5, a log of a robot whose every number is
 /// constant, and most absent, some 50.
 const MAX_ROW_EXPANSION: u64 = 128;
@@ -239,8 +242,7 @@ pub(crate) fn scan(source: &dyn Bytes, accept: &mut Accept<'_>) -> Result<Scan, 
         return Err(LogError::NotMcap);
     }
     let Verified { problem, statistics, closed } = verify(source);
-    let max_row_bytes = MIN_ROW_BYTES.max(MAX_ROW_EXPANSION.saturating_mul(source.len()));
-    let mut reader = Reader { count_rows: problem.is_some(), max_row_bytes, ..Reader::default() };
+    let mut reader = Reader { count_rows: problem.is_some(), ..Reader::default() };
     let stop = reader.read(source, accept)?;
     let rows_lost = stop.is_some() || !reader.is_complete(statistics.as_ref());
     let part = reader.damaged_part.take();
@@ -270,6 +272,8 @@ struct Reader {
     /// Size of all rows so far, and the largest one that is accepted, bytes.
     row_bytes: u64,
     max_row_bytes: u64,
+    /// Size of all attachments, tables and definitions so far, bytes.
+    part_bytes: u64,
     /// First damage after which reading continues, with its byte offset.
     damaged_part: Option<(String, Option<usize>)>,
 }
@@ -288,6 +292,7 @@ impl Reader {
     fn read(&mut self, source: &dyn Bytes, accept: &mut Accept<'_>) -> Result<Option<Stop>, LogError> {
         let mut walk = Walk::new(source);
         loop {
+            self.max_row_bytes = MIN_ROW_BYTES.max(MAX_ROW_EXPANSION.saturating_mul(walk.packed_bytes()));
             let (record, at) = match walk.next() {
                 None => return Ok(None),
                 Some(Err(stop)) => return Ok(Some(stop)),
@@ -299,6 +304,13 @@ impl Reader {
                 }
                 Some(Ok(Step::Record(record, at))) => (record, at),
             };
+            self.part_bytes += self.new_part_bytes(&record);
+            if self.part_bytes > MAX_PARTS_BYTES {
+                let what = format!(
+                    "the attachments, tables and definitions need more than {MAX_PARTS_BYTES} bytes of memory"
+                );
+                return Ok(Some(Stop { what, at }));
+            }
             if let Err(what) = self.take(&record) {
                 return Ok(Some(Stop { what, at }));
             }
@@ -314,6 +326,27 @@ impl Reader {
                 statistics.messages.get(id).copied().unwrap_or(0) == self.tracks[place].rows.count
             })
         })
+    }
+
+    /// Memory that a record needs which is no row, bytes. A definition may be repeated, and needs it once.
+    fn new_part_bytes(&self, record: &Record<'_>) -> u64 {
+        /// Memory of an entry of a table beside its text, bytes.
+        const ENTRY: usize = 64;
+        let table = |entries: &BTreeMap<String, String>| {
+            entries.iter().map(|(key, value)| ENTRY + key.len() + value.len()).sum::<usize>()
+        };
+        let bytes = match record {
+            Record::Attachment(attachment) => attachment.data.len(),
+            Record::Metadata { name, entries } => ENTRY + name.len() + table(entries),
+            Record::Channel(channel) if !self.index.contains_key(&channel.id) => {
+                ENTRY + channel.topic.len() + table(&channel.metadata)
+            }
+            Record::Schema { id, name, data, .. } if !self.schemas.contains_key(id) => {
+                ENTRY + name.len() + <[u8]>::len(data)
+            }
+            _ => 0,
+        };
+        bytes as u64
     }
 
     fn take(&mut self, record: &Record<'_>) -> Result<(), String> {

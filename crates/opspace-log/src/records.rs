@@ -10,6 +10,15 @@ use std::collections::BTreeMap;
 /// Largest accepted chunk, bytes. Chunks of opspace have a quarter of a MiB, those of other tools some MiB.
 const CHUNK_MAX: u64 = 64 << 20;
 
+/// Largest record that is read, bytes: those of opspace have less than a MiB, attached paths some MiB.
+const LONGEST_RECORD: u64 = 64 << 20;
+
+/// Largest record of names and numbers that is read, bytes. In memory, each of its entries takes several times its bytes.
+const LONGEST_TABLE: u64 = 4 << 20;
+
+/// Part of a longer record that is read, bytes: it has the name of an attachment.
+const BEGINNING: u64 = 4 << 10;
+
 /// Size of opcode and length, bytes.
 pub(crate) const PREFIX_BYTES: usize = 9;
 
@@ -25,9 +34,25 @@ pub(crate) struct Records<'a> {
 /// Unparsed record of the file or of a chunk.
 pub(crate) struct Raw<'a> {
     pub opcode: u8,
+    /// Content; only its beginning if the record is too long.
     pub body: &'a [u8],
     /// Byte offset of its beginning.
     pub at: usize,
+    /// Number of bytes of the content in the file.
+    pub length: u64,
+}
+
+/// Largest length of a record's content that is read, bytes.
+fn longest(opcode: u8) -> u64 {
+    match opcode {
+        op::HEADER | op::METADATA | op::CHANNEL | op::STATISTICS | op::FOOTER | op::DATA_END => LONGEST_TABLE,
+        _ => LONGEST_RECORD,
+    }
+}
+
+/// Number of bytes of a record's content that are read.
+pub(crate) fn read_length(opcode: u8, length: u64) -> u64 {
+    if length > longest(opcode) { BEGINNING } else { length }
 }
 
 /// Parsed record.
@@ -104,12 +129,13 @@ fn first(rest: &[u8], at: usize) -> Option<Raw<'_>> {
     let mut fields = Fields(rest);
     let opcode = fields.take::<1>()?[0];
     let length = fields.u64()?;
-    Some(Raw { opcode, body: fields.bytes(length)?, at })
+    Some(Raw { opcode, body: fields.bytes(length)?, at, length })
 }
 
 impl<'a> Raw<'a> {
     /// Parses the content of the record.
     pub fn parse(&self) -> Result<Record<'a>, String> {
+        self.refuse_length()?;
         let broken = || format!("the record at byte {} is malformed", self.at);
         let record = self.fields().ok_or_else(broken)?;
         if self.opcode == op::ATTACHMENT {
@@ -117,6 +143,16 @@ impl<'a> Raw<'a> {
             checksum("an attachment", u32::from_le_bytes(*crc), checked)?;
         }
         Ok(record)
+    }
+
+    /// Fails if the record is longer than any that is read.
+    pub fn refuse_length(&self) -> Result<(), String> {
+        let Self { length, at, opcode, .. } = self;
+        let most = longest(*opcode);
+        if *length <= most {
+            return Ok(());
+        }
+        Err(format!("the record at byte {at} has {length} bytes; at most {most} are read"))
     }
 
     /// Names a part of the log that is not made of rows, for messages about its damage.

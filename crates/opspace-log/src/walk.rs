@@ -6,7 +6,7 @@ use crc32fast::Hasher;
 use mcap::MAGIC;
 use mcap::records::op;
 
-/// Largest ratio of the size of all chunks, unpacked, to that of the file: a log of a simulation without noise has
+/// Largest ratio of the size of all chunks, unpacked, to that in the file: a log of a simulation without noise has
 /// some 10.
 const MAX_EXPANSION: u64 = 100;
 
@@ -23,8 +23,9 @@ pub(crate) struct Walk<'a> {
     chunk_at: usize,
     /// Size of all chunks so far, unpacked.
     unpacked_bytes: u64,
-    /// Largest size of all chunks, unpacked.
-    max_unpacked_bytes: u64,
+    /// Size of all chunks and messages so far, as they are in the file. The size of the file itself proves nothing: a
+    /// hole in it takes no place on the disk.
+    packed_bytes: u64,
 }
 
 /// Record, or a damaged part on which the rows do not depend.
@@ -60,8 +61,13 @@ impl<'a> Walk<'a> {
             within: 0,
             chunk_at: 0,
             unpacked_bytes: 0,
-            max_unpacked_bytes: MIN_UNPACKED_BYTES.max(MAX_EXPANSION.saturating_mul(source.len())),
+            packed_bytes: 0,
         }
+    }
+
+    /// Size of all chunks and messages so far, as they are in the file, bytes.
+    pub fn packed_bytes(&self) -> u64 {
+        self.packed_bytes
     }
 
     /// Returns the next record; `None` at the end of the data. Use nothing after a [`Stop`].
@@ -76,7 +82,10 @@ impl<'a> Walk<'a> {
                 Ok(()) => {}
                 Err(what) => return Some(Err(Stop { what, at })),
             }
-            let opcode = self.outer.record().opcode;
+            let Raw { opcode, body, .. } = self.outer.record();
+            if matches!(opcode, op::CHUNK | op::MESSAGE) {
+                self.packed_bytes += body.len() as u64;
+            }
             match opcode {
                 op::DATA_END => {
                     self.ended = true;
@@ -108,8 +117,8 @@ impl<'a> Walk<'a> {
             return Ok(());
         };
         self.unpacked_bytes = self.unpacked_bytes.saturating_add(chunk.size());
-        if self.unpacked_bytes > self.max_unpacked_bytes {
-            let most = self.max_unpacked_bytes;
+        let most = MIN_UNPACKED_BYTES.max(MAX_EXPANSION.saturating_mul(self.packed_bytes));
+        if self.unpacked_bytes > most {
             return Err(format!(
                 "the chunks expand to more than {most} bytes, which no log of this size does"
             ));
@@ -151,10 +160,15 @@ pub(crate) fn verify(source: &dyn Bytes) -> Verified {
     hasher.update(MAGIC);
     while let Some(Ok(())) = records.advance() {
         let raw = records.record();
+        if let Err(what) = raw.refuse_length() {
+            // Without its bytes no checksum can be verified.
+            verified.problem.get_or_insert((what, Some(raw.at)));
+        }
         match (raw.opcode, raw.parse(), summary_at) {
             (op::DATA_END, Ok(Record::DataEnd { crc }), None) => {
-                let problem = compare_checksums("the data", crc, hasher.finalize()).err();
-                verified.problem = problem.map(|what| (what, None));
+                if let Err(what) = compare_checksums("the data", crc, hasher.finalize()) {
+                    verified.problem.get_or_insert((what, None));
+                }
                 summary_at = Some(records.at() as usize);
                 hasher = Hasher::new();
                 continue;

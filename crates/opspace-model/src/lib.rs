@@ -64,6 +64,7 @@ pub mod crba;
 pub mod data;
 pub mod derivatives;
 pub mod energy;
+pub mod files;
 pub mod jacobian;
 pub mod kinematics;
 pub mod model;

@@ -5,6 +5,7 @@
 
 #![expect(unsafe_code, reason = "MuJoCo is a C library")]
 
+use opspace_model::files::open_file;
 use std::cell::Cell;
 use std::error::Error;
 use std::ffi::{CStr, CString, OsStr, c_char, c_int, c_uint, c_void};
@@ -117,8 +118,10 @@ impl Functions {
 impl Library {
     /// Opens the library in this file. The error describes what is wrong with it.
     pub fn open(path: &Path) -> Result<Arc<Self>, String> {
+        // A name alone would be looked for in the folders of the system's loader, one of which may be the working folder.
+        let path = open_file(path).and_then(|_| path.canonicalize()).map_err(|error| error.to_string())?;
         // SAFETY: opening MuJoCo only initialises its constants and its list of plugins.
-        let library = unsafe { libloading::Library::new(path) }.map_err(|error| reason(&error))?;
+        let library = unsafe { libloading::Library::new(&path) }.map_err(|error| reason(&error))?;
         let functions = Functions::of(&library)?;
         // SAFETY: the function returns a constant text.
         let version = unsafe { CStr::from_ptr((functions.version)()) }.to_string_lossy().into_owned();
@@ -129,7 +132,6 @@ impl Library {
         let handler: *mut Option<unsafe extern "C" fn(*const c_char)> = symbol(&library, "mju_user_warning")?;
         // SAFETY: the symbol is a variable with a pointer to a function, which is set once and always to the same value.
         unsafe { handler.write(Some(note_warning)) };
-        let path = path.to_owned();
         let reading = Mutex::new(());
         let mut opened = Self { functions, version, path, applied: 0, reading, _library: library };
         opened.applied = find_applied(&opened)?;

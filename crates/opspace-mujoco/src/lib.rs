@@ -28,10 +28,14 @@ use crate::ffi::{Instance, Library};
 use crate::mjcf::ModelSettings;
 use crate::plant::MujocoPlant;
 use nalgebra::{DMatrix, DVector};
+use opspace_model::files::read_file;
 use opspace_sim::{PhysicsEngine, Plant, PlantArm, PlantConfig, PlantError, Scene};
-use std::fs;
+use std::io;
 use std::path::Path;
 use std::sync::Arc;
+
+/// Largest size of the file of a scene, bytes: its meshes are files of their own.
+const MAX_SCENE_BYTES: u64 = 16 << 20;
 
 /// MuJoCo, with or without a scene.
 #[derive(Clone, Debug)]
@@ -57,13 +61,14 @@ impl Mujoco {
     /// As [`find`](Self::find).
     pub fn open(library: &Path, scene: Option<&Path>) -> Result<Self, MujocoError> {
         let error = |reason| MujocoError::Library { path: library.to_owned(), reason };
-        let library = Library::open(library).map_err(error)?;
         let read = |path: &Path| {
-            let text = fs::read_to_string(path)
+            let text = read_file(path, MAX_SCENE_BYTES)
+                .and_then(|bytes| String::from_utf8(bytes).map_err(io::Error::other))
                 .map_err(|source| MujocoError::Scene { path: path.to_owned(), source })?;
             Ok(Scene { path: path.to_owned(), text })
         };
-        Ok(Self { library, scene: scene.map(read).transpose()? })
+        let scene = scene.map(read).transpose()?;
+        Ok(Self { library: Library::open(library).map_err(error)?, scene })
     }
 
     /// Moves an arm from rest at its start under constant joint torques (n; Nm, N) by steps of `step_s` (s) of MuJoCo's own

@@ -12,7 +12,7 @@ use crate::sweep::{Sweep, log_names, print_start};
 use opspace_experiment::Progress;
 use opspace_experiment::evaluate::baseline::RunKey;
 use opspace_experiment::files::origin::PAPER_SUITE;
-use opspace_experiment::run::result_files::{REPORT, ResultFolder};
+use opspace_experiment::run::result_files::{REPORT, ResultFolder, remove_leftovers};
 use opspace_experiment::suites::shard::Shard;
 use opspace_experiment::suites::suite_rows::{SUITE_ROWS, SuiteHeader, SuiteRows};
 use opspace_experiment::{Extensions, Files, RunError, RunSummary, Scenario, Suite};
@@ -87,6 +87,7 @@ fn execute(
 
     let watch = interrupt::watch();
     let locked = lock(&folder, shard.is_some(), &watch, console)?;
+    remove_leftovers(&locked);
     let (locked, mut rows) = match continued(&locked, &header, &logs, args.results.output.force) {
         Some(rows) => (locked, rows),
         None => {

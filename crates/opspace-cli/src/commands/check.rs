@@ -80,6 +80,8 @@ struct Checked {
     reserves: Vec<Reserve>,
     /// Nearly singular postures of each task.
     singular: Vec<SingularPostures>,
+    /// Estimate of the size of the log, if it is large.
+    large_log: Option<String>,
     /// Durations of the paths that tasks follow.
     paths: Vec<PathDuration>,
     /// Pairs of links and obstacles that the controller keeps apart.
@@ -125,6 +127,7 @@ impl Checked {
             reserves: reserves(experiment),
             singular: singular_postures(experiment),
             paths: path_durations(experiment),
+            large_log: large_log(experiment),
             distances: experiment.kept_distances().cloned(),
             warnings: capsule_warnings_of(experiment.robot()).collect(),
             found: self.found.into_iter().chain(more).collect(),
@@ -150,6 +153,7 @@ impl Checked {
         text.extend(self.reserves.iter().map(line));
         text.extend(self.singular.iter().map(line));
         text.extend(self.paths.iter().map(line));
+        text.extend(self.large_log.iter().map(line));
         text.extend(self.distances.iter().map(|distances| pairs_text(distances, console.verbose)));
         text.extend(self.allowed.iter().map(|refusal| line(&format!("allowed: {refusal}"))));
         if self.is_task && !self.has_problems() && self.allowed.is_empty() {
@@ -160,6 +164,22 @@ impl Checked {
         text.extend(self.skipped.iter().map(|skipped| line(&format!("not checked: {}", skipped.place))));
         text
     }
+}
+
+/// Size of a log from which on it is stated before the run, bytes: it is more than many disks have left.
+const LARGE_LOG_BYTES: f64 = 10e9;
+
+/// Sentence about the size of the log of a long run.
+pub fn large_log(experiment: &Experiment) -> Option<String> {
+    let bytes = experiment.log_bytes();
+    let text = || {
+        format!(
+            "the log of {} s will have about {:.0} GB (half a MB per second)",
+            experiment.duration_s(),
+            bytes / 1e9
+        )
+    };
+    (bytes > LARGE_LOG_BYTES).then(text)
 }
 
 /// Formats a line about a file.
@@ -312,6 +332,7 @@ fn check_one(
         no_settings()?;
         let robot = RobotDefinition::load(Files::Disk, path, &[])?;
         check_robot(extensions, &robot)?;
+        Experiment::check_simulated(&robot)?;
         let mut warnings = model_warnings_of(robot.urdf.name(), &robot.warnings, &robot.model);
         warnings.extend(capsule_warnings_of(&robot));
         let values = values_text(&robot);

@@ -13,7 +13,8 @@ use opspace_experiment::run::result_files::REPORT;
 use opspace_experiment::{Files, RobotDefinition, Source};
 use opspace_identify::ExcitationPlan;
 use opspace_identify::session::AbortReason;
-use std::fs;
+use opspace_model::files::open_file;
+use std::io;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -74,7 +75,7 @@ pub fn identify(args: &IdentifyArgs, console: Console) -> Outcome {
 /// Refuses a folder with another file under the name of the copy of the URDF.
 fn refuse_other_urdf(folder: &Path, urdf: &Source) -> Result<(), Failure> {
     let copy = folder.join(Path::new(urdf.name()).file_name().unwrap_or_default());
-    if fs::read(&copy).is_ok_and(|bytes| bytes != urdf.text().as_bytes()) {
+    if open_file(&copy).and_then(io::read_to_string).is_ok_and(|text| text != urdf.text()) {
         let text = format!("{}: already exists and differs from {}", copy.display(), urdf.name());
         return Err(Failure::Other(text + "; choose another folder with --out", Exit::Bad));
     }

@@ -10,8 +10,8 @@ use opspace_experiment::evaluate::table::{Cell, Table};
 use opspace_experiment::run::log_header::RUN;
 use opspace_experiment::run::result_files::write_file_with;
 use opspace_log::{
-    ChannelComparison, Column, CsvWriter, LOG, LogComparison, LogError, LogFile, OutcomeRecord, RECOVERED,
-    Recording, Recovery, compare_logs, recover as recover_log,
+    ChannelComparison, Column, CsvWriter, LOG, LogComparison, LogError, LogFile, OutcomeRecord,
+    PartDifference, RECOVERED, Recording, Recovery, compare_logs, recover as recover_log,
 };
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
@@ -299,10 +299,7 @@ fn export(args: &LogExportArgs, console: Console) -> Outcome {
             .map_err(|error| Failure::io("cannot be written", out, &error))?,
         None => {
             let mut stdout = BufWriter::new(io::stdout().lock());
-            export(&mut stdout).map_err(|error| match error.kind() {
-                io::ErrorKind::BrokenPipe => Failure::ClosedPipe,
-                _ => Failure::Other(format!("cannot write to standard output: {error}"), Exit::Failed),
-            })?;
+            export(&mut stdout).map_err(|error| Failure::stdout(&error))?;
         }
     }
     if let Some(damage) = &recording.damage {
@@ -334,8 +331,8 @@ fn diff(args: &LogDiffArgs) -> Outcome {
     let paths = [first.as_path(), second.as_path()];
     let comparison = compare_logs(&a, &b).map_err(|(which, error)| unreadable(paths[which], &error))?;
     args.json.print(|| pretty(&diff_json(paths, &comparison)), || diff_text(paths, &comparison))?;
-    let damaged = comparison.damage.iter().flatten().any(|damage| damage.rows_lost);
-    Ok(match (comparison.differs(), damaged) {
+    let lost = comparison.is_damaged() || [&a, &b].iter().any(|log| log.recording().dropped() > 0);
+    Ok(match (comparison.differs(), lost) {
         (true, _) => Exit::Failed,
         (false, true) => Exit::DataLost,
         (false, false) => Exit::Done,
@@ -352,9 +349,20 @@ fn diff_text(paths: [&Path; 2], comparison: &LogComparison) -> String {
     for channel in &comparison.channels {
         text += &channel_text(channel);
     }
-    text += match comparison.differs() {
-        true => "the logs differ\n",
-        false => "the logs are equal, except for wall-clock times\n",
+    for PartDifference { part, place, values, .. } in &comparison.parts {
+        text += &match (place, values) {
+            (None, [Some(_), _]) => format!("{part}: only the first log has it\n"),
+            (None, _) => format!("{part}: only the second log has it\n"),
+            (Some(place), values) => {
+                let [a, b] = values.each_ref().map(|value| value.as_deref().unwrap_or("absent"));
+                format!("{part}: {place} is {a} and {b}\n")
+            }
+        };
+    }
+    text += match (comparison.differs(), comparison.is_damaged()) {
+        (true, _) => "the logs differ\n",
+        (false, true) => "what is readable of both logs does not differ; the rest could not be compared\n",
+        (false, false) => "the logs are equal, except for wall-clock times\n",
     };
     text
 }
@@ -403,11 +411,14 @@ fn diff_json(paths: [&Path; 2], comparison: &LogComparison) -> Value {
             })),
         })
     };
+    let part =
+        |part: &PartDifference| json!({ "part": part.part, "place": part.place, "values": part.values });
     json!({
         "schema": "opspace.log-diff/1",
         "logs": paths,
         "differs": comparison.differs(),
         "damage": comparison.damage.each_ref().map(|damage| damage.as_ref().map(ToString::to_string)),
         "channels": comparison.channels.iter().map(channel).collect::<Vec<_>>(),
+        "parts": comparison.parts.iter().map(part).collect::<Vec<_>>(),
     })
 }

@@ -9,6 +9,7 @@ use opspace_experiment::run::result_files::{REPORT, replace_file};
 use opspace_experiment::suites::shard::Shard;
 use opspace_experiment::suites::suite_rows::{SUITE_ROWS, SuiteHeader, SuiteRow, SuiteRows};
 use opspace_experiment::{Extensions, RunSummary};
+use opspace_model::files::open_file;
 use std::collections::BTreeMap;
 use std::fs;
 use std::io;
@@ -40,7 +41,7 @@ pub fn merge(args: &MergeArgs, extensions: &Extensions, console: Console) -> Out
     let folder = locked.path().to_owned();
     let mut lost = Vec::new();
     for (name, path) in &logs {
-        match fs::File::open(path) {
+        match open_file(path) {
             Ok(mut log) => {
                 let to = folder.join(name);
                 replace_file(&to, |file| io::copy(&mut log, file).map(|_| ()))

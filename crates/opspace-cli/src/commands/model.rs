@@ -11,11 +11,11 @@ use opspace_experiment::evaluate::table::{Cell, Table};
 use opspace_experiment::files::collision::{capsule_warning_texts, capsules_as_toml, generated_capsules};
 use opspace_experiment::files::robot::load_urdf;
 use opspace_experiment::{Files, RobotDefinition, Source};
+use opspace_model::files::open_file;
 use opspace_model::{
     Body, Frame, JointKind, Model, ParsedUrdf, UrdfOptions, UrdfWarning, model_warnings, principal_moments,
 };
 use serde_json::{Value, json};
-use std::fs::File;
 use std::io::{self, BufRead, BufReader, Read};
 use std::path::Path;
 
@@ -354,7 +354,7 @@ fn evaluate_samples(model: &Model, tip: &str, samples: &Path, out: Option<&Path>
     let mut reader: Box<dyn BufRead> = if samples == Path::new("-") {
         Box::new(io::stdin().lock())
     } else {
-        let file = File::open(samples).map_err(|e| Failure::io("cannot be read", samples, &e))?;
+        let file = open_file(samples).map_err(|e| Failure::io("cannot be read", samples, &e))?;
         Box::new(BufReader::new(file))
     };
     if let Some(out) = out {

@@ -10,7 +10,9 @@ use opspace_experiment::files::mount::MountFile;
 use opspace_experiment::setup::arm_template::ArmTemplate;
 use opspace_experiment::setup::new_robot::{DriveValues, KnownMasses, NewFiles, Part, new_files};
 use opspace_experiment::{Extensions, Source};
+use opspace_model::files::open_file;
 use std::fs;
+use std::io;
 use std::path::Path;
 
 pub fn new(args: &NewArgs, extensions: &Extensions, console: Console) -> Outcome {
@@ -75,7 +77,7 @@ fn create(
     }
     fs::create_dir_all(dir).map_err(|e| Failure::io("cannot be created", dir, &e))?;
     let copy = dir.join(&urdf);
-    match fs::read_to_string(&copy) {
+    match open_file(&copy).and_then(io::read_to_string) {
         // The copy already exists, or is the same file.
         Ok(text) if text == source.text() => {}
         Ok(_) => {

@@ -3,14 +3,14 @@
 use crate::cli::ReplayArgs;
 use crate::commands::run_on_log::{Changes, experiment_on_log, record_on_log, say_files};
 use crate::console::{Console, Exit, Failure, Outcome};
-use crate::output::{Format, log_path, logs_of_experiment, pretty, read_log, write_named};
+use crate::output::{Format, log_path, logs_of_experiment, open_log, pretty, read_log, write_named};
 use crate::outputs::check_outputs;
 use opspace_backend::signal_names::TICK_CHANNEL;
 use opspace_experiment::report::html::Page;
 use opspace_experiment::report::what_if::torque_difference;
-use opspace_experiment::run::replay::{ReplayReport, compare_run_on_log, replay as recompute};
+use opspace_experiment::run::replay::{ReplayReport, compare_run_on_log, replay_log};
 use opspace_experiment::{Experiment, Extensions, RunError, Summary};
-use opspace_log::Recording;
+use opspace_log::{Difference, Recording};
 use serde_json::{Map, Value, json};
 use std::path::Path;
 
@@ -44,17 +44,18 @@ pub fn replay(args: &ReplayArgs, extensions: &Extensions, console: Console) -> O
     }
     let (mut text, mut replays, mut exit) = (String::new(), Map::new(), Exit::Done);
     for log in &logs {
-        let (log, recording) = read_log(log)?;
+        let (log, file) = open_log(log)?;
+        let recording = file.recording();
         let bad = |error: RunError| Failure::Other(format!("{}: {error}", log.display()), Exit::Bad);
         if let Some(damage) = &recording.damage {
             console.note(&format!("{}: damaged: {damage}", log.display()));
         }
-        let experiment = Experiment::of_log_with(extensions, &recording).map_err(bad)?;
-        let replayed = recompute(&experiment, &recording).map_err(bad)?;
+        let experiment = Experiment::of_log_with(extensions, recording).map_err(bad)?;
+        let replayed = replay_log(&experiment, &file).map_err(bad)?;
         text += &verdict(&log, &replayed);
         let robot = experiment.membership().map_or_else(String::new, |membership| membership.robot.clone());
-        replays.insert(robot, as_json(&log, &experiment, &recording, &replayed, false));
-        exit = match (exit, exit_code(&recording, &replayed)) {
+        replays.insert(robot, as_json(&log, &experiment, recording, &replayed, false));
+        exit = match (exit, exit_code(recording, &replayed)) {
             (Exit::Failed, _) | (_, Exit::Failed) => Exit::Failed,
             (Exit::Done, of_robot) => of_robot,
             (before, _) => before,
@@ -148,14 +149,32 @@ fn end(experiment: &Experiment, replayed: &ReplayReport) -> String {
     format!("It ends after {compared} of {logged} ticks: {reason}.")
 }
 
+/// Relative difference up to which numbers differ in their last bits.
+const LAST_BITS: f64 = 1e-13;
+
+/// Cause of a difference in the last bits, beside a change of the program.
+const OTHER_MACHINE: &str = "  The first difference is one of the last bits: another processor or C library computes them \
+                             differently (docs/logs.md).\n";
+
+fn differs_in_last_bits(difference: &Difference) -> bool {
+    let Difference { logged, recomputed, .. } = difference;
+    (logged - recomputed).abs() <= LAST_BITS * logged.abs().max(recomputed.abs())
+}
+
 /// Describes the result of a replay: equality of all bits, or the first difference.
 fn verdict(log: &Path, replayed: &ReplayReport) -> String {
     let (log, ReplayReport { compared, logged, differing, .. }) = (log.display(), replayed);
     match &replayed.first_difference {
         Some(d) => format!(
             "{log}: differs in {differing} of {compared} ticks, first at tick {} ({:.6} s): \
-             {} of '{}' was {:?}, is {:?}\n",
-            d.tick, d.time_s, d.signal, d.element, d.logged, d.recomputed,
+             {} of '{}' was {:?}, is {:?}\n{}",
+            d.tick,
+            d.time_s,
+            d.signal,
+            d.element,
+            d.logged,
+            d.recomputed,
+            if differs_in_last_bits(d) { OTHER_MACHINE } else { "" },
         ),
         None if !replayed.unmatched.is_empty() => format!(
             "{log}: the signals differ: only the log or only the replay has {}\n",

@@ -1,6 +1,7 @@
 //! `opspace run`: executes a task on one robot, or an experiment with several.
 
 use crate::cli::{BackendChoice, RunArgs};
+use crate::commands::check::large_log;
 use crate::commands::run_on_log::{run_on_log, say_fault, say_written};
 use crate::console::{Console, Exit, Failure, Outcome, render, results as table};
 use crate::interrupt;
@@ -51,6 +52,7 @@ pub fn run(args: &RunArgs, extensions: &Extensions, console: Console) -> Outcome
     let results = prepare(&args.output, &default, &file_names(&scenario), &scenario.input_paths(), console)?;
     let folder = results.path();
     let progress = interrupt::watch();
+    scenario.experiments().filter_map(large_log).for_each(|text| console.note(&text));
     console.note(&start_text(&scenario)?);
     if let Some(experiment) = scenario.single().filter(|_| args.move_to_start)
         && let Some(exit) = move_to_start(experiment, args, extensions, (folder, &progress), console)?

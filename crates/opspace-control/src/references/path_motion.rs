@@ -12,6 +12,8 @@ use crate::references::timing_law::{PathLimits, TimingLaw};
 use nalgebra::{Matrix3, Vector3};
 use opspace_backend::quantity::Positive;
 use opspace_model::Placement;
+use std::collections::VecDeque;
+use std::sync::{Arc, Mutex, PoisonError};
 
 /// Length, duration and largest values of a path, without the approach of a path in world coordinates.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -28,6 +30,9 @@ pub struct PathSummary {
     pub angular_speed_rad_per_s: f64,
 }
 
+/// Number of paths that are kept, so that the controllers of a run and of its checks compute them once.
+const KEPT_PATHS: usize = 8;
+
 /// Longest duration of a path, s.
 const MAX_DURATION_S: f64 = 1e6;
 
@@ -41,9 +46,9 @@ impl PathReference {
     /// A path that is not valid, with the key in the reference.
     pub fn summary(&self) -> Result<PathSummary, ControlError> {
         let motion = PathMotion::new(self, "path")?;
-        let duration_s = motion.law.duration_s();
+        let duration_s = motion.path.law.duration_s();
         let mut summary = PathSummary {
-            length_m: motion.shape.length_m(),
+            length_m: motion.path.shape.length_m(),
             duration_s,
             speed_m_per_s: 0.0,
             acceleration_m_per_s2: 0.0,
@@ -70,27 +75,29 @@ struct Approach {
     turn: Vector3<f64>,
 }
 
-/// Motion along a path. All of it is computed before the run, except its displacement to the start pose.
-#[derive(Clone, Debug)]
-pub(crate) struct PathMotion {
+/// Geometry and timing law of a path.
+#[derive(Debug)]
+struct TimedPath {
     shape: PathShape,
     law: TimingLaw,
-    /// True if the path begins at the start pose.
-    relative: bool,
-    /// True if the path has orientations in world coordinates.
-    oriented: bool,
-    /// Highest speed, acceleration and jerk, and highest angular speed and acceleration.
-    limits: [f64; 5],
-    approach: Approach,
-    /// Factor by which the approach lasts longer than its own limits require.
-    approach_factor: f64,
-    /// Rigid displacement of the path: see [`laid`].
-    displacement: (Matrix3<f64>, Vector3<f64>, Matrix3<f64>),
 }
 
-impl PathMotion {
-    /// Creates the motion; `key` is the path of the reference in the file.
-    pub(crate) fn new(path: &PathReference, key: &str) -> Result<Self, ControlError> {
+impl TimedPath {
+    /// Returns the path of a reference, which is computed unless it is one of the last ones.
+    fn of(path: &PathReference, key: &str) -> Result<Arc<Self>, ControlError> {
+        static RECENT: Mutex<VecDeque<(PathReference, Arc<TimedPath>)>> = Mutex::new(VecDeque::new());
+        let recent = || RECENT.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some((_, known)) = recent().iter().find(|(reference, _)| reference == path) {
+            return Ok(Arc::clone(known));
+        }
+        let timed = Arc::new(Self::compute(path, key)?);
+        let mut recent = recent();
+        recent.push_front((path.clone(), Arc::clone(&timed)));
+        recent.truncate(KEPT_PATHS);
+        Ok(timed)
+    }
+
+    fn compute(path: &PathReference, key: &str) -> Result<Self, ControlError> {
         let shape = PathShape::new(path, key)?;
         let limits =
             PathLimits { acceleration: path.acceleration_m_per_s2.get(), jerk: path.jerk_m_per_s3.get() };
@@ -109,18 +116,42 @@ impl PathMotion {
             );
             return Err(ControlError::value(key, message));
         }
+        Ok(Self { shape, law })
+    }
+}
+
+/// Motion along a path. All of it is computed before the run, except its displacement to the start pose.
+#[derive(Clone, Debug)]
+pub(crate) struct PathMotion {
+    path: Arc<TimedPath>,
+    /// True if the path begins at the start pose.
+    relative: bool,
+    /// True if the path has orientations in world coordinates.
+    oriented: bool,
+    /// Highest speed, acceleration and jerk, and highest angular speed and acceleration.
+    limits: [f64; 5],
+    approach: Approach,
+    /// Factor by which the approach lasts longer than its own limits require.
+    approach_factor: f64,
+    /// Rigid displacement of the path: see [`laid`].
+    displacement: (Matrix3<f64>, Vector3<f64>, Matrix3<f64>),
+}
+
+impl PathMotion {
+    /// Creates the motion; `key` is the path of the reference in the file.
+    pub(crate) fn new(path: &PathReference, key: &str) -> Result<Self, ControlError> {
+        let timed = TimedPath::of(path, key)?;
         let angular = |limit: Option<Positive>| limit.map_or(f64::INFINITY, Positive::get);
         let still = Vector3::zeros();
         let approach = Approach { duration_s: 0.0, from: Placement::identity(), line: still, turn: still };
         Ok(Self {
-            shape,
-            law,
+            path: timed,
             relative: path.start.is_none(),
             oriented: path.start.is_some_and(|start| start.absolute_rpy_rad.is_some()),
             limits: [
                 path.speed_m_per_s.get(),
-                limits.acceleration,
-                limits.jerk,
+                path.acceleration_m_per_s2.get(),
+                path.jerk_m_per_s3.get(),
                 angular(path.angular_speed_rad_per_s),
                 angular(path.angular_acceleration_rad_per_s2),
             ],
@@ -174,13 +205,18 @@ impl PathMotion {
         if time_s < self.approach.duration_s {
             return PathPlace::Approach;
         }
-        let [s_m, speed_m_per_s, acceleration_m_per_s2] = self.law.at(time_s - self.approach.duration_s);
-        PathPlace::Along { s_m, speed_m_per_s, acceleration_m_per_s2, section: self.shape.section_at(s_m) }
+        let [s_m, speed_m_per_s, acceleration_m_per_s2] = self.path.law.at(time_s - self.approach.duration_s);
+        PathPlace::Along {
+            s_m,
+            speed_m_per_s,
+            acceleration_m_per_s2,
+            section: self.path.shape.section_at(s_m),
+        }
     }
 
     /// Target at `time_s` (s) after the beginning of the path.
     fn along(&self, time_s: f64) -> Target {
         let (turn, shift, own) = &self.displacement;
-        laid(&self.shape.at(self.law.at(time_s)), turn, shift, own)
+        laid(&self.path.shape.at(self.path.law.at(time_s)), turn, shift, own)
     }
 }

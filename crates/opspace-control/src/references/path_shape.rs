@@ -17,6 +17,9 @@ use std::f64::consts::TAU;
 /// Largest number of segments, with repetitions.
 const MAX_SEGMENTS: usize = 10_000;
 
+/// Largest number of points of splines, with repetitions: the motion through as many is computed within some seconds.
+const MAX_POINTS: usize = 2000;
+
 /// Cosine of the angle between the directions before and after a corner, below which the path turns back.
 const TURNS_BACK: f64 = -0.95;
 
@@ -74,6 +77,14 @@ impl PathShape {
         if count == 0 || count > MAX_SEGMENTS {
             let message =
                 format!("expected 1 to {MAX_SEGMENTS} segments with their repetitions, got {count}");
+            return Err(ControlError::value(&format!("{key}.segments"), message));
+        }
+        let points: usize = path.segments.iter().map(points_of).sum::<usize>() * path.repeat.get() as usize;
+        if points > MAX_POINTS {
+            let message = format!(
+                "{points} points of splines with their repetitions; at most {MAX_POINTS} are accepted: leave out points \
+                 between which the path hardly bends, or use `reference.recorded` for a recorded motion"
+            );
             return Err(ControlError::value(&format!("{key}.segments"), message));
         }
         let key_of = |number: usize| format!("{key}.segments.{}", number % given);
@@ -270,6 +281,14 @@ impl Piece {
     /// Position and its first two derivatives at the beginning and at the end of the part.
     fn ends(&self) -> [[Vector3<f64>; 3]; 2] {
         [0.0, self.length_m].map(|s| self.curve.at(self.from_m + s))
+    }
+}
+
+/// Number of points of a segment if it is a spline.
+fn points_of(segment: &PathSegment) -> usize {
+    match segment {
+        PathSegment::Spline(spline) => spline.through_m.len(),
+        _ => 0,
     }
 }
 

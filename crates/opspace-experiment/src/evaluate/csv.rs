@@ -48,14 +48,27 @@ fn table(summaries: &[RunSummary], first: &[&str], parts: &[fn(&Value, Add<'_>)]
         }
     }
     let mut writer = csv::Writer::from_writer(Vec::new());
-    let mut lines = vec![columns.iter().map(String::as_str).collect::<Vec<&str>>()];
-    lines.extend(
-        rows.iter()
-            .map(|row| (0..columns.len()).map(|place| row.get(&place).map_or("", String::as_str)).collect()),
-    );
+    let mut lines = vec![columns.iter().map(|name| harmless(name)).collect::<Vec<_>>()];
+    lines.extend(rows.iter().map(|row| {
+        let text = |place| row.get(&place).map_or("", String::as_str);
+        (0..columns.len()).map(|place| harmless(text(place))).collect()
+    }));
     // Writing to memory cannot fail, and every line has as many cells as there are columns.
     lines.iter().for_each(|line| drop(writer.write_record(line)));
     writer.into_inner().ok().and_then(|bytes| String::from_utf8(bytes).ok()).unwrap_or_default()
+}
+
+/// Text of a cell that no spreadsheet takes for a formula and no terminal for a command: a quote precedes what begins like
+/// a formula, and control characters are escaped. Numbers stay as they are.
+fn harmless(text: &str) -> String {
+    if text.parse::<f64>().is_ok() {
+        return text.to_owned();
+    }
+    let mut shown = if text.starts_with(['=', '+', '-', '@']) { "'".to_owned() } else { String::new() };
+    for c in text.chars() {
+        if c.is_control() { shown.extend(c.escape_unicode()) } else { shown.push(c) }
+    }
+    shown
 }
 
 /// Receiver of a column's name and the cell in it.
@@ -148,5 +161,28 @@ fn cell(value: &Value) -> String {
         Value::String(text) => text.clone(),
         Value::Array(list) => list.iter().map(cell).collect::<Vec<_>>().join("; "),
         other => other.to_string(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::harmless;
+
+    #[test]
+    fn cells_are_no_formulas_and_no_commands() {
+        for (text, shown) in [
+            ("=1+1", "'=1+1"),
+            ("+x", "'+x"),
+            ("-a", "'-a"),
+            ("@SUM(A1)", "'@SUM(A1)"),
+            ("a\u{1b}[31m", "a\\u{1b}[31m"),
+            ("\t=1", "\\u{9}=1"),
+            ("-0.5", "-0.5"),
+            ("+1e3", "+1e3"),
+            ("emulation", "emulation"),
+            ("", ""),
+        ] {
+            assert_eq!(harmless(text), shown);
+        }
     }
 }

@@ -4,6 +4,7 @@ use std::ops::Range;
 
 use toml::de::{DeTable, DeValue};
 
+use crate::files::numbers::with_digits;
 use crate::files::renamed::present_name;
 use crate::files::toml_path::{Part, dotted, keys_at, value_at};
 use crate::suggest::{self, nearest, same_but_unit, unit_of, units_differ};
@@ -162,8 +163,18 @@ fn leading_number(text: &str) -> Option<(&str, &str)> {
     Some((&text[..end], text[end..].trim()))
 }
 
+/// Number without a digit before or after its point in the line of a place, and its form in TOML.
+fn number_in_line(text: &str, at: usize) -> Option<[String; 2]> {
+    let begin = text.get(..at)?.rfind('\n').map_or(0, |newline| newline + 1);
+    with_digits(text[begin..].lines().next()?).map(|(_, forms)| forms)
+}
+
 pub(crate) fn syntax_words(raw: &str, text: &str, span: &Range<usize>) -> (String, Option<String>) {
     let at = text.get(span.clone()).unwrap_or("").trim();
+    if let Some([found, form]) = number_in_line(text, span.start) {
+        let message = format!("`{found}` is not a TOML number: it needs a digit on both sides of the point");
+        return (message, Some(format!("write `{form}`")));
+    }
     if raw.starts_with("string values must be quoted") || raw.starts_with("invalid boolean") {
         return match leading_number(at) {
             _ if at.is_empty() => ("a value is missing after `=`".to_owned(), None),

@@ -8,6 +8,7 @@ use std::ops::Range;
 
 use toml_edit::{Array, ArrayOfTables, DocumentMut, InlineTable, Item, Key, TableLike, Value};
 
+use crate::files::numbers::with_digits;
 use crate::files::source::{FileError, Setting, Source, check_syntax};
 use crate::files::toml_path::{Part, dotted};
 use crate::suggest::nearest;
@@ -111,9 +112,14 @@ fn value_of(text: &str) -> Result<Value, OverrideError> {
     if let Ok(value) = text.parse::<Value>() {
         return Ok(value);
     }
-    // `.7` and `1.` are not TOML, but their meaning is clear.
+    // `+.5e400` and `1e400` are too large for TOML: the reader says so.
     if let Ok(number) = text.parse::<f64>() {
         return Ok(number.into());
+    }
+    // `.7` and `1.` are not TOML, but their meaning is clear, also in an array.
+    let corrected = with_digits(text).and_then(|(corrected, _)| corrected.parse::<Value>().ok());
+    if let Some(value) = corrected {
+        return Ok(value);
     }
     let starts = text.starts_with(|c: char| c.is_alphabetic() || "_/~".contains(c));
     if (starts || text.starts_with("./") || text.starts_with("../"))
@@ -121,33 +127,8 @@ fn value_of(text: &str) -> Result<Value, OverrideError> {
     {
         return Ok(text.into());
     }
-    if let Some(corrected) = with_leading_digits(text).filter(|corrected| corrected.parse::<Value>().is_ok())
-    {
-        let message = format!("`{text}` has a number without a digit before the point");
-        return Err((message, Some(format!("write `{corrected}`"))));
-    }
     let help = "write a number without a unit (the unit is part of the key's name), or text in quotes";
     Err((format!("`{text}` is neither a TOML value nor a single word"), Some(help.to_owned())))
-}
-
-/// Adds a zero before each point that begins a number, outside of quotes; `None` if there is none.
-fn with_leading_digits(text: &str) -> Option<String> {
-    let mut corrected = String::new();
-    let (mut quote, mut last) = (None, ' ');
-    for (at, c) in text.char_indices() {
-        let is_digit_next = c == '.' && text[at + 1..].starts_with(|next: char| next.is_ascii_digit());
-        match (quote, c) {
-            (None, '"' | '\'') => quote = Some(c),
-            (Some(open), _) if open == c && last != '\\' => quote = None,
-            (None, '.') if is_digit_next && (last.is_whitespace() || "[{,=+-".contains(last)) => {
-                corrected.push('0');
-            }
-            _ => {}
-        }
-        corrected.push(c);
-        last = c;
-    }
-    (corrected != text).then_some(corrected)
 }
 
 /// Node of a document, by the way in which a key path continues below it.
@@ -250,10 +231,71 @@ fn tags_left_out(table: &dyn TableLike, key: &str, last: bool, path: &[String]) 
         }
     }
     // The key does not exist. If it is the last one of the setting, the value is added to this table. Otherwise a new
-    // table is added inside the kind, unless the key is a misspelling of the kind's name.
+    // table is added inside the kind, unless the key is a misspelling of the kind's name. A table that is no kind may
+    // have others beside it, and be the only one by chance.
     tags.truncate(1);
-    tags.retain(|tag| !last && nearest(key, [tag.as_str()]).is_none());
+    tags.retain(|tag| !last && is_kind(path, tag) && nearest(key, [tag.as_str()]).is_none());
     tags
+}
+
+/// Names of kinds: what a file may have in one table, of which it has exactly one.
+pub const KINDS: [&str; 51] = [
+    "absolute_m",
+    "absolute_rad",
+    "absolute_rpy_rad",
+    "arc",
+    "bounded",
+    "capsule",
+    "cartesian",
+    "cascaded",
+    "center-of-mass",
+    "circle",
+    "coupled",
+    "cylinder",
+    "drawer",
+    "first-order",
+    "frame",
+    "goal",
+    "half-space",
+    "hole",
+    "joint-damping",
+    "joint-posture",
+    "joint-tracking",
+    "line",
+    "mass",
+    "moving-average",
+    "offset_m",
+    "offset_rad",
+    "offset_rpy_rad",
+    "on",
+    "path",
+    "pid",
+    "point-to-point",
+    "pushes",
+    "random",
+    "recorded",
+    "retract",
+    "rpy_rad",
+    "scripted",
+    "second-order",
+    "sinusoid",
+    "sphere",
+    "spline",
+    "spring",
+    "still",
+    "streamed",
+    "surface",
+    "swivel",
+    "transfer-function",
+    "velocity",
+    "wall",
+    "waves",
+    "waypoints",
+];
+
+/// True if the table `tag` in the table at `path` is a kind. Programs may add kinds of tasks.
+fn is_kind(path: &[String], tag: &str) -> bool {
+    (path.len() == 2 && path[0] == "task") || KINDS.contains(&tag)
 }
 
 /// Returns the only entry of a table, if this entry is a table.

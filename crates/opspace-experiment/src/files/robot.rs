@@ -645,12 +645,13 @@ fn check_rate(source: &Source, name: &str, profile: &ProfileParameters) -> Resul
     }
     let (low, high) = (SERVO_RATES_HZ.start(), SERVO_RATES_HZ.end());
     let message = format!("a servo rate of {rate_hz:e} Hz is not from {low:e} to {high:e} Hz");
-    Err(FileError::at_key(
-        source,
-        ["profile", name, "servo_hz"],
-        message,
-        Some("give it in hertz".to_owned()),
-    ))
+    let help = if rate_hz > *high {
+        "give the rate of the position or velocity servo, not that of its current loop: checks and simulations compute each \
+         of its periods"
+    } else {
+        "give it in hertz"
+    };
+    Err(FileError::at_key(source, ["profile", name, "servo_hz"], message, Some(help.to_owned())))
 }
 
 /// Checks that a profile has a position servo for every joint, a velocity servo for every joint, or both.
@@ -708,8 +709,9 @@ fn check_setpoint_limits(
 /// Maximum number of servo ticks per interface cycle; a larger number indicates a mistake in a rate.
 const MAX_RATIO: u32 = 10_000;
 
-/// Range of servo rates, Hz; a rate beyond it indicates a mistake in a unit, and its period may be infinite.
-const SERVO_RATES_HZ: RangeInclusive<f64> = 1e-3..=1e9;
+/// Range of servo rates, Hz. A lower one indicates a mistake in a unit, and its period may be infinite. No position or
+/// velocity servo is faster, and the work of checks and simulations grows with the rate.
+const SERVO_RATES_HZ: RangeInclusive<f64> = 1e-3..=5e4;
 
 /// Maximum inertia of a rotor reflected to its joint, kg m² (kg): that of a URDF's moments.
 const MAX_REFLECTED_INERTIA: f64 = 1e9;

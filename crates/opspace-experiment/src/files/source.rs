@@ -5,11 +5,12 @@
 //! settings from the command line ([`crate::files::overrides`]) have the same wording.
 
 use std::fmt;
-use std::io::Read;
+use std::io::ErrorKind;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use opspace_model::files::read_file;
 use serde::de::DeserializeOwned;
 use toml::de::{DeTable, DeValue};
 
@@ -54,27 +55,22 @@ impl Source {
     /// Reads a text file.
     ///
     /// # Errors
-    /// If the file is missing (similar names in its folder are suggested), is a folder, is unreadable, is not UTF-8,
-    /// or is larger than 4 MiB.
+    /// If the file is missing (similar names in its folder are suggested), is a folder, a pipe or a device, is
+    /// unreadable, is not UTF-8, or is larger than 4 MiB.
     pub fn read(path: impl AsRef<Path>) -> Result<Self, FileError> {
         let path = path.as_ref();
         let name = path.display().to_string();
         if path.is_dir() {
             return Err(FileError::of_file(name, "is a folder; a file is expected here", files_in(path)));
         }
-        let mut bytes = Vec::new();
-        let read =
-            std::fs::File::open(path).and_then(|file| file.take(MAX_BYTES + 1).read_to_end(&mut bytes));
-        match read {
-            Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
-                return Err(missing_file(path, name));
-            }
-            Err(error) => return Err(FileError::of_file(name, format!("cannot be read: {error}"), None)),
-            Ok(_) if bytes.len() as u64 > MAX_BYTES => {
+        let bytes = match read_file(path, MAX_BYTES) {
+            Ok(bytes) => bytes,
+            Err(error) if error.kind() == ErrorKind::NotFound => return Err(missing_file(path, name)),
+            Err(error) if error.kind() == ErrorKind::FileTooLarge => {
                 return Err(FileError::of_file(name, "is larger than 4 MiB: is it the intended file?", None));
             }
-            Ok(_) => {}
-        }
+            Err(error) => return Err(FileError::of_file(name, format!("cannot be read: {error}"), None)),
+        };
         match String::from_utf8(bytes) {
             Ok(text) => Ok(Self::new(name, text)),
             Err(error) => {

@@ -22,6 +22,10 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
+use toml_edit::DocumentMut;
+
+/// Largest number of events of a task: `opspace check` takes some seconds for as many.
+const MAX_EVENTS: usize = 1000;
 
 /// Contents of a task file.
 #[derive(Clone, Debug, Deserialize)]
@@ -316,8 +320,13 @@ fn after_events(
     file: &TaskFile,
     extensions: &Extensions,
 ) -> Result<Vec<StackFile>, FileError> {
+    if file.event.len() > MAX_EVENTS {
+        let message = format!("{} events; at most {MAX_EVENTS} are accepted", file.event.len());
+        let help = "each is a set of tasks that is built before the run; a reference moves without events";
+        return Err(FileError::at_key(source, ["event"], message, Some(help.to_owned())));
+    }
     let mut stacks: Vec<StackFile> = Vec::new();
-    let mut settings = Vec::new();
+    let mut before = without_events(source);
     for (number, event) in file.event.iter().enumerate() {
         let number = number.to_string();
         let at = |key: &'static str, message: String, help: Option<String>| {
@@ -339,10 +348,12 @@ fn after_events(
                     Some("for example \"task.hand.cartesian.axes.x=compliant\"".to_owned()),
                 ));
             }
-            settings.push(setting.clone());
         }
-        let changed =
-            overrides::apply(source, &settings).and_then(|changed| parse_task(&changed, extensions));
+        let changed = overrides::apply(&before, &event.set).and_then(|text| {
+            let changed = parse_task(&text, extensions)?;
+            before = Source::new(source.name(), text.text());
+            Ok(changed)
+        });
         let changed = changed
             .map_err(|error| at("set", error.message().to_owned(), error.help().map(str::to_owned)))?;
         let contact = match &event.contact {
@@ -362,6 +373,13 @@ fn after_events(
         stacks.push(StackFile { time_s, contact, priority: changed.priority, task: changed.task });
     }
     Ok(stacks)
+}
+
+/// Text of a task without its events: each event changes it, and would otherwise read all of them again.
+fn without_events(source: &Source) -> Source {
+    let Ok(mut document) = source.text().parse::<DocumentMut>() else { return source.clone() };
+    document.remove("event");
+    Source::new(source.name(), document.to_string())
 }
 
 /// True if a task of a set has axes that approach until they touch.

@@ -138,6 +138,7 @@ impl Page {
             "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\"/>\n\
              <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\"/>\n\
              <meta name=\"color-scheme\" content=\"light dark\"/>\n<title>{title}</title>\n\
+             <meta http-equiv=\"Content-Security-Policy\" content=\"{POLICY}\"/>\n\
              <style>\n{STYLE}{}</style>\n</head>\n<body>\n<main>\n<h1>{}</h1>\n{}</main>\n</body>\n</html>\n",
             dark_figures(),
             unbroken(&title),
@@ -199,6 +200,9 @@ fn dark_figures() -> String {
     let rules: String = PALETTE.into_iter().chain([(INK, "var(--ink)")]).map(rule).collect();
     format!("@media screen and (prefers-color-scheme: dark) {{\n{rules}}}\n")
 }
+
+/// Permissions of the page in a browser: its own styles and nothing else, should a name ever become code.
+const POLICY: &str = "default-src 'none'; style-src 'unsafe-inline'";
 
 const STYLE: &str = "\
 :root { color-scheme: light dark; --ink: #1c2024; --soft: #5b636b; --line: #d6dade; --back: #ffffff; --stripe: #1c20240a;

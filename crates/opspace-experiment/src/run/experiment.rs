@@ -6,7 +6,7 @@ use crate::files::controller_kind::ControllerKind;
 use crate::files::origin::Files;
 use crate::files::overrides::split;
 use crate::files::robot::RobotDefinition;
-use crate::files::source::FileError;
+use crate::files::source::{FileError, Source};
 use crate::files::task::TaskDefinition;
 use crate::run::collision::{KeptDistances, kept_distances};
 use crate::run::comparisons::refuse_comparisons;
@@ -82,6 +82,13 @@ impl Default for RunOptions {
         }
     }
 }
+
+/// Longest run, s: eleven days.
+const LONGEST_RUN_S: f64 = 1e6;
+const SECONDS_PER_DAY: f64 = 86_400.0;
+
+/// Size of a log per second of a run, bytes: that of a simulated arm of seven joints at 1 kHz.
+const LOG_BYTES_PER_S: f64 = 0.5e6;
 
 /// Validated task on a robot: all its parts can be built.
 #[derive(Clone, Debug)]
@@ -187,6 +194,7 @@ impl Experiment {
             allowed: Vec::new(),
         };
         experiment.check_choice()?;
+        experiment.check_duration()?;
         experiment.check_masses()?;
         experiment.check_friction_observer()?;
         expectations::check(&experiment.task, &experiment.robot)?;
@@ -197,6 +205,43 @@ impl Experiment {
             experiment.simulated_arm()?;
         }
         Ok(experiment)
+    }
+
+    /// Checks that a robot file has all that a simulation of the robot needs, with each of its profiles. A robot without
+    /// `[simulated]` passes.
+    ///
+    /// # Errors
+    /// Values that contradict each other, at their place in the robot file.
+    pub fn check_simulated(robot: &RobotDefinition) -> Result<(), FileError> {
+        if robot.file.simulated.is_none() || !robot.massless.is_empty() {
+            return Ok(());
+        }
+        let middles = robot.model.joints().iter().filter_map(|joint| {
+            let middle = 0.5 * (joint.limits.lower + joint.limits.upper);
+            middle.is_finite().then(|| format!("{} = {middle:?}", toml_edit::Key::new(&joint.name)))
+        });
+        let start = middles.collect::<Vec<_>>().join(", ");
+        let text = format!("robot = '.'\nduration_s = 1.0\npriority = []\nstart_rad = {{ {start} }}\n");
+        let at_rest = Source::new("a task at rest", text);
+        let task = TaskDefinition::from_sources(at_rest, |recording| {
+            Err(FileError::of_file(recording.file.display().to_string(), "a task at rest has no paths", None))
+        })?;
+        for (name, profile) in &robot.file.profile {
+            let experiment = Self {
+                robot: robot.clone(),
+                task: task.clone(),
+                options: RunOptions { backend: robot.file.interface.command, ..RunOptions::default() },
+                settings: Vec::new(),
+                profile_name: name.clone(),
+                profile: profile.clone(),
+                distances: None,
+                physics: Physics::Own,
+                membership: None,
+                allowed: Vec::new(),
+            };
+            experiment.simulated_arm()?;
+        }
+        Ok(())
     }
 
     /// Combines another robot and another task with the tables of this experiment.
@@ -293,6 +338,27 @@ impl Experiment {
     #[must_use]
     pub fn duration_s(&self) -> f64 {
         self.options.duration_s.unwrap_or(self.task.file.duration_s.get())
+    }
+
+    /// Refuses a duration whose log no disk holds.
+    fn check_duration(&self) -> Result<(), FileError> {
+        let duration_s = self.duration_s();
+        if duration_s <= LONGEST_RUN_S {
+            return Ok(());
+        }
+        let message = format!(
+            "a run of {duration_s:e} s is longer than {LONGEST_RUN_S:e} s ({:.0} days): its log would have about {:.0e} GB",
+            LONGEST_RUN_S / SECONDS_PER_DAY,
+            self.log_bytes() / 1e9
+        );
+        let help = "give the duration in seconds, or make several runs".to_owned();
+        Err(FileError::at_key(&self.task.source, "duration_s", message, Some(help)))
+    }
+
+    /// Estimate of the size of the log of a run over its whole duration, bytes.
+    #[must_use]
+    pub fn log_bytes(&self) -> f64 {
+        LOG_BYTES_PER_S * self.duration_s()
     }
 
     /// Builds the controller; it has not been started.

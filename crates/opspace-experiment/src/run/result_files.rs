@@ -2,6 +2,7 @@
 
 use crate::run::error::RunError;
 use opspace_log::MAGIC;
+use opspace_model::files::open_file;
 use std::fs::{self, File, TryLockError};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
@@ -124,10 +125,37 @@ pub fn replace_file(path: &Path, write: impl FnOnce(&mut File) -> io::Result<()>
     written
 }
 
+/// Removes the files that [`replace_file`] was writing in a folder when its process was killed. The lock of the folder keeps
+/// other commands from writing there; a process that lives is spared nevertheless.
+pub fn remove_leftovers(folder: &ResultFolder) {
+    let entries = fs::read_dir(folder.path()).into_iter().flatten().flatten();
+    let written_by = |name: &str| -> Option<u32> {
+        let (rest, number) = name.strip_prefix('.')?.rsplit_once('.')?;
+        let (rest, time) = rest.rsplit_once('.')?;
+        let (_, process) = rest.rsplit_once('.')?;
+        number.parse::<u64>().ok()?;
+        time.parse::<u128>().ok()?;
+        process.parse().ok()
+    };
+    for entry in entries {
+        let process = entry.file_name().to_str().and_then(written_by);
+        if process.is_some_and(|process| !is_alive(process)) {
+            // One that cannot be removed does no harm.
+            let _ = fs::remove_file(entry.path());
+        }
+    }
+}
+
+/// True unless the system says that there is no such process.
+fn is_alive(process: u32) -> bool {
+    let processes = Path::new("/proc");
+    !processes.join("self").exists() || processes.join(process.to_string()).exists()
+}
+
 /// True for a file that begins as an MCAP file does.
 fn is_log(path: &Path) -> io::Result<bool> {
     use io::Read;
     let mut head = Vec::new();
-    File::open(path)?.take(MAGIC.len() as u64).read_to_end(&mut head)?;
+    open_file(path)?.take(MAGIC.len() as u64).read_to_end(&mut head)?;
     Ok(head == MAGIC)
 }

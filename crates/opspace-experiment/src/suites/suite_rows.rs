@@ -7,10 +7,11 @@ use crate::evaluate::run_summary::RunSummary;
 use crate::run::result_files::write_file;
 use crate::suites::shard::Shard;
 use crate::suites::suite::{MAX_RUNS, Suite};
+use opspace_model::files::open_file;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
-use std::fs::{self, File};
-use std::io::{self, Write};
+use std::fs::File;
+use std::io::{self, Read, Write};
 use std::path::Path;
 use std::sync::Mutex;
 
@@ -128,7 +129,9 @@ impl SuiteRows {
     /// Reads the rows in a folder of results; `None` if it has none, or none that can be read.
     #[must_use]
     pub fn read(folder: &Path) -> Option<Self> {
-        Self::parse(&fs::read(folder.join(SUITE_ROWS)).ok()?)
+        let mut bytes = Vec::new();
+        open_file(&folder.join(SUITE_ROWS)).ok()?.read_to_end(&mut bytes).ok()?;
+        Self::parse(&bytes)
     }
 
     /// Parses a file of rows; `None` if its first line is not the header of a suite. Lines that are not complete rows of a run that

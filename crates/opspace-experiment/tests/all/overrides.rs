@@ -1,10 +1,10 @@
 //! Compared: settings from the command line, and the file edited by hand: equal values, and errors that name the
 //! settings.
 
-use opspace_experiment::files::overrides::{apply, apply_below, split};
+use opspace_experiment::files::overrides::{KINDS, apply, apply_below, split};
 use opspace_experiment::files::source::{FileError, Source, parse};
 use serde::Deserialize;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 const FILE: &str = r#"# the hand is compliant in x
 robot = "../robots/asimo-arm"
@@ -214,7 +214,6 @@ fn setting_error_names_the_setting() {
         ("seed=", "a value is missing after `=`"),
         ("task.rest.damping_ratio=400 N/m", "`400 N/m` is neither a TOML value nor a single word"),
         ("robot=[1", "`[1` is neither a TOML value nor a single word"),
-        ("via.0.position=[.1, 0.2]", "`[.1, 0.2]` has a number without a digit before the point"),
     ];
     for (setting, message) in cases {
         let error = refusal(&[setting]);
@@ -222,23 +221,83 @@ fn setting_error_names_the_setting() {
     }
 }
 
-/// Compared: the proposed spelling, and the number with a zero before its point. Points of texts and of numbers with a digit stay.
+/// Compared: numbers as people write them, and their value in TOML. Points of texts and of numbers with a digit stay.
 #[test]
-fn missing_digit_before_a_point_is_shown() {
-    for (given, proposed) in [
+fn numbers_without_a_digit_beside_the_point_are_read() {
+    for (given, read) in [
+        (".5", "0.5"),
+        ("1.", "1.0"),
+        ("+.5", "+0.5"),
+        ("1e3", "1e3"),
         ("[.1,0.2]", "[0.1,0.2]"),
-        ("[-.1, +.25]", "[-0.1, +0.25]"),
+        ("[-.1, +.25, 3.]", "[-0.1, +0.25, 3.0]"),
         ("{ x = .5, y = '.5' }", "{ x = 0.5, y = '.5' }"),
     ] {
-        let error = refusal(&[&format!("start_rad={given}")]);
-        assert_eq!(error.help(), Some(&*format!("write `{proposed}`")), "{given}");
+        let text = set(&[&format!("start_rad={given}")]).expect(given).text().to_owned();
+        assert_eq!(table(&text)["start_rad"], table(&format!("x = {read}"))["x"], "{given}");
     }
-    // A number alone is understood.
-    assert!(set(&["duration_s=.5"]).expect("applied").text().contains("duration_s = 0.5"));
     for other in ["[.x]", "[.1", "[1.2.3]"] {
         let error = refusal(&[&format!("start_rad={other}")]);
         assert!(error.message().contains("neither a TOML value"), "{other}: {}", error.message());
     }
+}
+
+/// A number without a digit beside its point in a file: the line, and the form to write.
+#[test]
+fn numbers_of_a_file_have_the_form_to_write() {
+    for (given, form) in
+        [(".3", "0.3"), ("1.", "1.0"), ("+.5", "+0.5"), ("-1.e3", "-1.0e3"), ("[1.0, .3]", "0.3")]
+    {
+        let source = Source::new("arm.toml", format!("seed = 1\nduration_s = {given}\n"));
+        let error = parse::<TaskFile>(&source).expect_err(given);
+        assert_eq!(error.line(), Some(2), "{given}: {error}");
+        assert!(error.message().contains("a digit on both sides of the point"), "{given}: {error}");
+        assert_eq!(error.help(), Some(&*format!("write `{form}`")), "{given}");
+    }
+}
+
+/// Checks that a table with one table in it is not taken for a kind: a setting adds the other one beside it. An empty table and
+/// an absent one are the same.
+#[test]
+fn table_beside_a_sole_table_is_added() {
+    let settings = ["simulated.cogging.periods=12", "simulated.true_over_nominal.kp=1.1"].map(str::to_owned);
+    for file in
+        ["", "[simulated]\n", "[simulated.cogging]\nperiods = 3\n", "[simulated.gear.J]\nbacklash = 1.0\n"]
+    {
+        let text = apply(&Source::new("robot.toml", file), &settings).expect("applied").text().to_owned();
+        let simulated = &table(&text)["simulated"];
+        assert_eq!(simulated["cogging"]["periods"].as_integer(), Some(12), "{file}: {text}");
+        assert_eq!(simulated["true_over_nominal"]["kp"].as_float(), Some(1.1), "{file}: {text}");
+    }
+}
+
+/// Compared: the names of kinds that a setting may leave out, and those in the schemas: objects of which exactly one key is
+/// allowed.
+#[test]
+fn kinds_are_those_of_the_schemas() {
+    fn collect(value: &serde_json::Value, kinds: &mut BTreeSet<String>) {
+        let alternatives = ["oneOf", "anyOf"].into_iter().filter_map(|key| value[key].as_array()).flatten();
+        for kind in alternatives {
+            let (keys, required) = (kind["properties"].as_object(), kind["required"].as_array());
+            if let (Some(keys), Some([only])) = (keys, required.map(Vec::as_slice))
+                && keys.keys().eq(only.as_str())
+            {
+                kinds.extend(keys.keys().cloned());
+            }
+        }
+        match value {
+            serde_json::Value::Object(entries) => entries.values().for_each(|value| collect(value, kinds)),
+            serde_json::Value::Array(values) => values.iter().for_each(|value| collect(value, kinds)),
+            _ => {}
+        }
+    }
+    let mut kinds = BTreeSet::new();
+    for name in ["tasks/task", "robots/robot", "experiments/experiment"] {
+        let path = format!("{}/../../{name}.schema.json", env!("CARGO_MANIFEST_DIR"));
+        let text = std::fs::read_to_string(path).expect("a schema");
+        collect(&serde_json::from_str(&text).expect("JSON"), &mut kinds);
+    }
+    assert!(kinds.iter().eq(KINDS.iter()), "{kinds:?}");
 }
 
 #[test]

@@ -207,6 +207,19 @@ fn killed_process_leaves_readable_log() {
     }
 }
 
+/// Checks that attachments are read up to a size in all: each of these is small enough alone.
+#[test]
+fn attachments_are_limited_together() {
+    let attachment = |name: &str| Attachment::new(name, "application/octet-stream", vec![7; 24 << 20]);
+    let attachments = ["a", "b", "c"].map(attachment).to_vec();
+    let (_, bytes) = log(Header { attachments, ..header() }, 10);
+    let refused = match Recording::from_bytes(&bytes) {
+        Ok(recording) => recording.damage.map(|damage| damage.what),
+        Err(error) => Some(error.to_string()),
+    };
+    assert!(refused.as_ref().is_some_and(|what| what.contains("bytes of memory")), "{refused:?}");
+}
+
 /// Checks a file whose chunks expand to far more than any log of its size: it is refused before they are all unpacked.
 #[test]
 fn chunks_that_expand_too_much_are_refused() {
@@ -222,8 +235,12 @@ fn chunks_that_expand_too_much_are_refused() {
     writer.finish().expect("an end");
     let bytes = writer.into_inner().into_inner();
     assert!(bytes.len() < MEGABYTE / 4, "{} bytes", bytes.len());
-    let error = Recording::from_bytes(&bytes).expect_err("no log").to_string();
-    assert!(error.contains("expand to more than"), "{error}");
+    // Nothing behind the data raises the limit: a hole in a file has a size and takes no place.
+    for padding in [0, 4 * MEGABYTE] {
+        let padded = [bytes.as_slice(), &vec![0; padding]].concat();
+        let error = Recording::from_bytes(&padded).expect_err("no log").to_string();
+        assert!(error.contains("expand to more than"), "{padding}: {error}");
+    }
 }
 
 /// Checks that a log in which nothing changes, and in which most numbers are absent, is read: its rows need many times the

@@ -129,12 +129,62 @@ fn comparison_finds_the_first_difference_of_each_channel() {
     assert_eq!(first.values[1], None);
 }
 
+/// Checks that attachments and metadata count: another content, another entry, and a part that only one log has.
+#[test]
+fn comparison_finds_other_attachments_and_metadata() {
+    let with = |change: &dyn Fn(&mut Header)| {
+        let mut header = header();
+        change(&mut header);
+        log(header, 50).1
+    };
+    let one = with(&|_| ());
+    assert!(!compare_logs(&one, &with(&|_| ())).unwrap().differs());
+    let text = |header: &mut Header, text: &str| header.attachments[0].data = text.as_bytes().to_vec();
+    let seed = |header: &mut Header| {
+        header.metadata[0].1.insert("seed".to_owned(), "8".to_owned());
+    };
+    let cases = [
+        (
+            with(&|header| text(header, "<robot/>\n<!-- -->")),
+            "attachment 'arm.urdf'",
+            Some("line 2"),
+            [None, Some("<!-- -->")],
+        ),
+        (
+            with(&|header| header.attachments[0].data = vec![0xff, 0]),
+            "attachment 'arm.urdf'",
+            Some("byte 0"),
+            [Some("0x3c"), Some("0xff")],
+        ),
+        (with(&seed), "metadata 'run'", Some("seed"), [Some("7"), Some("8")]),
+        (with(&|header| header.attachments.clear()), "attachment 'arm.urdf'", None, [Some("present"), None]),
+    ];
+    for (other, part, place, values) in cases {
+        let comparison = compare_logs(&one, &other).unwrap();
+        let [found] = comparison.parts.as_slice() else { panic!("{:?}", comparison.parts) };
+        assert!(comparison.differs() && !comparison.is_damaged());
+        assert_eq!((found.part.as_str(), found.place.as_deref()), (part, place));
+        assert_eq!(found.values.each_ref().map(Option::as_deref), values);
+    }
+}
+
+/// Checks that a damaged attachment is no difference, but that the log is not whole either.
+#[test]
+fn lost_attachment_is_damage_and_no_difference() {
+    let (_, bytes) = log(header(), 50);
+    let mut damaged = bytes.clone();
+    let place = bytes.windows(8).position(|window| window == b"<robot/>").unwrap();
+    damaged[place] ^= 1;
+    let comparison = compare_logs(&bytes, &damaged).unwrap();
+    assert!(!comparison.differs() && comparison.is_damaged(), "{comparison:?}");
+}
+
 /// Checks that a truncated log is compared up to its end, and that a longer log differs.
 #[test]
 fn comparison_ends_at_damage_but_not_at_a_shorter_log() {
     let (_, bytes) = log(header(), 3000);
     let cut = compare_logs(&bytes, &bytes[..bytes.len() / 2]).unwrap();
-    assert!(!cut.differs() && cut.damage[1].is_some());
+    assert!(!cut.differs() && cut.is_damaged() && cut.damage[1].is_some());
     let (_, shorter) = log(header(), 2999);
     let other = compare_logs(&bytes, &shorter).unwrap();
     assert!(other.differs() && other.channels.iter().any(|c| c.lengths_differ));

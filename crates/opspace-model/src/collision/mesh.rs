@@ -6,10 +6,11 @@ mod stl;
 mod vertex;
 
 use super::capsule::MAX_LENGTH_M;
+use crate::files::read_file;
 pub use error::{MAX_MESH_BYTES, MeshError, MeshErrorKind};
 use nalgebra::Vector3;
-use std::fs::{self, File};
-use std::io::Read;
+use std::fs;
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 /// Format of a mesh file.
@@ -111,21 +112,15 @@ pub fn find_mesh(file: &str, urdf: Option<&Path>) -> Option<PathBuf> {
     path.exists().then_some(path)
 }
 
-/// Reads a file up to the largest size. Devices and pipes are not opened, as reading them may not end.
+/// Reads a file up to the largest size.
 fn read_bytes(path: &Path) -> Result<Vec<u8>, MeshErrorKind> {
-    let unreadable = |error: std::io::Error| MeshErrorKind::Unreadable { reason: error.to_string() };
-    let metadata = fs::metadata(path).map_err(unreadable)?;
-    if !metadata.is_file() {
-        return Err(MeshErrorKind::NotAFile);
-    }
-    let limit = MAX_MESH_BYTES as u64;
-    let mut bytes = Vec::new();
-    if metadata.len() <= limit {
-        // A file that grows meanwhile is not read beyond the limit either.
-        File::open(path).map_err(unreadable)?.take(limit + 1).read_to_end(&mut bytes).map_err(unreadable)?;
-    }
-    let size = metadata.len().max(bytes.len() as u64);
-    if size > limit { Err(MeshErrorKind::TooLarge { bytes: size }) } else { Ok(bytes) }
+    read_file(path, MAX_MESH_BYTES as u64).map_err(|error| match error.kind() {
+        ErrorKind::InvalidInput => MeshErrorKind::NotAFile,
+        ErrorKind::FileTooLarge => {
+            MeshErrorKind::TooLarge { bytes: fs::metadata(path).map_or(0, |metadata| metadata.len()) }
+        }
+        _ => MeshErrorKind::Unreadable { reason: error.to_string() },
+    })
 }
 
 fn check(vertices: &[Vector3<f64>]) -> Result<(), MeshErrorKind> {

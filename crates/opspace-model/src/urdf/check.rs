@@ -196,6 +196,9 @@ impl Element<'_> {
             let kind = UrdfErrorKind::NegativeMass { element: self.words.clone(), mass };
             return Err(UrdfError::at(line, kind));
         }
+        if mass > 0.0 && mass < SMALLEST_MASS_KG {
+            return Err(self.bad_number("<mass value>", line, &[mass], MASS));
+        }
         let line = inertial.inertia_line;
         for (attribute, moment) in MOMENTS.iter().zip(inertial.moments) {
             self.bounded(&format!("<inertia {attribute}>"), line, &[moment])?;
@@ -246,7 +249,10 @@ impl Element<'_> {
         if axis.amax() == 0.0 {
             return Err(UrdfError::at(*line, UrdfErrorKind::ZeroAxis { element: self.words.clone() }));
         }
-        // Divided by the largest component first, because the square of a tiny or huge component under- or overflows.
+        if axis.amax() < SMALLEST_AXIS {
+            return Err(self.bad_number("<axis xyz>", *line, xyz, AXIS));
+        }
+        // Divided by the largest component first, because the square of a huge component overflows.
         Ok(Unit::new_normalize(axis / axis.amax()))
     }
 
@@ -329,7 +335,7 @@ impl Element<'_> {
     /// Returns the placement of a joint or an inertia.
     fn origin(&self, origin: &OriginElement) -> Result<Placement, UrdfError> {
         self.bounded("<origin xyz>", origin.line, &origin.xyz_m)?;
-        self.bounded("<origin rpy>", origin.line, &origin.rpy_rad)?;
+        self.within(FARTHEST_ANGLE_RAD, [ANGLES, ANGLES], "<origin rpy>", origin.line, &origin.rpy_rad)?;
         Ok(Placement::from_rpy(origin.rpy_rad, origin.xyz_m))
     }
 
@@ -355,15 +361,31 @@ impl Element<'_> {
         if values.iter().all(|value| value.abs() <= max) {
             return Ok(());
         }
-        let value = values.iter().map(f64::to_string).collect::<Vec<_>>().join(" ");
+        Err(self.bad_number(place, line, values, if values.len() == 1 { one } else { three }))
+    }
+
+    fn bad_number(&self, place: &str, line: Line, values: &[f64], wanted: &'static str) -> UrdfError {
+        // As people write them: the digits of 1e-300 are 300.
+        let value = values.iter().map(|value| format!("{value:?}")).collect::<Vec<_>>().join(" ");
         let (element, place) = (self.words.clone(), place.to_owned());
-        let wanted = if values.len() == 1 { one } else { three };
-        Err(UrdfError::at(line, UrdfErrorKind::BadNumber { element, place, value, wanted }))
+        UrdfError::at(line, UrdfErrorKind::BadNumber { element, place, value, wanted })
     }
 }
 
 /// Position limit beyond which a joint has none, rad or m.
 const FARTHEST_LIMIT: f64 = 1e4;
+
+/// Smallest mass other than 0, kg: that of a bacterium. Inertias of smaller ones are lost in rounding.
+const SMALLEST_MASS_KG: f64 = 1e-15;
+const MASS: &str = "0, or one number from 1e-15 to 1e9 kg";
+
+/// Smallest largest number of an axis: a smaller one is a rounding error, whose direction means nothing.
+const SMALLEST_AXIS: f64 = 1e-9;
+const AXIS: &str = "a direction, e.g. xyz=\"0 0 1\", whose largest number is at least 1e-9";
+
+/// Largest angle of a placement, rad: sines of larger ones lose digits, and no file means a thousand turns.
+const FARTHEST_ANGLE_RAD: f64 = 1e4;
+const ANGLES: &str = "three angles in rad, from -1e4 to 1e4";
 
 /// Largest magnitude of a position, an axis, an angle, a mass or a moment of inertia (m, 1, rad, kg, kg m²): squares and
 /// products of it are far from the largest number.

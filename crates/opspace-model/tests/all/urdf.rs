@@ -182,11 +182,28 @@ fn refuses_numbers_beyond_any_robot() {
     let text = arm_with(ELBOW_ORIGIN, r#"<origin xyz="1e308 0 0" rpy="0.7 0.7 0.7"/>"#);
     let error = refused(&text, &["joint 'elbow'", "<origin xyz>", "three numbers from -1e9 to 1e9"]);
     assert_eq!(error.line(), Some(line_of(&text, r#"<origin xyz="1e308"#)));
-    refused(&arm_with(ELBOW_ORIGIN, r#"<origin rpy="0 1e10 0"/>"#), &["<origin rpy>", "from -1e9 to 1e9"]);
+    refused(&arm_with(ELBOW_ORIGIN, r#"<origin rpy="0 1e10 0"/>"#), &["<origin rpy>", "from -1e4 to 1e4"]);
     refused(
         &arm_with(LOWER_MASS, r#"<mass value="1e10"/>"#),
         &["<mass value>", "one number from -1e9 to 1e9"],
     );
+}
+
+/// Numbers that no file means: rounding errors in place of a mass or an axis, and angles of many turns. They have their line.
+#[test]
+fn refuses_numbers_that_nobody_means() {
+    for (old, new, words) in [
+        (LOWER_MASS, r#"<mass value="1e-300"/>"#, ["<mass value>", "1e-300", "0, or one number from 1e-15"]),
+        (ELBOW_AXIS, r#"<axis xyz="0 1e-320 0"/>"#, ["<axis xyz>", "1e-320", "at least 1e-9"]),
+        (ELBOW_ORIGIN, r#"<origin rpy="0 0 1e8"/>"#, ["<origin rpy>", "100000000", "from -1e4 to 1e4"]),
+        (ELBOW_ORIGIN, r#"<origin rpy="1e300 0 0"/>"#, ["<origin rpy>", "1e300", "from -1e4 to 1e4"]),
+    ] {
+        let text = arm_with(old, new);
+        assert_eq!(refused(&text, &words).line(), Some(line_of(&text, new)), "{new}");
+    }
+    for (old, new) in [(LOWER_MASS, r#"<mass value="1e-12"/>"#), (ELBOW_AXIS, r#"<axis xyz="0 1e-6 0"/>"#)] {
+        Model::from_urdf(&arm_with(old, new)).unwrap();
+    }
 }
 
 #[test]

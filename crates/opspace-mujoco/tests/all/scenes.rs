@@ -223,3 +223,18 @@ fn missing_files_are_named() {
         assert!(error.contains("missing.xml: the scene cannot be read"), "{error}");
     }
 }
+
+/// Checks that a scene which is no file is refused before it is opened, with and without MuJoCo.
+#[cfg(unix)]
+#[test]
+fn scene_that_is_no_file_is_refused() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let pipe = folder.path().join("pipe");
+    assert!(std::process::Command::new("mkfifo").arg(&pipe).status().expect("mkfifo").success());
+    for (scene, kind) in
+        [(pipe.as_path(), "a pipe"), ("/dev/zero".as_ref(), "a device"), (folder.path(), "a folder")]
+    {
+        let error = Mujoco::open("libmissing.so".as_ref(), Some(scene)).expect_err("refused").to_string();
+        assert!(error.contains(&format!("this is {kind}, not a regular file")), "{error}");
+    }
+}

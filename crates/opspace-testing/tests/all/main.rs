@@ -2,6 +2,7 @@
 
 mod dependencies;
 mod doc_lines;
+mod file_access;
 mod import_cycles;
 mod imports;
 mod licences;
