@@ -12,6 +12,7 @@ mod collision_retraction;
 mod common;
 mod coupled;
 mod coupled_suites;
+mod driver_faults;
 mod dropout;
 mod encoders_within_a_turn;
 mod estimated_force;

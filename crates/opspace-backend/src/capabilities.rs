@@ -90,6 +90,12 @@ impl Capabilities {
         self
     }
 
+    /// Sets the force sensors, for a driver those of its [`Settings`](crate::Settings).
+    #[must_use]
+    pub fn with_force_sensors(self, force_sensors: Vec<ForceSensor>) -> Self {
+        Self { force_sensors, ..self }
+    }
+
     /// Sets the behaviour of the drives between two setpoints.
     #[must_use]
     pub fn with_setpoints(self, setpoints: Setpoints) -> Self {

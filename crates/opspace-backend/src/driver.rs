@@ -1,6 +1,7 @@
 //! Drivers, which open a robot for a run.
 
 use crate::backend::Backend;
+use crate::capabilities::ForceSensor;
 use crate::command::CommandKind;
 use crate::fault::DeviceFault;
 use std::collections::BTreeMap;
@@ -21,8 +22,8 @@ pub trait Driver {
     fn with(&self, settings: &Settings, run: &mut dyn FnMut(&mut dyn Backend)) -> Result<(), DriverError>;
 }
 
-/// Settings with which a driver opens a robot: the kind of command, the joints and period stated in robot.toml, and the
-/// other keys of `[driver]`.
+/// Settings with which a driver opens a robot: the kind of command, and the joints, period and force sensors stated in
+/// robot.toml, for its [`Capabilities`](crate::Capabilities); and the other keys of `[driver]`.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct Settings {
@@ -32,6 +33,8 @@ pub struct Settings {
     pub joints: Vec<String>,
     /// Interface period, s.
     pub period_s: f64,
+    /// Force sensors, in the order of [`Sample::wrenches`](crate::Sample::wrenches).
+    pub force_sensors: Vec<ForceSensor>,
     values: BTreeMap<String, Setting>,
 }
 
@@ -48,10 +51,16 @@ pub enum Setting {
 }
 
 impl Settings {
-    /// Returns settings without keys.
+    /// Returns settings without force sensors and keys.
     #[must_use]
     pub fn new(command: CommandKind, joints: Vec<String>, period_s: f64) -> Self {
-        Self { command, joints, period_s, values: BTreeMap::new() }
+        Self { command, joints, period_s, force_sensors: Vec::new(), values: BTreeMap::new() }
+    }
+
+    /// Sets the force sensors.
+    #[must_use]
+    pub fn with_force_sensors(self, force_sensors: Vec<ForceSensor>) -> Self {
+        Self { force_sensors, ..self }
     }
 
     /// Sets the value of a key.

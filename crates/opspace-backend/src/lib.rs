@@ -63,7 +63,7 @@ pub mod signal;
 pub mod signal_names;
 pub mod sink;
 
-pub use backend::Backend;
+pub use backend::{Backend, RemoteStop};
 pub use capabilities::{
     Capabilities, ForceSensor, GravityCompensation, Measured, MissedCycle, Setpoints, StopMethod, World,
 };

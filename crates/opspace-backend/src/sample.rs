@@ -7,7 +7,8 @@ use crate::capabilities::Capabilities;
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct Sample {
-    /// Time on the robot's monotonic clock, s. Its zero is arbitrary.
+    /// Time on the robot's monotonic clock, s. Its zero is arbitrary. A time that is not finite, that does not increase, or
+    /// that is more than an hour ahead of the last one ends the run.
     pub time_s: f64,
     /// Joint positions, rad or m (n). Those of joints without limits may be within one turn.
     pub q: Vec<f64>,

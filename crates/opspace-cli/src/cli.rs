@@ -56,10 +56,11 @@ Terms:
 
 Exit codes:
   0    done
-  1    the run failed: STOPPED or FAILED; or a replay differs, or `check --strict` found a problem
+  1    the run failed: STOPPED or FAILED, or the robot could not be reached; or a replay differs, or
+       `check --strict` found a problem
   2    invalid arguments or an invalid file
   3    done, but data was lost or a log is damaged; or a disk is full
-  130  interrupted, log closed";
+  130  interrupted by a signal, log closed";
 
 /// Show what is in a log, recover a damaged one, export one as CSV, or compare two.
 #[derive(Debug, Parser)]

@@ -36,14 +36,25 @@ pub use command_table::Command;
 use command_table::program;
 use console::{Console, Exit, Failure, escaped, report};
 pub use opspace_experiment::Extensions;
+use std::ffi::OsString;
 use std::process::ExitCode;
 
 /// Runs the complete command line with the given extensions. Reads the arguments of the program and returns
 /// its exit code.
 #[must_use]
 pub fn main_with(extensions: Extensions) -> ExitCode {
+    main_with_args(extensions, std::env::args_os())
+}
+
+/// Runs the complete command line as [`main_with`] does, with these arguments; the first one is the name of the program.
+/// Invalid arguments end the process.
+#[must_use]
+pub fn main_with_args<A>(extensions: Extensions, args: impl IntoIterator<Item = A>) -> ExitCode
+where
+    A: Into<OsString> + Clone,
+{
     let extensions = &extensions.with(plant::mujoco());
-    let matches = match program(extensions).try_get_matches() {
+    let matches = match program(extensions).try_get_matches_from(args) {
         Ok(matches) => matches,
         Err(error) => return refuse(extensions, &error),
     };

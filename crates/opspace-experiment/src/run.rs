@@ -22,6 +22,7 @@ pub(crate) mod real_robot;
 pub mod replay;
 pub mod result_files;
 pub mod robot_logs;
+pub(crate) mod robot_watch;
 pub(crate) mod rollout;
 pub mod scenario;
 mod segments;

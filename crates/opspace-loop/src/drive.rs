@@ -1,5 +1,6 @@
 //! Drives robots by their runs: read, cycle, write.
 
+use crate::driver_calls::DriverCalls;
 use crate::link::Link;
 use crate::run::Run;
 use crate::timeline::Timeline;
@@ -7,7 +8,8 @@ use opspace_backend::{Backend, GroundTruth, Sample};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
 /// Reads the robot, computes the run's cycle and writes its command, until the run is over. The robot always ends in
-/// its safe state: a panic in a task, a controller or the backend also stops it and becomes the run's outcome.
+/// its safe state: a panic in a task, a controller or the backend also stops it and becomes the run's outcome. So does a
+/// real robot whose samples come late by the computer's clock, as [`LATEST_S`](crate::driver_calls::LATEST_S) says.
 pub fn drive(backend: &mut dyn Backend, run: &mut Run<'_>) {
     drive_with(backend, run, &mut |_| true);
 }
@@ -20,15 +22,16 @@ pub fn drive_with(
     before: &mut dyn FnMut(&mut Run<'_>) -> bool,
 ) {
     let mut sample = prepare(backend, run);
+    let mut calls = DriverCalls::new(backend.capabilities());
     let cycles = || {
         while !run.is_over() && before(run) {
-            cycle(backend, run, &mut sample, &mut |_, _| {});
+            cycle(backend, &mut calls, run, &mut sample, &mut |_, _| {});
         }
     };
     if catch_unwind(AssertUnwindSafe(cycles)).is_err() {
         run.abandon();
     }
-    backend.stop();
+    stop(backend, run);
 }
 
 /// Robot with its run, one of several.
@@ -47,6 +50,8 @@ pub struct Driven<'a, 'b> {
 /// If the timeline or a link refers to a robot that is not in `robots`.
 pub fn drive_together(robots: &mut [Driven<'_, '_>], links: &mut [Link], timeline: &mut Timeline) {
     let mut samples: Vec<Sample> = robots.iter_mut().map(|robot| prepare(robot.backend, robot.run)).collect();
+    let mut calls: Vec<DriverCalls> =
+        robots.iter().map(|robot| DriverCalls::new(robot.backend.capabilities())).collect();
     let cycles = || {
         while robots.iter().any(|robot| !robot.run.is_over()) {
             let next = timeline.next_cycle();
@@ -54,7 +59,8 @@ pub fn drive_together(robots: &mut [Driven<'_, '_>], links: &mut [Link], timelin
             if run.is_over() || is_lost(*backend, timeline.number(next)) {
                 continue;
             }
-            cycle(*backend, run, &mut samples[next.robot], &mut |run, clock_s| {
+            let of_driver = &mut calls[next.robot];
+            cycle(*backend, of_driver, run, &mut samples[next.robot], &mut |run, clock_s| {
                 let mut cause = None;
                 for link in links.iter_mut().filter(|link| link.to() == next.robot) {
                     let of_link = link.deliver(next.tick, clock_s, run.targets());
@@ -72,7 +78,14 @@ pub fn drive_together(robots: &mut [Driven<'_, '_>], links: &mut [Link], timelin
         if panicked {
             run.abandon();
         }
-        backend.stop();
+        stop(*backend, run);
+    }
+}
+
+/// Stops the robot. A stop that panics is called once more, and becomes the run's outcome.
+fn stop(backend: &mut dyn Backend, run: &mut Run<'_>) {
+    if let Err(fault) = crate::driver_calls::stop(backend) {
+        run.stop_failed(fault);
     }
 }
 
@@ -90,16 +103,19 @@ fn prepare(backend: &mut dyn Backend, run: &mut Run<'_>) -> Sample {
 }
 
 /// Runs one cycle. `arrive` is called after the sample is read, with the sample's time on the robot's clock (s); it may
-/// write targets.
+/// write targets. Nothing but the robot's stop is called after a panic of its driver.
 fn cycle(
     backend: &mut dyn Backend,
+    calls: &mut DriverCalls,
     run: &mut Run<'_>,
     sample: &mut Sample,
     arrive: &mut dyn FnMut(&mut Run<'_>, f64),
 ) {
     let was_stopped = run.is_stopped();
-    let read = backend.read(sample);
-    if let Some(truth) = backend.ground_truth() {
+    let read = calls.read(backend, sample);
+    if !calls.panicked()
+        && let Some(truth) = backend.ground_truth()
+    {
         run.record_truth(truth);
     }
     let command = match read {
@@ -110,12 +126,16 @@ fn cycle(
         Err(fault) => run.fail(fault),
     };
     if let Some(command) = command
-        && let Err(fault) = backend.write(command)
+        && !calls.panicked()
+        && let Err(fault) = calls.write(backend, command)
     {
         run.refuse(fault);
     }
+    if calls.panicked() {
+        run.abandon();
+    }
     if run.is_stopped() && !was_stopped {
-        backend.stop();
+        stop(backend, run);
     }
     run.between_cycles();
 }

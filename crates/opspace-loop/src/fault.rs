@@ -27,6 +27,19 @@ impl fmt::Display for Rounded {
     }
 }
 
+/// Step of a clock, s, in a message; -∞ before the first sample.
+struct ClockStep(f64, f64);
+
+impl fmt::Display for ClockStep {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self(before_s, now_s) = *self;
+        if before_s == f64::NEG_INFINITY {
+            return write!(f, "reads {now_s} s in the first sample");
+        }
+        write!(f, "went from {before_s} s to {now_s} s")
+    }
+}
+
 /// Cause of a stop. Joints are given by their index, as if all were revolute; [`describe`](Fault::describe) names them, with
 /// their units.
 #[derive(Clone, Debug, PartialEq, Error)]
@@ -58,13 +71,37 @@ pub enum Fault {
         /// Error of the solver.
         error: QpError,
     },
-    /// The robot's clock did not advance.
-    #[error("the robot's clock went from {before_s} s to {now_s} s")]
+    /// The robot's clock did not advance, is not a finite number, or is far ahead.
+    #[error("the robot's clock {}", ClockStep(*before_s, *now_s))]
     Clock {
-        /// Time of the previous sample, s.
+        /// Time of the previous sample, s; -∞ if there is none.
         before_s: f64,
         /// Time of this sample, s.
         now_s: f64,
+    },
+    /// The samples come at another rate than the robot's period says.
+    #[error(
+        "samples came {} ms apart on the robot's clock, but its period is {} ms: the period is wrong, or cycles are lost",
+        Rounded(1e3 * *spacing_s),
+        Rounded(1e3 * *period_s)
+    )]
+    SampleRate {
+        /// Mean time between two samples, s.
+        spacing_s: f64,
+        /// Interface period of the robot, s.
+        period_s: f64,
+    },
+    /// Cycles are lost too often.
+    #[error("cycles were lost before {gaps} of the last {samples} samples, limit {limit} in {window}")]
+    LostCycles {
+        /// Number of samples before which cycles were lost.
+        gaps: u32,
+        /// Number of samples.
+        samples: u32,
+        /// Largest number of such samples in a window.
+        limit: u32,
+        /// Number of samples of a window.
+        window: u32,
     },
     /// The robot sent no sample for too long.
     #[error("the robot was silent for {} s; limit: {} s", Rounded(*silent_s), Rounded(*limit_s))]
@@ -182,7 +219,8 @@ pub enum Fault {
         /// Threshold, Nm or N.
         threshold: f64,
     },
-    /// A part of the control loop panicked: a task, a controller or a backend of the user.
+    /// A part of the control loop panicked: a task, a controller or a sink of the user. A panic of a driver is a
+    /// [`Device`](Self::Device) fault.
     #[error(
         "the control loop panicked; the message was printed to standard error, and the log ends before the panic"
     )]
@@ -213,6 +251,8 @@ impl Fault {
             Self::Collision { .. } => 20,
             Self::UnsolvedLimits { .. } => 21,
             Self::TorqueOscillation { .. } => 22,
+            Self::SampleRate { .. } => 23,
+            Self::LostCycles { .. } => 24,
         }
     }
 

@@ -54,6 +54,7 @@
 pub mod collision_detector;
 pub mod control_loop;
 pub mod drive;
+pub mod driver_calls;
 mod driving_torque;
 pub mod estimated_force;
 mod external_torque;
@@ -69,6 +70,7 @@ mod reference_motion;
 mod retraction;
 pub mod run;
 pub mod safety;
+mod sample_rate;
 pub mod sensor_compensation;
 mod state_estimator;
 pub mod supervisor;

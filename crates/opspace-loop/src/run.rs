@@ -43,6 +43,7 @@ pub struct Run<'a> {
     targets: Targets,
     sink: &'a mut dyn Sink,
     stop_request: Option<&'a AtomicBool>,
+    abort_request: Option<&'a AtomicBool>,
     stream: Option<TargetReceiver>,
     duration_cycles: u64,
     aftermath_cycles: u64,
@@ -72,6 +73,7 @@ impl<'a> Run<'a> {
             outcome: None,
             recorded: false,
             stop_request: None,
+            abort_request: None,
             stream: None,
             control,
             targets,
@@ -83,6 +85,13 @@ impl<'a> Run<'a> {
     #[must_use]
     pub fn with_stop_request(self, request: &'a AtomicBool) -> Self {
         Self { stop_request: Some(request), ..self }
+    }
+
+    /// Adds a second stop request, for a stop that takes too long: once `request` is true, the run is over, and the
+    /// robot's own stop follows at once.
+    #[must_use]
+    pub fn with_abort_request(self, request: &'a AtomicBool) -> Self {
+        Self { abort_request: Some(request), ..self }
     }
 
     /// Layouts of the rows, by channel number: [`TICK`] and [`TIMING`], and for a simulation [`TRUTH`], [`SERVO`] and
@@ -134,6 +143,9 @@ impl<'a> Run<'a> {
     /// per cycle.
     pub fn cycle(&mut self, sample: &Sample) -> Option<Command<'_>> {
         self.between_cycles();
+        if self.abort_request.is_some_and(|request| request.load(Ordering::Relaxed)) {
+            self.end_without_cycles(|time_s| RunOutcome::Interrupted { time_s });
+        }
         if self.is_over() {
             return None;
         }
@@ -202,11 +214,24 @@ impl<'a> Run<'a> {
     }
 
     /// Ends the run after a panic in a part of the loop: nothing more is computed or recorded. The inputs of the cycle
-    /// of the panic are not recorded, unless the panic came after the row, from the sink or the backend. A replay
-    /// recomputes the cycles before it.
+    /// of the panic are not recorded, unless the panic came after the row, from the sink. A replay recomputes the cycles
+    /// before it.
     pub fn abandon(&mut self) {
+        self.end_without_cycles(|time_s| RunOutcome::Faulted { fault: Fault::Panicked, time_s });
+    }
+
+    /// Ends the run because the robot's own stop failed. A fault that stopped the run before remains its outcome.
+    pub fn stop_failed(&mut self, fault: DeviceFault) {
+        if !matches!(self.outcome, Some(RunOutcome::Faulted { .. })) {
+            self.outcome = Some(RunOutcome::Faulted { fault: Fault::Device(fault), time_s: self.time_s() });
+        }
+        self.end_without_cycles(|time_s| RunOutcome::Interrupted { time_s });
+    }
+
+    /// Ends the run without further cycles, with this outcome at this time (s) unless there is one already.
+    fn end_without_cycles(&mut self, outcome: impl FnOnce(f64) -> RunOutcome) {
         if self.outcome.is_none() {
-            self.outcome = Some(RunOutcome::Faulted { fault: Fault::Panicked, time_s: self.time_s() });
+            self.outcome = Some(outcome(self.time_s()));
         }
         self.control.abandon();
         self.aftermath_cycles = 0;

@@ -195,6 +195,7 @@ impl StateEstimator {
                 Force { linear: axes * contact.linear, angular: axes * contact.angular };
         }
         self.supervisor.check_dropout(self.gap)?;
+        self.supervisor.check_rate(self.gap)?;
         self.supervisor.check_state(measurement)
     }
 }

@@ -2,6 +2,7 @@
 
 use crate::fault::Fault;
 use crate::safety::SafetyParameters;
+use crate::sample_rate::SampleRate;
 use nalgebra::DVector;
 use opspace_backend::Sample;
 use opspace_control::Measurement;
@@ -15,6 +16,7 @@ pub struct Supervisor {
     max_missed_cycles: u64,
     max_dropout_s: f64,
     last_time_s: f64,
+    rate: SampleRate,
 }
 
 /// Gap between a sample and the previous one.
@@ -41,6 +43,9 @@ impl SampleGap {
         }
     }
 }
+
+/// Longest gap on the robot's clock that is a gap of samples, s. Across a longer one, the clock was set.
+const LONGEST_GAP_S: f64 = 3600.0;
 
 /// Multiple of the motion at the speed limit above which a step of the measured position counts as a jump.
 const SLIP: f64 = 2.0;
@@ -74,25 +79,35 @@ impl Supervisor {
             max_missed_cycles: u64::from(safety.max_missed_cycles),
             max_dropout_s: safety.max_dropout_s.get(),
             last_time_s: f64::NEG_INFINITY,
+            rate: SampleRate::new(period_s),
         }
     }
 
     /// Computes the number of missed cycles from the robot's clock, rounded: less than half a period is jitter.
     ///
     /// # Errors
-    /// [`Fault::Clock`] if the clock did not advance.
+    /// [`Fault::Clock`] if the clock did not advance, is not finite or is more than an hour ahead.
     pub fn check_clock(&mut self, sample: &Sample) -> Result<SampleGap, Fault> {
-        let before_s = std::mem::replace(&mut self.last_time_s, sample.time_s);
-        // A NaN clock has not advanced.
-        if sample.time_s.is_nan() || sample.time_s <= before_s {
-            return Err(Fault::Clock { before_s, now_s: sample.time_s });
+        let (before_s, now_s) = (self.last_time_s, sample.time_s);
+        let is_first = before_s == f64::NEG_INFINITY;
+        if !now_s.is_finite() || now_s <= before_s || (!is_first && now_s - before_s > LONGEST_GAP_S) {
+            return Err(Fault::Clock { before_s, now_s });
         }
-        if before_s == f64::NEG_INFINITY {
+        self.last_time_s = now_s;
+        if is_first {
             return Ok(SampleGap::Tolerated { missed: 0 });
         }
-        let missed = (((sample.time_s - before_s) / self.period_s).round() as u64).saturating_sub(1);
+        let missed = (((now_s - before_s) / self.period_s).round() as u64).saturating_sub(1);
         let bridged = missed <= self.max_missed_cycles;
         Ok(if bridged { SampleGap::Tolerated { missed } } else { SampleGap::Lost { missed } })
+    }
+
+    /// Checks the rate of the samples, of which the last one came after this gap.
+    ///
+    /// # Errors
+    /// [`Fault::SampleRate`] or [`Fault::LostCycles`].
+    pub fn check_rate(&mut self, gap: SampleGap) -> Result<(), Fault> {
+        self.rate.check(self.last_time_s, gap)
     }
 
     /// Checks that the gap is not longer than `max_dropout_s`.

@@ -3,7 +3,7 @@
 use crate::cli::{BackendChoice, RunArgs};
 use crate::commands::check::large_log;
 use crate::commands::run_on_log::{run_on_log, say_fault, say_written};
-use crate::console::{Console, Exit, Failure, Outcome, render, results as table};
+use crate::console::{Console, Exit, Failure, Outcome, render, report, results as table};
 use crate::interrupt;
 use crate::output::pretty;
 use crate::plant::PlantChoice;
@@ -15,7 +15,8 @@ use opspace_experiment::preflight::start_diagnostics;
 use opspace_experiment::report::coupling_table::coupling_table;
 use opspace_experiment::run::result_files::{LOG, REPORT, SUMMARY};
 use opspace_experiment::{
-    ControllerKind, Experiment, Extensions, FileError, Files, Progress, RunSummary, Scenario, Summary,
+    ControllerKind, Experiment, Extensions, FileError, Files, Metric, Progress, RunError, RunSummary,
+    Scenario, Summary,
 };
 use std::path::{Path, PathBuf};
 
@@ -51,34 +52,66 @@ pub fn run(args: &RunArgs, extensions: &Extensions, console: Console) -> Outcome
     let default = default_folder(&scenario, &args.plant);
     let results = prepare(&args.output, &default, &file_names(&scenario), &scenario.input_paths(), console)?;
     let folder = results.path();
-    let progress = interrupt::watch();
+    let progress = if real.is_some() { interrupt::watch_with_robots() } else { interrupt::watch() };
     scenario.experiments().filter_map(large_log).for_each(|text| console.note(&text));
     console.note(&start_text(&scenario)?);
+    let columns = default_columns(extensions.added());
+    let shown = Shown { scenario: &scenario, args, columns: &columns, progress: &progress, console };
     if let Some(experiment) = scenario.single().filter(|_| args.move_to_start)
-        && let Some(exit) = move_to_start(experiment, args, extensions, (folder, &progress), console)?
+        && let Some(exit) = move_to_start(experiment, extensions, folder, shown)?
     {
         return Ok(exit);
     }
     let summary = with_bar((&scenario.name(), scenario.ticks()), &progress, console, || {
         if real.is_some() {
-            scenario.run_on_drivers(extensions, &results, &progress)
+            let left_behind = |summary| exit_with(shown.say_left_behind(summary, folder));
+            scenario.run_on_drivers(extensions, &results, &progress, &left_behind)
         } else {
             scenario.run_in_folder(&results, &progress)
         }
     })?;
-    args.output.json.print(|| pretty(&summary), || text(&summary, extensions, console))?;
-    match summary.single() {
-        Some(robot) => {
-            say_end(robot, console);
-            let expected = scenario.single().map_or(0, |experiment| experiment.task().file.expect.len());
-            say_expectations(robot, expected, console);
-            say_other_transformer(&scenario, robot, &progress, console);
-            say_written(robot, folder, console);
+    shown.say(&summary, folder)
+}
+
+/// What is needed to show the results of a run, also in the thread that watches the robots.
+#[derive(Clone, Copy)]
+struct Shown<'a> {
+    scenario: &'a Scenario,
+    args: &'a RunArgs,
+    columns: &'a [Metric],
+    progress: &'a Progress,
+    console: Console,
+}
+
+impl Shown<'_> {
+    /// Shows the results of a run.
+    fn say(self, summary: &RunSummary, folder: &Path) -> Outcome {
+        let Self { scenario, args, columns, progress, console } = self;
+        args.output.json.print(|| pretty(summary), || text(summary, columns, console))?;
+        match summary.single() {
+            Some(robot) => {
+                say_end(robot, console);
+                let expected = scenario.single().map_or(0, |experiment| experiment.task().file.expect.len());
+                say_expectations(robot, expected, console);
+                say_other_transformer(scenario, robot, progress, console);
+                say_written(robot, folder, console);
+            }
+            None => say_end_of_robots(summary, folder, console),
         }
-        None => say_end_of_robots(&summary, folder, console),
+        args.open.show(&folder.join(REPORT), console);
+        Ok(exit_code(summary))
     }
-    args.open.show(&folder.join(REPORT), console);
-    Ok(exit_code(&summary))
+
+    /// Shows the results of a run whose robots cannot be reached.
+    fn say_left_behind(self, summary: Result<RunSummary, RunError>, folder: &Path) -> Outcome {
+        self.say(&summary?, folder)
+    }
+}
+
+/// Ends the program with the outcome of a command, although another thread is blocked in a call of a driver.
+fn exit_with(outcome: Outcome) {
+    let exit = outcome.unwrap_or_else(|failure| report(&failure));
+    std::process::exit(exit.code().into())
 }
 
 /// Refuses options that choose something for one robot: the file states it for each.
@@ -153,18 +186,16 @@ fn start_text(scenario: &Scenario) -> Result<String, FileError> {
 /// Moves the robot to the start of the task; returns the exit code if it does not arrive there.
 fn move_to_start(
     experiment: &Experiment,
-    args: &RunArgs,
     extensions: &Extensions,
-    (folder, progress): (&Path, &Progress),
-    console: Console,
+    folder: &Path,
+    shown: Shown<'_>,
 ) -> Result<Option<Exit>, Failure> {
-    let folder = folder.join(MOVE_TO_START);
-    let moved = experiment.move_to_start(extensions, &folder, progress)?;
+    let folder = &folder.join(MOVE_TO_START);
+    let left_behind = |summary| exit_with(shown.say_left_behind(summary, folder));
+    let moved = experiment.move_to_start(extensions, folder, shown.progress, &left_behind)?;
     let Some(moved) = moved.filter(|moved| exit_code_of_robot(moved) != Exit::Done) else { return Ok(None) };
-    args.output.json.print(
-        || pretty(&moved),
-        || table(console, std::slice::from_ref(&moved), &default_columns(extensions.added())),
-    )?;
+    let Shown { args, columns, console, .. } = shown;
+    args.output.json.print(|| pretty(&moved), || table(console, std::slice::from_ref(&moved), columns))?;
     say_end(&moved, console);
     console
         .note(&format!("not run: the robot did not reach the start of the task; see {}", folder.display()));
@@ -172,9 +203,9 @@ fn move_to_start(
 }
 
 /// Text of the results: of one robot, or of the couplings of several.
-fn text(summary: &RunSummary, extensions: &Extensions, console: Console) -> String {
+fn text(summary: &RunSummary, columns: &[Metric], console: Console) -> String {
     match summary.single() {
-        Some(robot) => table(console, std::slice::from_ref(robot), &default_columns(extensions.added())),
+        Some(robot) => table(console, std::slice::from_ref(robot), columns),
         None => render(&coupling_table(std::slice::from_ref(summary))),
     }
 }

@@ -7,7 +7,7 @@ use crate::run::error::RunError;
 use crate::run::execute::RunResult;
 use crate::run::experiment::Experiment;
 use crate::run::result_files::{LOG, REPORT, ResultFolder, SUMMARY, write_file};
-use opspace_log::{LogError, LogFile};
+use opspace_log::{LogError, LogFile, OutcomeRecord};
 use serde::Serialize;
 use std::fs::File;
 use std::io::BufWriter;
@@ -30,6 +30,13 @@ impl NewLog {
         let file = created.map_err(unwritable)?;
         let writer = BufWriter::new(file.try_clone().map_err(unwritable)?);
         Ok((Self { path, file }, writer))
+    }
+
+    /// Returns another handle of the log.
+    pub(crate) fn again(&self) -> Result<Self, RunError> {
+        let file = self.file.try_clone();
+        let file = file.map_err(|source| RunError::Write { path: self.path.clone(), source })?;
+        Ok(Self { path: self.path.clone(), file })
     }
 
     /// Removes the log of a run that did not begin.
@@ -89,24 +96,36 @@ impl Experiment {
         log: NewLog,
         written: Result<RunResult<BufWriter<File>>, RunError>,
     ) -> Result<Summary, RunError> {
-        let mut not_saved = Vec::new();
-        let (record, realtime_factor, cut_after) = match written {
-            Ok(result) => (result.record, Some(result.realtime_factor), None),
+        match written {
+            Ok(result) => {
+                let recorded = LogFile::from_file(log.file, &log.path)?;
+                let summary =
+                    self.summary_of_file(&recorded, &result.record, Some(result.realtime_factor))?;
+                self.write_pages(folder, &recorded, summary, Vec::new())
+            }
             Err(RunError::LogCutShort { record, rows, source }) => {
-                not_saved.push(format!("{LOG}: {source}"));
-                (*record, None, Some(rows))
+                let recorded = LogFile::from_file(log.file, &log.path)?;
+                let mut summary = self.summary_of_file(&recorded, &record, None)?;
+                summary.rows_lost = rows.saturating_sub(recorded.row_count());
+                self.write_pages(folder, &recorded, summary, vec![format!("{LOG}: {source}")])
             }
             Err(error) => {
                 log.discard();
-                return Err(error);
+                Err(error)
             }
-        };
-        let recorded = LogFile::from_file(log.file, &log.path)?;
-        let mut summary = self.summary_of_file(&recorded, &record, realtime_factor)?;
-        if let Some(rows) = cut_after {
-            summary.rows_lost = rows.saturating_sub(recorded.row_count());
         }
-        self.write_pages(folder, &recorded, summary, not_saved)
+    }
+
+    /// Writes summary and report of a run whose log was closed from another thread.
+    pub(crate) fn finish_left_behind(
+        &self,
+        folder: &ResultFolder,
+        log: NewLog,
+        record: &OutcomeRecord,
+    ) -> Result<Summary, RunError> {
+        let recorded = LogFile::from_file(log.file, &log.path)?;
+        let summary = self.summary_of_file(&recorded, record, None)?;
+        self.write_pages(folder, &recorded, summary, Vec::new())
     }
 
     /// Writes report and summary, and returns the summary with the files that could not be written.

@@ -12,12 +12,24 @@ use crate::report::document::RunSection;
 use crate::report::figure::Figure;
 use crate::results::folder::{NewLog, save, save_summary};
 use crate::run::error::RunError;
-use crate::run::execute::Progress;
+use crate::run::execute::{LogCloser, Progress};
 use crate::run::result_files::{LOG, REPORT, ResultFolder};
+use crate::run::robot_watch::RobotWatch;
 use crate::run::scenario::Scenario;
-use opspace_backend::Backend;
-use opspace_log::{LogFile, Recording};
+use opspace_backend::{Backend, Capabilities};
+use opspace_log::{LogError, LogFile, OutcomeRecord, Recording};
+use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::thread::Builder;
+
+/// Function that gets the results of a run whose real robots cannot be reached: a call of a driver does not return, so that
+/// the run's own thread is blocked. It is called in another thread, with the log closed, and must end the program.
+pub type LeftBehind<'a> = &'a (dyn Fn(Result<RunSummary, RunError>) + Sync);
+
+/// Name of the thread that watches real robots.
+const WATCH: &str = "opspace-watch";
 
 /// Function of all robots, in the order of the scenario, while they are open.
 type Body<'a, T> = dyn FnMut(&mut [&mut dyn Backend]) -> Result<T, RunError> + 'a;
@@ -50,12 +62,16 @@ impl Scenario {
     pub fn run_in_folder(&self, folder: &ResultFolder, progress: &Progress) -> Result<RunSummary, RunError> {
         let mut arms = self.simulated_arms()?;
         let mut robots: Vec<&mut dyn Backend> = arms.iter_mut().map(|arm| arm as &mut dyn Backend).collect();
-        self.run_robots(&mut robots, folder, progress)
+        // Simulated robots are not watched.
+        self.run_robots(&mut robots, folder, progress, &|_| {})
     }
 
     /// Runs the scenario in a folder as [`run_in_folder`](Self::run_in_folder) does, with the real robots opened by drivers in
     /// `extensions`, and the others simulated. All robots are read in one thread, each when its next cycle begins: a robot whose
     /// clock differs from those of the others misses a cycle now and then. A simulated robot waits for the real ones.
+    ///
+    /// Another thread watches the real robots. If no cycle is completed for longer than `max_dropout_s`, or for 0.1 s after a stop
+    /// was requested, it calls [`Backend::remote_stop`]. If the call does not return even so, it calls `left_behind`.
     ///
     /// # Errors
     /// As [`run_in_folder`](Self::run_in_folder); a driver that is unknown or cannot open its robot, a real robot that is not at
@@ -65,6 +81,7 @@ impl Scenario {
         extensions: &Extensions,
         folder: &ResultFolder,
         progress: &Progress,
+        left_behind: LeftBehind<'_>,
     ) -> Result<RunSummary, RunError> {
         if let (Some(robot), Some(object)) = (self.real_robots().first(), self.objects.keys().next()) {
             let message =
@@ -72,7 +89,9 @@ impl Scenario {
             let help = Some("remove the object, or add --simulate".to_owned());
             return Err(FileError::at_key(&self.source, ["objects", object], message, help).into());
         }
-        self.with_robots(extensions, Vec::new(), &mut |robots| self.run_robots(robots, folder, progress))
+        self.with_robots(extensions, Vec::new(), &mut |robots| {
+            self.run_robots(robots, folder, progress, left_behind)
+        })
     }
 
     /// Opens the robots that follow those that are `open`, and calls `body` with all.
@@ -95,11 +114,12 @@ impl Scenario {
     }
 
     /// Runs the scenario on these robots, in their order, as [`run_in_folder`](Self::run_in_folder) does.
-    fn run_robots(
+    pub(super) fn run_robots(
         &self,
         robots: &mut [&mut dyn Backend],
         folder: &ResultFolder,
         progress: &Progress,
+        left_behind: LeftBehind<'_>,
     ) -> Result<RunSummary, RunError> {
         // A single robot has no folder of its own.
         let members = self.members.iter().filter(|_| self.single().is_none());
@@ -114,14 +134,22 @@ impl Scenario {
             files.push(file);
             Ok(())
         });
+        let closers = Mutex::new(Vec::new());
         // The robots are opened in their order.
         let mut files = files.into_iter();
-        let driven = created.and_then(|()| {
-            self.drive_robots(robots, progress, |number, capabilities, truth| {
-                let file = files.next().ok_or_else(|| RunError::Incomplete { what: "a log".to_owned() })?;
-                self.members[number].experiment.open(capabilities, truth, file, progress)
-            })
-        });
+        let open = |number: usize, capabilities: &Capabilities, truth| {
+            let file = files.next().ok_or_else(|| RunError::Incomplete { what: "a log".to_owned() })?;
+            let (control, log) = self.members[number].experiment.open(capabilities, truth, file, progress)?;
+            lock(&closers).push(log.closer());
+            Ok((control, log))
+        };
+        let give_up = |silent_s: f64| {
+            let closed = self.close_left_behind(silent_s, progress, &lock(&closers));
+            left_behind(closed.and_then(|record| self.finish_left_behind(folder, &folders, &logs, &record)));
+        };
+        let watch = RobotWatch::new(self, robots, progress);
+        let driven =
+            created.and_then(|()| watched(watch, give_up, || self.drive_robots(robots, progress, open)));
         let driven = driven.inspect_err(|_| logs.iter().for_each(NewLog::discard))?;
         let mut summaries = Vec::new();
         for (((experiment, own), log), (sink, outcome)) in
@@ -129,9 +157,51 @@ impl Scenario {
         {
             summaries.push(experiment.finish_folder(own, log, sink.close(experiment, outcome))?);
         }
+        self.finish(folder, summaries)
+    }
+
+    /// Closes the logs of robots that cannot be reached. Returns the outcome.
+    fn close_left_behind<W>(
+        &self,
+        silent_s: f64,
+        progress: &Progress,
+        logs: &[LogCloser<W>],
+    ) -> Result<OutcomeRecord, RunError> {
+        let rate_hz: f64 = self.experiments().map(|experiment| 1.0 / experiment.profile().1.period_s()).sum();
+        let rest_s = self.experiments().map(|experiment| experiment.robot().file.safety.tare_s.get());
+        let passed_s = progress.ticks.load(Ordering::Relaxed) as f64 / rate_hz;
+        let fault = format!(
+            "the robot could not be reached: a call of its driver has not returned for {silent_s:.1} s; \
+             the robot may still follow its last command"
+        );
+        let record = OutcomeRecord {
+            fault: Some(fault),
+            time_s: Some(passed_s - rest_s.fold(0.0, f64::max)),
+            ..OutcomeRecord::default()
+        };
+        logs.iter().try_for_each(|log| log.close(record.clone()))?;
+        Ok(record)
+    }
+
+    /// Writes the summaries and pages of robots that cannot be reached.
+    fn finish_left_behind(
+        &self,
+        folder: &ResultFolder,
+        folders: &[&ResultFolder],
+        logs: &[NewLog],
+        record: &OutcomeRecord,
+    ) -> Result<RunSummary, RunError> {
+        let each = self.experiments().zip(folders).zip(logs);
+        let summaries =
+            each.map(|((experiment, own), log)| experiment.finish_left_behind(own, log.again()?, record));
+        self.finish(folder, summaries.collect::<Result<_, _>>()?)
+    }
+
+    /// Summary of all robots; with several, it and the page are written.
+    fn finish(&self, folder: &ResultFolder, robots: Vec<Summary>) -> Result<RunSummary, RunError> {
         match self.single() {
-            Some(_) => Ok(CouplingsEvaluator::new(self).finish(summaries)),
-            None => self.write_pages(folder.path(), summaries),
+            Some(_) => Ok(CouplingsEvaluator::new(self).finish(robots)),
+            None => self.write_pages(folder.path(), robots),
         }
     }
 
@@ -185,6 +255,35 @@ impl Scenario {
         summary.not_saved.extend(save_summary(folder, &summary)?);
         Ok(summary)
     }
+}
+
+/// Calls `body` while another thread watches the robots; if they cannot be reached, it calls `give_up` with the time without a
+/// cycle, s.
+fn watched<T>(
+    watch: Option<RobotWatch<'_>>,
+    give_up: impl FnOnce(f64) + Send,
+    body: impl FnOnce() -> Result<T, RunError>,
+) -> Result<T, RunError> {
+    let Some(watch) = watch else { return body() };
+    let done = AtomicBool::new(false);
+    std::thread::scope(|scope| {
+        let watching = || {
+            if let Some(silent_s) = watch.watch(&done) {
+                give_up(silent_s);
+            }
+        };
+        let watching = Builder::new().name(WATCH.to_owned()).spawn_scoped(scope, watching);
+        let watching = watching.map_err(LogError::Write)?;
+        let result = catch_unwind(AssertUnwindSafe(body));
+        done.store(true, Ordering::Release);
+        watching.thread().unpark();
+        result.unwrap_or_else(|panic| resume_unwind(panic))
+    })
+}
+
+/// Locks a value, whatever became of another thread.
+fn lock<T>(value: &Mutex<T>) -> MutexGuard<'_, T> {
+    value.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// Returns the robots with one more, which may be borrowed for a shorter time.

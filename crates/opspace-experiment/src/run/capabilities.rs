@@ -17,7 +17,9 @@ impl Experiment {
         let stated = self.capabilities();
         self.same("joint", "joints", &stated.joints, &declared.joints)?;
         self.same("interface.command", "commands", &stated.command.name(), &declared.command.name())?;
-        if (stated.period_s - declared.period_s).abs() > SAME_PERIOD * stated.period_s {
+        // False for NaN.
+        let is_same = (stated.period_s - declared.period_s).abs() <= SAME_PERIOD * stated.period_s;
+        if !is_same {
             let periods = [stated.period_s, declared.period_s];
             return Err(self.contradiction(
                 "profile",

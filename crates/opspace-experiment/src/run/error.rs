@@ -40,6 +40,26 @@ pub enum RunError {
         /// Fault reported by the robot.
         fault: DeviceFault,
     },
+    /// A real robot that cannot be stopped after an error.
+    #[error("the robot cannot be stopped: {fault}; before that: {before}")]
+    NotStopped {
+        /// Fault of the stop.
+        fault: DeviceFault,
+        /// Error because of which it was stopped.
+        before: Box<RunError>,
+    },
+    /// A panic outside the control loop, while a real robot was open. The robot was stopped.
+    #[error("{place} panicked; the message was printed to standard error, and the robot was stopped")]
+    Panicked {
+        /// Part of the program or the driver.
+        place: &'static str,
+    },
+    /// A driver that failed after the run. The results of the run are complete.
+    #[error("the run is complete, but the driver failed after it: {words}")]
+    AfterRun {
+        /// Cause, a sentence without a full stop.
+        words: String,
+    },
     /// The real robot is not at the start position of the task.
     #[error(
         "joint '{joint}' is at {q_rad:.3} rad (m), but the task starts at {start_rad:.3}; use --move-to-start to move the robot there slowly, or change start_rad [{}]",

@@ -4,22 +4,47 @@ use crate::run::error::RunError;
 use crate::run::experiment::Experiment;
 use opspace_backend::{Backend, Capabilities, GroundTruth, Layout, SERVO, Sink, TruthLayouts, World};
 use opspace_log::{
-    Channel, LoggedTargets, OutcomeRecord, Pace, Recorder, Recording, ReplayBackend, ReplayedCommands,
-    WriteStats, Writer, record,
+    Channel, LogError, LoggedTargets, OutcomeRecord, Pace, Recorder, Recording, ReplayBackend,
+    ReplayedCommands, WriteStats, Writer, record,
 };
 use opspace_loop::{ControlLoop, Fault, Run, RunOutcome, drive, drive_with};
-use std::io::Write;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::io::{self, Write};
+use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex};
 use std::time::Instant;
 
-/// Progress and stop request of a run, shared with other threads.
+/// Progress and stop requests of a run, shared with other threads.
 #[derive(Debug, Default)]
 pub struct Progress {
     /// Stop request: set to stop the run safely.
     pub interrupt: Arc<AtomicBool>,
+    /// Second stop request, for a stop that takes too long: set to end the run at once by the robots' own stops.
+    pub abort: Arc<AtomicBool>,
     /// Number of interface cycles so far.
     pub ticks: AtomicU64,
+    /// Number of scenarios whose robots are being driven.
+    driven: AtomicUsize,
+}
+
+impl Progress {
+    /// True while robots are driven: from the first read to the last stop.
+    #[must_use]
+    pub fn is_driving(&self) -> bool {
+        self.driven.load(Ordering::Acquire) > 0
+    }
+
+    /// Calls `body`, in which robots are driven.
+    pub(crate) fn driving<T>(&self, body: impl FnOnce() -> T) -> T {
+        struct Driving<'a>(&'a AtomicUsize);
+        impl Drop for Driving<'_> {
+            fn drop(&mut self) {
+                self.0.fetch_sub(1, Ordering::AcqRel);
+            }
+        }
+        self.driven.fetch_add(1, Ordering::AcqRel);
+        let _driving = Driving(&self.driven);
+        body()
+    }
 }
 
 /// Result of a finished run.
@@ -37,10 +62,30 @@ pub struct RunResult<W> {
     pub realtime_factor: f64,
 }
 
+/// Writer of a log, until the log is closed.
+type SharedWriter<W> = Arc<Mutex<Option<Writer<W>>>>;
+
+/// Closes the log of a run from another thread, if the run itself cannot.
+pub(crate) struct LogCloser<W>(SharedWriter<W>);
+
+impl<W> LogCloser<W> {
+    /// Writes the outcome of the run to the log and closes it.
+    pub(crate) fn close(&self, record: OutcomeRecord) -> Result<(), RunError> {
+        let writer = take(&self.0)?;
+        writer.finish_with(record).map(|_written| ()).map_err(RunError::from)
+    }
+}
+
+/// Takes the writer of an open log.
+fn take<W>(writer: &SharedWriter<W>) -> Result<Writer<W>, RunError> {
+    let taken = writer.lock().ok().and_then(|mut writer| writer.take());
+    taken.ok_or_else(|| LogError::Write(io::Error::other("the log is already closed")).into())
+}
+
 /// The log of a run in progress.
 pub struct OpenLog<'a, W> {
     recorder: Recorder,
-    writer: Writer<W>,
+    writer: SharedWriter<W>,
     progress: &'a AtomicU64,
     ticks: u64,
     rows: u64,
@@ -70,6 +115,11 @@ impl<W> OpenLog<'_, W> {
         self.close_with(experiment, outcome, record)
     }
 
+    /// Returns what closes the log from another thread.
+    pub(crate) fn closer(&self) -> LogCloser<W> {
+        LogCloser(Arc::clone(&self.writer))
+    }
+
     /// Closes the log with `record`, which describes `outcome`.
     fn close_with(
         self,
@@ -80,7 +130,7 @@ impl<W> OpenLog<'_, W> {
         let robot_s = self.ticks as f64 * experiment.profile().1.period_s();
         let realtime_factor = robot_s / self.began.elapsed().as_secs_f64();
         drop(self.recorder);
-        match self.writer.finish_with(record.clone()) {
+        match take(&self.writer)?.finish_with(record.clone()) {
             Ok((written, sink)) => Ok(RunResult { outcome, record, written, sink, realtime_factor }),
             Err(source) => Err(RunError::LogCutShort { record: Box::new(record), rows: self.rows, source }),
         }
@@ -140,17 +190,20 @@ impl Experiment {
     ) -> Result<RunResult<W>, RunError> {
         let mut robot = ReplayBackend::new(recording, self.capabilities().simulated())?;
         let (control, mut log) = self.open(&robot.capabilities().clone(), None, sink, progress)?;
-        let mut run = Run::new(control, self.duration_s(), &mut log).with_stop_request(&progress.interrupt);
+        let mut run = Run::new(control, self.duration_s(), &mut log)
+            .with_stop_request(&progress.interrupt)
+            .with_abort_request(&progress.abort);
         let targets = run.targets();
         let mut logged = LoggedTargets::new(recording, targets.layout(), targets.row())?;
-        drive_with(&mut robot, &mut run, &mut |run| {
+        let mut before = |run: &mut Run<'_>| {
             let Some((row, stop_requested)) = logged.next_row() else { return false };
             run.targets().set_row(row);
             if stop_requested {
                 progress.interrupt.store(true, Ordering::Relaxed);
             }
             true
-        });
+        };
+        progress.driving(|| drive_with(&mut robot, &mut run, &mut before));
         let outcome = run.finish();
         let commands = robot.parted_s().map_or(ReplayedCommands::Equal, ReplayedCommands::PartAfter);
         let record = OutcomeRecord { replay: Some(commands), ..self.outcome_record(&outcome) };
@@ -172,8 +225,10 @@ impl Experiment {
         body: impl FnOnce(&mut Run<'_>),
     ) -> Result<RunResult<W>, RunError> {
         let (control, mut log) = self.open(capabilities, truth, sink, progress)?;
-        let mut run = Run::new(control, self.duration_s(), &mut log).with_stop_request(&progress.interrupt);
-        body(&mut run);
+        let mut run = Run::new(control, self.duration_s(), &mut log)
+            .with_stop_request(&progress.interrupt)
+            .with_abort_request(&progress.abort);
+        progress.driving(|| body(&mut run));
         let outcome = run.finish();
         log.close(self, outcome)
     }
@@ -196,8 +251,14 @@ impl Experiment {
             World::Real => Pace::RealTime,
         };
         let (recorder, writer) = record(sink, self.header(capabilities.world), channels, pace)?;
-        let log =
-            OpenLog { recorder, writer, progress: &progress.ticks, ticks: 0, rows: 0, began: Instant::now() };
+        let log = OpenLog {
+            recorder,
+            writer: Arc::new(Mutex::new(Some(writer))),
+            progress: &progress.ticks,
+            ticks: 0,
+            rows: 0,
+            began: Instant::now(),
+        };
         Ok((control, log))
     }
 

@@ -8,7 +8,9 @@ use crate::run::execute::{Progress, RunResult};
 use crate::run::experiment::Experiment;
 use crate::suggest::choices;
 use opspace_backend::{Backend, Driver, DriverError, Setting, Settings};
+use opspace_loop::driver_calls::stop;
 use std::io::Write;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 
 /// Key of `[driver]` that selects the driver.
 const NAME: &str = "name";
@@ -34,7 +36,7 @@ impl Experiment {
         self.with_driver(extensions, |backend| self.run_on(backend, sink, progress))
     }
 
-    /// Opens the robot of `[driver]`, calls `body`, and closes the robot.
+    /// Opens the robot of `[driver]`, calls `body`, and closes the robot. After an error or a panic, the robot is stopped.
     pub(crate) fn with_driver<T>(
         &self,
         extensions: &Extensions,
@@ -42,18 +44,31 @@ impl Experiment {
     ) -> Result<T, RunError> {
         self.refuse_comparison_options()?;
         let driver = self.driver(extensions)?;
+        let settings = self.driver_settings();
         let (mut body, mut result) = (Some(body), None);
         let mut run = |backend: &mut dyn Backend| {
             // A driver calls this closure once.
             if let Some(body) = body.take() {
-                result = Some(body(backend));
+                result = Some(or_stopped(backend, body));
             }
         };
-        driver.with(&self.driver_settings(), &mut run).map_err(|error| self.driver_error(&error))?;
-        result.unwrap_or_else(|| {
-            let error = DriverError::new("the driver opened the robot but did not run it");
-            Err(self.driver_error(&error).into())
-        })
+        let closed = catch_unwind(AssertUnwindSafe(|| driver.with(&settings, &mut run)));
+        match (result, closed) {
+            (Some(Err(error)), _) => Err(error),
+            (Some(Ok(done)), Ok(Ok(()))) => Ok(done),
+            (Some(Ok(_)), Ok(Err(error))) => Err(RunError::AfterRun { words: error.words }),
+            (Some(Ok(_)), Err(_)) => {
+                let words =
+                    "it panicked while it closed the robot; the message was printed to standard error";
+                Err(RunError::AfterRun { words: words.to_owned() })
+            }
+            (None, Ok(Err(error))) => Err(self.driver_error(&error).into()),
+            (None, Err(_)) => Err(RunError::Panicked { place: "the driver, while it opened the robot," }),
+            (None, Ok(Ok(()))) => {
+                let error = DriverError::new("the driver opened the robot but did not run it");
+                Err(self.driver_error(&error).into())
+            }
+        }
     }
 
     fn driver<'a>(&self, extensions: &'a Extensions) -> Result<&'a dyn Driver, FileError> {
@@ -84,7 +99,8 @@ impl Experiment {
 
     fn driver_settings(&self) -> Settings {
         let joints = self.robot.model.joints().iter().map(|joint| joint.name.clone()).collect();
-        let settings = Settings::new(self.command_kind(), joints, self.profile.period_s());
+        let settings = Settings::new(self.command_kind(), joints, self.profile.period_s())
+            .with_force_sensors(self.capabilities().force_sensors);
         let keys = self.robot.file.driver.iter().flatten().filter(|(key, _)| *key != NAME);
         keys.fold(settings, |settings, (key, value)| settings.with(key, value.clone()))
     }
@@ -95,5 +111,23 @@ impl Experiment {
             Some(key) => FileError::at_key(source, ["driver", key], error.words.clone(), None),
             None => FileError::at_key(source, "driver", error.words.clone(), None),
         }
+    }
+}
+
+/// Calls `body`; after an error or a panic, the robot is stopped.
+fn or_stopped<T>(
+    backend: &mut dyn Backend,
+    body: impl FnOnce(&mut dyn Backend) -> Result<T, RunError>,
+) -> Result<T, RunError> {
+    let before = match catch_unwind(AssertUnwindSafe(|| body(backend))) {
+        Ok(Ok(done)) => return Ok(done),
+        Ok(Err(error)) => error,
+        Err(_) => {
+            RunError::Panicked { place: "a part of the program or the driver, outside the control loop," }
+        }
+    };
+    match stop(backend) {
+        Ok(()) => Err(before),
+        Err(fault) => Err(RunError::NotStopped { fault, before: Box::new(before) }),
     }
 }

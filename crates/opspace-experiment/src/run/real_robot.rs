@@ -10,6 +10,7 @@ use crate::run::comparisons::comparison_only;
 use crate::run::error::RunError;
 use crate::run::experiment::{Experiment, RunOptions};
 use opspace_backend::{Backend, CommandKind, DeviceFault, Sample};
+use opspace_loop::driver_calls::read_once;
 use opspace_model::{Joint, JointKind};
 use std::fmt::Write;
 use std::path::Path;
@@ -145,7 +146,7 @@ fn is_at(q: f64, start: f64) -> bool {
 /// Reads the current joint positions of a robot (n; rad or m).
 pub(crate) fn positions(backend: &mut dyn Backend) -> Result<Vec<f64>, RunError> {
     let mut sample = Sample::new(backend.capabilities());
-    let read = backend.read(&mut sample).and_then(|()| match sample.q.iter().all(|q| q.is_finite()) {
+    let read = read_once(backend, &mut sample).and_then(|()| match sample.q.iter().all(|q| q.is_finite()) {
         true => Ok(()),
         false => Err(DeviceFault::new(0, "a joint position is not a finite number")),
     });

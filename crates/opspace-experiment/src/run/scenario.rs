@@ -322,7 +322,9 @@ impl Scenario {
             .into_iter()
             .zip(&mut sinks)
             .map(|(control, sink)| {
-                Run::new(control, self.duration_s(), sink).with_stop_request(&progress.interrupt)
+                Run::new(control, self.duration_s(), sink)
+                    .with_stop_request(&progress.interrupt)
+                    .with_abort_request(&progress.abort)
             })
             .collect();
         let mut driven: Vec<Driven<'_, '_>> = robots
@@ -330,7 +332,7 @@ impl Scenario {
             .zip(&mut runs)
             .map(|(robot, run)| Driven { backend: &mut **robot, run })
             .collect();
-        drive_together(&mut driven, &mut links, &mut timeline);
+        progress.driving(|| drive_together(&mut driven, &mut links, &mut timeline));
         drop(driven);
         let outcomes: Vec<RunOutcome> = runs.into_iter().map(Run::finish).collect();
         Ok(sinks.into_iter().zip(outcomes).collect())

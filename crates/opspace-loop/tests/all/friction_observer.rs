@@ -22,8 +22,8 @@ fn observed(robot: Capabilities) -> LoopConfig {
 fn added(extra: [f64; 2], fz: f64, lost: bool) -> DVector<f64> {
     let weight = gravity_at(&START);
     let script = move |cycle: u64, sample: &mut Sample| {
-        // Two of ten samples are lost.
-        at_rest(if lost { cycle + 2 * (cycle / 8) } else { cycle }, sample);
+        // One of ten samples is lost.
+        at_rest(if lost { cycle + cycle / 9 } else { cycle }, sample);
         if let Some(torque) = &mut sample.motor_torque {
             torque
                 .iter_mut()

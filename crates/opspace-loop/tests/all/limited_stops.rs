@@ -1,12 +1,12 @@
 //! Every setpoint of a run keeps the limits that the drives declare, and the speed limit of its joint, to the last one of a stop.
 
 use crate::common::{
-    Commanded, LIMITS, PERIOD_S, REST, Received, START, Scripted, capabilities, config, drive_robot,
-    position_controller, safety,
+    Commanded, LIMITS, PERIOD_S, REST, Received, Rows, START, Scripted, at_rest, capabilities, config,
+    drive_robot, position_controller, safety,
 };
 use opspace_backend::quantity::Positive;
 use opspace_backend::{CommandKind, Sample, StopMethod};
-use opspace_loop::{Fault, LoopConfig, Phase, RunOutcome};
+use opspace_loop::{ControlLoop, Fault, LoopConfig, Phase, Run, RunOutcome, drive};
 use opspace_testing::random::Random;
 use opspace_transformer::setpoint_limits::{JointSetpointLimits, SetpointStream};
 use std::f64::consts::TAU;
@@ -242,4 +242,38 @@ fn setpoints_come_to_rest_within_their_limits() {
 fn a_joint_without_limits_waits_for_the_other() {
     let slow = check_all([true, false]);
     assert!(slow.iter().map(|(_, runs)| runs).sum::<usize>() > 40, "{slow:?}");
+}
+
+/// A stop whose setpoints come to rest slowly, and a second request some cycles after the first: without it, and with it.
+#[test]
+fn second_request_ends_a_slow_stop() {
+    const SECOND: u64 = 5;
+    let mut limits = JointSetpointLimits::default();
+    limits.acceleration_rad_per_s2 = Some(Positive::literal(3.0));
+    let at = REST + 100;
+    let stopped_in = |aborts: bool| {
+        let (request, abort) = (AtomicBool::new(false), AtomicBool::new(false));
+        let mut robot = Scripted::new(capabilities(CommandKind::Position), |cycle, sample: &mut Sample| {
+            at_rest(cycle, sample);
+            let t = cycle.saturating_sub(REST) as f64 * PERIOD_S;
+            sample.q[1] += 0.5 * t * t;
+            request.store(cycle >= at, Ordering::Relaxed);
+            abort.store(aborts && cycle >= at + SECOND, Ordering::Relaxed);
+        });
+        let moving =
+            config(capabilities(CommandKind::Position), position_controller(|time_s| 0.5 * time_s * time_s));
+        let control =
+            ControlLoop::new(LoopConfig { setpoint_limits: vec![limits; 2], safety: safety(), ..moving })
+                .expect("parts that fit");
+        let mut rows = Rows::default();
+        let mut run =
+            Run::new(control, 10.0, &mut rows).with_stop_request(&request).with_abort_request(&abort);
+        drive(&mut robot, &mut run);
+        assert!(matches!(run.finish(), RunOutcome::Interrupted { .. }));
+        let stop = robot.received.iter().position(|received| *received == Received::Stop);
+        robot.received_in[stop.expect("it is stopped")] - at
+    };
+    let (slow, quick) = (stopped_in(false), stopped_in(true));
+    assert!(slow > 2 * SECOND, "{slow} cycles");
+    assert_eq!(quick, SECOND, "{slow} cycles without it");
 }

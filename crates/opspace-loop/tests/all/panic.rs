@@ -38,8 +38,8 @@ enum Part {
     Sink,
 }
 
-/// Robot that panics when it is written.
-struct Panicking<B>(B, Option<u64>);
+/// Robot that panics when it is written, after this number of commands, or in its first stops.
+struct Panicking<B>(B, Option<u64>, u32);
 
 impl<B: Backend> Backend for Panicking<B> {
     fn capabilities(&self) -> &Capabilities {
@@ -61,6 +61,10 @@ impl<B: Backend> Backend for Panicking<B> {
 
     fn stop(&mut self) {
         self.0.stop();
+        if self.2 > 0 {
+            self.2 -= 1;
+            panic!("{SCRIPTED}");
+        }
     }
 }
 
@@ -89,7 +93,7 @@ fn panicking_controller() -> impl Controller {
 }
 
 /// Checks outcome, calls and rows of a run in which a part panics in one cycle: a fault, a stop in that cycle, and no
-/// cycle after it.
+/// cycle after it. A panic of the robot is a fault of the device, which has a row of its own.
 #[test]
 fn panic_in_any_part_stops_the_robot() {
     silence();
@@ -104,15 +108,19 @@ fn panic_in_any_part_stops_the_robot() {
                 at_rest(cycle, sample);
             };
             let writes = (part == Part::Write).then_some(WRONG - REST);
-            let mut robot = Panicking(Scripted::new(capabilities(kind), script), writes);
+            let mut robot = Panicking(Scripted::new(capabilities(kind), script), writes, 0);
             let mut counter = Counter { rows: 0, last: (part == Part::Sink).then_some(WRONG) };
             let control = ControlLoop::new(config).expect("parts that fit");
             let mut run = Run::new(control, 0.2, &mut counter);
             drive(&mut robot, &mut run);
             assert!(run.is_over(), "{kind:?}, {part:?}");
-            let RunOutcome::Faulted { fault: Fault::Panicked, time_s } = run.finish() else {
-                panic!("{kind:?}, {part:?}")
+            let RunOutcome::Faulted { fault, time_s } = run.finish() else { panic!("{kind:?}, {part:?}") };
+            let is_right = match &fault {
+                Fault::Device(fault) if part == Part::Read => fault.words.contains("panicked in `read`"),
+                Fault::Device(fault) if part == Part::Write => fault.words.contains("panicked in `write`"),
+                fault => *fault == Fault::Panicked && matches!(part, Part::Controller | Part::Sink),
             };
+            assert!(is_right, "{kind:?}, {part:?}: {fault}");
             let last_s = (WRONG - REST) as f64 * PERIOD_S;
             let expected_s = if part == Part::Read { last_s - PERIOD_S } else { last_s };
             assert!((time_s - expected_s).abs() < ROUNDING, "{kind:?}, {part:?}: {time_s} s");
@@ -125,7 +133,12 @@ fn panic_in_any_part_stops_the_robot() {
                 commands,
                 "{part:?}"
             );
-            assert_eq!(counter.rows, WRONG + u64::from(part == Part::Write), "{kind:?}, {part:?}");
+            let rows = match part {
+                Part::Controller | Part::Sink => WRONG,
+                Part::Read => WRONG + 1,
+                Part::Write => WRONG + 2,
+            };
+            assert_eq!(counter.rows, rows, "{kind:?}, {part:?}");
         }
     }
 }
@@ -149,4 +162,26 @@ fn panic_after_stop_keeps_the_outcome() {
     assert_eq!(fault, Fault::MeasurementNotFinite { joint: 0 });
     assert_eq!(counter.rows, WRONG + 10);
     assert_eq!(robot.received.last(), Some(&Received::Stop));
+}
+
+/// Checks runs whose planned end is a stop that panics: it is called once more, and the run has failed.
+#[test]
+fn panicking_stop_is_repeated_once() {
+    silence();
+    let kind = opspace_backend::CommandKind::Position;
+    for (panics, words) in [(1, "panicked in `stop`; the message"), (2, "the robot may still move")] {
+        let mut robot = Panicking(Scripted::new(capabilities(kind), at_rest), None, panics);
+        let mut counter = Counter { rows: 0, last: None };
+        let control =
+            ControlLoop::new(config(capabilities(kind), gravity_controller(0.0))).expect("parts that fit");
+        let mut run = Run::new(control, 0.2, &mut counter);
+        drive(&mut robot, &mut run);
+        let RunOutcome::Faulted { fault: Fault::Device(fault), .. } = run.finish() else {
+            panic!("{panics}")
+        };
+        assert!(fault.words.contains(words), "{fault}");
+        let stops = robot.0.received.iter().filter(|received| **received == Received::Stop).count();
+        // One in the cycle of the end, one after the last cycle, and one more for the panic.
+        assert_eq!(stops, 3, "{panics}");
+    }
 }

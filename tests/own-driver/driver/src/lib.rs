@@ -1,8 +1,11 @@
 //! Driver of an arm whose joints approach their position setpoints with a time constant.
 
 use opspace_backend::{
-    Backend, Capabilities, Command, CommandKind, DeviceFault, Driver, DriverError, Sample, Settings,
+    Backend, Capabilities, Command, CommandKind, DeviceFault, Driver, DriverError, RemoteStop, Sample,
+    Settings,
 };
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Driver of the arm; `[driver]` contains its `name`, `time_constant_s`, and optionally `fails_after_s`.
 pub struct LaggingArmDriver;
@@ -19,12 +22,14 @@ impl Driver for LaggingArmDriver {
         }
         let joints = settings.joints.len();
         let mut arm = LaggingArm {
-            capabilities: Capabilities::new(settings.joints.clone(), settings.command, settings.period_s),
+            capabilities: Capabilities::new(settings.joints.clone(), settings.command, settings.period_s)
+                .with_force_sensors(settings.force_sensors.clone()),
             gain: 1.0 - (-settings.period_s / settings.number("time_constant_s")?).exp(),
             fails_after_s: settings.number("fails_after_s").unwrap_or(f64::INFINITY),
             time_s: 0.0,
             q: vec![0.0; joints],
             setpoint: vec![0.0; joints],
+            stopped: Arc::default(),
         };
         run(&mut arm);
         Ok(())
@@ -38,6 +43,7 @@ struct LaggingArm {
     time_s: f64,
     q: Vec<f64>,
     setpoint: Vec<f64>,
+    stopped: Arc<AtomicBool>,
 }
 
 impl Backend for LaggingArm {
@@ -46,6 +52,9 @@ impl Backend for LaggingArm {
     }
 
     fn read(&mut self, sample: &mut Sample) -> Result<(), DeviceFault> {
+        if self.stopped.load(Ordering::Relaxed) {
+            return Err(DeviceFault::new(18, "the arm was stopped from another thread"));
+        }
         self.time_s += self.capabilities.period_s;
         if self.time_s > self.fails_after_s {
             return Err(DeviceFault::new(17, "the cable was pulled"));
@@ -67,5 +76,11 @@ impl Backend for LaggingArm {
         Ok(())
     }
 
+    /// Keeps the last setpoint.
     fn stop(&mut self) {}
+
+    fn remote_stop(&self) -> Option<RemoteStop> {
+        let stopped = Arc::clone(&self.stopped);
+        Some(Box::new(move || stopped.store(true, Ordering::Relaxed)))
+    }
 }
