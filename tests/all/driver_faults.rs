@@ -159,7 +159,7 @@ fn signals_stop_the_robot() {
         ["-HUP", "-INT", "-QUIT", "-USR1", "-USR2", "-ALRM", "-TERM", "-TSTP", "-VTALRM", "-PROF", "-IO"]
     {
         let folder = scratch();
-        let run = start(folder.path(), "paced = true", &["--duration-s", "2000"]);
+        let run = start(folder.path(), "remote = false", &["--duration-s", "2000"]);
         run.wait_for(is_running);
         sleep(Duration::from_millis(300));
         run.signal(signal);

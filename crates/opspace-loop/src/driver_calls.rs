@@ -66,9 +66,10 @@ impl DriverCalls {
     fn check_lateness(&mut self, time_s: f64) -> Result<(), DeviceFault> {
         let now = Instant::now();
         let Some((then, then_s)) = self.last.replace((now, time_s)) else { return Ok(()) };
-        let late_s = (now - then).as_secs_f64() - (time_s - then_s);
-        // A clock that is not finite is a fault of its own.
-        if late_s > LATEST_S { Err(DeviceFault::new(CODE, LATE)) } else { Ok(()) }
+        let advanced_s = time_s - then_s;
+        let late_s = (now - then).as_secs_f64() - advanced_s;
+        // A clock that does not advance, or is not finite, is a fault of its own.
+        if advanced_s > 0.0 && late_s > LATEST_S { Err(DeviceFault::new(CODE, LATE)) } else { Ok(()) }
     }
 }
 

@@ -3,7 +3,6 @@
 //! The model is the rate of successful commands of libfranka, `control_command_success_rate`.
 
 use crate::fault::Fault;
-use crate::supervisor::SampleGap;
 
 /// Number of spacings in a mean: with 5 % of lost cycles, chance leaves it within [`TOLERANCE`].
 const SPACINGS: u32 = 100;
@@ -33,19 +32,16 @@ impl SampleRate {
         Self { period_s, last_s: f64::NAN, spacings: 0, sum_s: 0.0, samples: 0, gaps: 0 }
     }
 
-    /// Checks the rate with a sample at `time_s` (s) on the robot's clock, which came after this gap.
-    pub(crate) fn check(&mut self, time_s: f64, gap: SampleGap) -> Result<(), Fault> {
+    /// Checks the rate with a sample at `time_s` (s) on the robot's clock, which came after a gap of `missed` cycles. The robot
+    /// is held after a gap that is too long to be `bridged`: the gap has a limit of its own, and is not in the mean.
+    pub(crate) fn check(&mut self, time_s: f64, missed: u64, bridged: bool) -> Result<(), Fault> {
         let spacing_s = time_s - self.last_s;
         self.last_s = time_s;
         if spacing_s.is_nan() {
             return Ok(());
         }
-        self.check_gaps(gap.missed() > 0)?;
-        // The robot is held after a longer gap, which has a limit of its own.
-        match gap {
-            SampleGap::Tolerated { .. } => self.check_mean(spacing_s),
-            SampleGap::Lost { .. } => Ok(()),
-        }
+        self.check_gaps(missed > 0)?;
+        if bridged { self.check_mean(spacing_s) } else { Ok(()) }
     }
 
     fn check_gaps(&mut self, is_gap: bool) -> Result<(), Fault> {

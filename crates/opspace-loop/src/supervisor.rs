@@ -107,7 +107,7 @@ impl Supervisor {
     /// # Errors
     /// [`Fault::SampleRate`] or [`Fault::LostCycles`].
     pub fn check_rate(&mut self, gap: SampleGap) -> Result<(), Fault> {
-        self.rate.check(self.last_time_s, gap)
+        self.rate.check(self.last_time_s, gap.missed(), matches!(gap, SampleGap::Tolerated { .. }))
     }
 
     /// Checks that the gap is not longer than `max_dropout_s`.

@@ -1,4 +1,4 @@
-//! Driver of an arm whose faults are chosen in `[driver]`: those of the device, and those of its own code.
+//! Driver of an arm in real time, whose faults are chosen in `[driver]`: those of the device, and those of its own code.
 
 use opspace_backend::{
     Backend, Capabilities, Command, DeviceFault, Driver, DriverError, RemoteStop, Sample, Settings,
@@ -32,8 +32,6 @@ struct Faults {
     blocks_s: f64,
     /// True if another thread can stop the arm and end the block.
     remote: bool,
-    /// True if the samples come at the pace of the computer's clock.
-    paced: bool,
 }
 
 impl Driver for FaultyDriver {
@@ -53,7 +51,6 @@ impl Driver for FaultyDriver {
             declared_s: parsed("declared_s").unwrap_or(settings.period_s),
             blocks_s: number("blocks_s", 0.0),
             remote: settings.flag("remote")?,
-            paced: settings.flag("paced")?,
         };
         let panic = faults.panic.clone();
         assert!(panic != "open", "{PANIC}");
@@ -111,10 +108,8 @@ impl Backend for Arm {
                 return Err(DeviceFault::new(5, "the arm was stopped from another thread"));
             }
         }
-        if self.faults.paced {
-            let due = Duration::from_secs_f64(self.reads / 1000.0);
-            sleep(due.saturating_sub(self.began.elapsed()));
-        }
+        let due = Duration::from_secs_f64(self.reads / 1000.0);
+        sleep(due.saturating_sub(self.began.elapsed()));
         let time_s = self.reads * self.faults.spacing / 1000.0;
         sample.time_s = self.faults.time_s.filter(|_| is_at).unwrap_or(time_s);
         sample.q.copy_from_slice(&self.q);

@@ -56,26 +56,26 @@ pub fn run(args: &RunArgs, extensions: &Extensions, console: Console) -> Outcome
     scenario.experiments().filter_map(large_log).for_each(|text| console.note(&text));
     console.note(&start_text(&scenario)?);
     let columns = default_columns(extensions.added());
-    let shown = Shown { scenario: &scenario, args, columns: &columns, progress: &progress, console };
+    let view = RunView { scenario: &scenario, args, columns: &columns, progress: &progress, console };
     if let Some(experiment) = scenario.single().filter(|_| args.move_to_start)
-        && let Some(exit) = move_to_start(experiment, extensions, folder, shown)?
+        && let Some(exit) = move_to_start(experiment, extensions, folder, view)?
     {
         return Ok(exit);
     }
     let summary = with_bar((&scenario.name(), scenario.ticks()), &progress, console, || {
         if real.is_some() {
-            let left_behind = |summary| exit_with(shown.say_left_behind(summary, folder));
+            let left_behind = |summary| exit_with(view.say_left_behind(summary, folder));
             scenario.run_on_drivers(extensions, &results, &progress, &left_behind)
         } else {
             scenario.run_in_folder(&results, &progress)
         }
     })?;
-    shown.say(&summary, folder)
+    view.say(&summary, folder)
 }
 
 /// What is needed to show the results of a run, also in the thread that watches the robots.
 #[derive(Clone, Copy)]
-struct Shown<'a> {
+struct RunView<'a> {
     scenario: &'a Scenario,
     args: &'a RunArgs,
     columns: &'a [Metric],
@@ -83,7 +83,7 @@ struct Shown<'a> {
     console: Console,
 }
 
-impl Shown<'_> {
+impl RunView<'_> {
     /// Shows the results of a run.
     fn say(self, summary: &RunSummary, folder: &Path) -> Outcome {
         let Self { scenario, args, columns, progress, console } = self;
@@ -188,13 +188,13 @@ fn move_to_start(
     experiment: &Experiment,
     extensions: &Extensions,
     folder: &Path,
-    shown: Shown<'_>,
+    view: RunView<'_>,
 ) -> Result<Option<Exit>, Failure> {
     let folder = &folder.join(MOVE_TO_START);
-    let left_behind = |summary| exit_with(shown.say_left_behind(summary, folder));
-    let moved = experiment.move_to_start(extensions, folder, shown.progress, &left_behind)?;
+    let left_behind = |summary| exit_with(view.say_left_behind(summary, folder));
+    let moved = experiment.move_to_start(extensions, folder, view.progress, &left_behind)?;
     let Some(moved) = moved.filter(|moved| exit_code_of_robot(moved) != Exit::Done) else { return Ok(None) };
-    let Shown { args, columns, console, .. } = shown;
+    let RunView { args, columns, console, .. } = view;
     args.output.json.print(|| pretty(&moved), || table(console, std::slice::from_ref(&moved), columns))?;
     say_end(&moved, console);
     console

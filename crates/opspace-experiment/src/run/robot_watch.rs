@@ -23,7 +23,7 @@ pub(crate) struct RobotWatch<'a> {
     stops: Vec<RemoteStop>,
     period_s: f64,
     /// Longest time without a sample that is tolerated, s.
-    longest_dropout_s: f64,
+    max_dropout_s: f64,
 }
 
 impl<'a> RobotWatch<'a> {
@@ -41,7 +41,7 @@ impl<'a> RobotWatch<'a> {
             progress,
             stops: robots.iter().filter_map(|robot| robot.remote_stop()).collect(),
             period_s: longest(|experiment| experiment.profile().1.period_s()),
-            longest_dropout_s: longest(|experiment| experiment.robot().file.safety.max_dropout_s.get()),
+            max_dropout_s: longest(|experiment| experiment.robot().file.safety.max_dropout_s.get()),
         })
     }
 
@@ -77,7 +77,7 @@ impl<'a> RobotWatch<'a> {
     /// Longest time without a cycle after which nothing is done, s.
     fn longest_silence_s(&self) -> f64 {
         let stops = self.progress.interrupt.load(Ordering::Relaxed);
-        self.period_s + GRACE_S + if stops { 0.0 } else { self.longest_dropout_s }
+        self.period_s + GRACE_S + if stops { 0.0 } else { self.max_dropout_s }
     }
 
     /// Calls the remote stops. A panic of one of them does not keep the others from being called.

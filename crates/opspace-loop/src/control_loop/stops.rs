@@ -4,6 +4,7 @@
 //! |---|---|---|
 //! | planned end, request, fault | setpoints, one per cycle, until they rest; then the robot's own stop | the robot's own stop |
 //! | the robot can't be read or refuses a command | the robot's own stop | the robot's own stop |
+//! | second request | the robot's own stop | the robot's own stop |
 //! | panic | the robot's own stop | the robot's own stop |
 //!
 //! Setpoints with declared limits of the drives come to rest within them. They go on in the direction of motion, also after a
