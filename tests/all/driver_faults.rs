@@ -197,7 +197,7 @@ fn blocked_read_ends_by_signals() {
 
 /// A read that does not return, without any signal: with a stop of another thread, without one, and one that returns in time.
 #[test]
-fn blocked_read_ends_by_itself() {
+pub fn blocked_read_ends_by_itself() {
     let cases = [
         ("blocks_s = 1000.0, remote = true", "the arm was stopped from another thread", 1),
         ("blocks_s = 1000.0", "could not be reached", 0),

@@ -13,11 +13,12 @@ const ROWS: &[(&str, fn())] = &[
     ("`FAILED`: more than a tenth of the interface cycles was missed", cycles_missed),
     ("`FAILED`: a joint did not move, although its reference did", joints_held),
     ("`FAILED`: a bound of `expect` was missed", expectation_missed),
+    ("the robot could not be reached", crate::driver_faults::blocked_read_ends_by_itself),
     ("one of these in a run of `bench`, or in a robot of an experiment", in_a_suite_and_an_experiment),
     ("`replay` or `log diff` found a difference", difference),
     ("`check --strict` found a problem", strict),
     ("wrong arguments, or a mistake in a file", bad),
-    ("done, but rows were lost or a log is damaged", damaged),
+    ("done, but rows were lost, a log is damaged, or a disk is full", damaged),
     ("interrupted: the robot is stopped, and the log is closed", interrupted),
 ];
 
@@ -153,6 +154,7 @@ fn damaged() {
     std::fs::write(&log, &bytes[..bytes.len() / 2]).expect("half of it");
     opspace(folder.path(), &["log", "info", "run"]).exits(3);
     opspace(folder.path(), &["report", "run"]).exits(3);
+    // A full disk: `hostile_inputs::full_disk_exits_with_3`.
 }
 
 #[cfg(unix)]
