@@ -37,7 +37,7 @@ struct Driven<'a> {
     child: Child,
 }
 
-/// What a run left.
+/// Rest of a run.
 struct Ended {
     code: Option<i32>,
     said: String,

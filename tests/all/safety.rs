@@ -8,7 +8,7 @@ use nalgebra::DVector;
 use opspace_backend::CommandKind;
 use opspace_backend::quantity::NonNegative;
 use opspace_experiment::{ControllerKind, Experiment, RobotDefinition, RunOptions, Source};
-use opspace_loop::{ControlLoop, Fault, LoopConfig, LoopError, RunOutcome};
+use opspace_loop::{ControlLoop, Fault, LoopConfig, LoopError, Phase, RunOutcome};
 use opspace_model::{Data, Model, kinematics, potential_energy};
 use opspace_sim::EnvironmentObjectParameters;
 
@@ -117,7 +117,7 @@ fn check_stop(experiment: &Experiment, run: &Run, name: &str) -> Fault {
     let logged_s = run.channel("tick").time_s[found];
     assert!((logged_s - *time_s).abs() < 2e-3, "{name}: at {time_s} s, logged at {logged_s} s");
     assert!((found..code.len()).all(|k| code.row(k)[0] == f64::from(fault.code())), "{name}: latched");
-    assert!((found + 1..phase.len()).all(|k| phase.row(k)[0] == STOPPED), "{name}: stopped");
+    assert!((found + 1..phase.len()).all(|k| Phase::is_after_stop(phase.row(k)[0])), "{name}: stopped");
     check_at_rest(experiment, run, name);
     let text = fault.describe(&experiment.robot().model);
     assert!(!text.contains("joint 0") && !text.contains("joint 3"), "named by name: {text}");
@@ -136,7 +136,9 @@ fn check_at_rest(experiment: &Experiment, run: &Run, name: &str) {
     let stop = phase.rows().position(|p| p[0] == STOPPED).expect("it was stopped");
     let last = run.channel("truth").len() - 1;
     let ticks = (0.2 / experiment.profile().1.period_s()).round() as usize;
-    assert_eq!(phase.len() - stop, ticks, "{name}: 0.2 s of aftermath");
+    // The last of several setpoints of a stop has a row of its own.
+    let rows = phase.len() - stop;
+    assert!(rows == ticks || rows == ticks + 1, "{name}: 0.2 s of aftermath, {rows}");
     let (q, dq) = (run.signal("truth", "q"), run.signal("truth", "dq"));
     let left = dq.row(last).iter().fold(0.0, |max: f64, v| max.max(v.abs()));
     assert!(left < STILL, "{name}: {left} rad/s after 0.2 s");
@@ -183,7 +185,9 @@ fn excess_speed_stops_the_arm() {
         }));
         let run = run_with(&experiment, controller, None);
         let fault = check_stop(&experiment, &run, "speed");
-        let Fault::Speed { joint: 0, dq, limit } = fault else { panic!("{fault:?}") };
+        let Fault::Speed { joint, dq, limit } = fault else { panic!("{fault:?}") };
+        // The setpoints of a position robot's joint are not faster than its limit; another joint that swings is.
+        assert!(joint == 0 || experiment.options().backend == CommandKind::Position, "joint {joint}");
         assert!(limit == 1.0 && dq.abs() > 1.0 && dq.abs() < 1.5, "caught at once: {dq} rad/s");
     }
 }

@@ -7,7 +7,6 @@ pub(crate) mod direction;
 pub(crate) mod failures;
 pub mod findings;
 pub(crate) mod harmonics;
-mod interface_findings;
 pub mod metrics;
 pub mod notes;
 pub mod posture;

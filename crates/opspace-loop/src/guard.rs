@@ -30,7 +30,7 @@ pub(crate) struct Guard {
     damping: Vec<f64>,
     /// Setpoints within the limits of the drives (n).
     governors: Vec<GovernedSetpoint>,
-    /// The same before the present setpoints (n).
+    /// Setpoints before the present ones, within the limits of the drives (n).
     governors_before: Vec<GovernedSetpoint>,
     setpoint: DVector<f64>,
     /// Rate of change of the setpoints (n; rad/s, m/s or rad/s², m/s²); while a cycle is computed, the previous

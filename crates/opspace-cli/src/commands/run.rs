@@ -73,7 +73,7 @@ pub fn run(args: &RunArgs, extensions: &Extensions, console: Console) -> Outcome
     view.say(&summary, folder)
 }
 
-/// What is needed to show the results of a run, also in the thread that watches the robots.
+/// Data with which the results of a run are shown, also in the thread that watches the robots.
 #[derive(Clone, Copy)]
 struct RunView<'a> {
     scenario: &'a Scenario,

@@ -12,7 +12,8 @@ mod estimates;
 mod hand;
 mod hold_counts;
 mod holds;
-pub(crate) mod interruptions;
+mod interface_findings;
+mod interruptions;
 mod joints;
 mod limited_references;
 mod near_pairs;
@@ -33,7 +34,6 @@ pub use crate::metrics::metric_tables::{
 
 use crate::evaluate::failures::{HeldJoints, failures};
 use crate::evaluate::findings::Findings;
-use crate::evaluate::interface_findings::interface_findings;
 use crate::finding::Finding;
 use crate::metrics::metric::{LogMetric, Metric};
 use crate::run::experiment::Experiment;
@@ -41,6 +41,7 @@ use cycles::Cycles;
 use escapes::Escapes;
 use estimates::Estimates;
 use hand::Hand;
+use interface_findings::interface_findings;
 use interruptions::Interruptions;
 use joints::JointTorques;
 use limited_references::LimitedReferences;

@@ -51,9 +51,9 @@ impl Hand {
         self.home = self.home.or_else(|| run.first_pose(frame));
         let Some(home) = self.home else { return };
         let world = AxesFrame::Fixed(Matrix3::identity());
-        let mut counted = run.counted(run.joints.0).peekable();
+        let settled = run.settled(run.joints.0);
         for (k, pose, _) in run.poses(ControlledFrame::Frame(frame), |_| world) {
-            if counted.next_if_eq(&k).is_none() {
+            if !settled.contains(&k) || run.is_held(run.joints.0[k]) {
                 continue;
             }
             self.motion_m.add(masked_norm(&(pose.translation - home.translation), &self.axes));

@@ -89,11 +89,13 @@ impl<'a> Run<'a> {
     /// Indices of the times in the evaluated interval at which the controller acts as it should: not those of a hold, nor of the
     /// torque ramp after it.
     pub(crate) fn counted<'b>(&'b self, times: &'b [f64]) -> impl Iterator<Item = usize> + Clone + 'b {
-        let is_held = |time_s: f64| {
-            let begun = self.held_s.partition_point(|[begin_s, _]| *begin_s <= time_s + self.same_s);
-            self.held_s[..begun].last().is_some_and(|[_, end_s]| time_s <= end_s + self.same_s)
-        };
-        self.settled(times).filter(move |&k| !is_held(times[k]))
+        self.settled(times).filter(move |&k| !self.is_held(times[k]))
+    }
+
+    /// True at a time in a hold, or in the torque ramp after it.
+    pub(crate) fn is_held(&self, time_s: f64) -> bool {
+        let begun = self.held_s.partition_point(|[begin_s, _]| *begin_s <= time_s + self.same_s);
+        self.held_s[..begun].last().is_some_and(|[_, end_s]| time_s <= end_s + self.same_s)
     }
 
     /// Indices of the counted control cycles.

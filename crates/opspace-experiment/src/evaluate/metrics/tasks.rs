@@ -215,7 +215,7 @@ impl CartesianErrors {
             logged_row(reference_velocity, tick)
                 .is_none_or(|v| Vector3::from_column_slice(v).norm() < RESTING_M_PER_S)
         };
-        let mut counted = run.counted(run.joints.0).peekable();
+        let settled = run.settled(run.joints.0);
         let settle_s = run.from_s - run.start_s - run.same_s;
         for row in self.axes.rows(run) {
             let TaskRow { k, pose, rotation, in_world, axes } = row;
@@ -224,7 +224,7 @@ impl CartesianErrors {
                 self.last = [None; 2];
                 continue;
             };
-            let is_counted = counted.next_if_eq(&k).is_some();
+            let is_counted = settled.contains(&k) && !run.is_held(run.joints.0[k]);
             if is_counted {
                 self.single_axes.add_position(&row);
             }

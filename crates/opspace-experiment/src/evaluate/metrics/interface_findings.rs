@@ -1,8 +1,8 @@
 //! Findings about the interface to the robot: cycles without samples, holds, stale targets, and setpoints that were not sent or
 //! not accepted as they were.
 
+use super::interruptions::Interruptions;
 use crate::codes::Code;
-use crate::evaluate::metrics::interruptions::Interruptions;
 use crate::finding::{Finding, Place};
 use crate::metrics::metric_tables::Metrics;
 
