@@ -85,7 +85,7 @@ impl RotorParameters {
 #[serde(deny_unknown_fields)]
 pub struct ProfileParameters {
     /// Rate at which the drives close their loops, Hz.
-    #[cfg_attr(feature = "schema", schemars(extend("minimum" = 1e-3, "maximum" = 1e9)))]
+    #[cfg_attr(feature = "schema", schemars(extend("minimum" = 1e-3, "maximum" = 5e4)))]
     pub servo_hz: Positive,
     /// Servo ticks per interface cycle: setpoints are accepted and positions measured at
     /// `servo_hz / servo_ticks_per_cycle`.

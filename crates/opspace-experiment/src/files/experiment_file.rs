@@ -20,6 +20,7 @@ use std::path::PathBuf;
 #[non_exhaustive]
 pub struct ExperimentFile {
     /// Duration of control, s; it replaces those of the tasks.
+    #[cfg_attr(feature = "schema", schemars(extend("maximum" = 1e6)))]
     pub duration_s: Positive,
     /// Start of the statistics, s after the start of control; it replaces those of the tasks.
     #[serde(default)]

@@ -36,6 +36,7 @@ pub struct TaskFile {
     /// Robot of the task: its folder or its robot.toml; the path is relative to this file.
     pub robot: PathBuf,
     /// Duration of control, s.
+    #[cfg_attr(feature = "schema", schemars(extend("maximum" = 1e6)))]
     pub duration_s: Positive,
     /// Start of the statistics, s after the start of control.
     #[serde(default)]
