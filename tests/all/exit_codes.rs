@@ -1,4 +1,5 @@
 //! Exit codes of the program: each row of the table in docs/metrics.md.
+#![cfg(unix)]
 
 use crate::cli_common::{circle_folder, command, opspace, project, read, scratch};
 use std::path::Path;
@@ -157,7 +158,6 @@ fn damaged() {
     // A full disk: `hostile_inputs::full_disk_exits_with_3`.
 }
 
-#[cfg(unix)]
 fn interrupted() {
     let folder = scratch();
     let task = project("tasks/compliant-x.toml");
@@ -178,9 +178,6 @@ fn interrupted() {
     assert!(summary.contains("\"interrupted\": true"), "{summary}");
     opspace(folder.path(), &["replay", "run"]).exits(0);
 }
-
-#[cfg(not(unix))]
-fn interrupted() {}
 
 /// Compared: the causes in the table and those with a test.
 #[test]
@@ -256,4 +253,20 @@ fn missed_cycles_and_holds_are_said() {
     };
     let (held, whole) = (of("held"), of("whole"));
     assert!(held >= whole, "{held} {whole}");
+}
+
+/// Compared: the error at the end of a run that ends while the robot is held, which is absent, and that of one that does not.
+#[test]
+fn no_final_error_is_from_before_a_hold() {
+    let folder = scratch();
+    let task = project("tasks/compliant-x.toml");
+    let ends = |name: &str, at_s: f64| {
+        let late = format!("robot.simulated.bus.dropouts=[{{ at_s = {at_s}, duration_s = 0.05 }}]");
+        let arguments = ["run", &task, "--duration-s", "2.5", "--out", name, "--set", &late];
+        opspace(folder.path(), &arguments).exits(0);
+        let summary = crate::cli_common::read_json(folder.path().join(name).join("summary.json"));
+        summary["metrics"]["position_final_m"].clone()
+    };
+    assert!(ends("resumed", 1.6).is_f64());
+    assert!(ends("held", 2.42).is_null());
 }

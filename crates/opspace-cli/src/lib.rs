@@ -49,14 +49,15 @@ pub fn main_with(extensions: Extensions) -> ExitCode {
 /// Runs the complete command line as [`main_with`] does, with these arguments; the first one is the name of the program.
 /// Invalid arguments end the process.
 #[must_use]
-pub fn main_with_args<A>(extensions: Extensions, args: impl IntoIterator<Item = A>) -> ExitCode
-where
-    A: Into<OsString> + Clone,
-{
+pub fn main_with_args(
+    extensions: Extensions,
+    args: impl IntoIterator<Item = impl Into<OsString>>,
+) -> ExitCode {
     let extensions = &extensions.with(plant::mujoco());
-    let matches = match program(extensions).try_get_matches_from(args) {
+    let args: Vec<OsString> = args.into_iter().map(Into::into).collect();
+    let matches = match program(extensions).try_get_matches_from(&args) {
         Ok(matches) => matches,
-        Err(error) => return refuse(extensions, &error),
+        Err(error) => return refuse(extensions, &args, &error),
     };
     let console = Console { verbose: matches.get_flag("verbose"), quiet: matches.get_flag("quiet") };
     // Clap requires a subcommand, one of the table.
@@ -66,8 +67,8 @@ where
 }
 
 /// Prints help, or the error about arguments. They are quoted in it, and are shown without control characters.
-fn refuse(extensions: &Extensions, error: &clap::Error) -> ExitCode {
-    let shown = std::env::args_os().map(|argument| escaped(&argument.to_string_lossy()).into_owned());
+fn refuse(extensions: &Extensions, args: &[OsString], error: &clap::Error) -> ExitCode {
+    let shown = args.iter().map(|argument| escaped(&argument.to_string_lossy()).into_owned());
     match program(extensions).try_get_matches_from(shown) {
         Err(error) => error.exit(),
         Ok(_) => {

@@ -6,6 +6,7 @@
 use crate::fault::Fault;
 use crate::watchdog::Watchdog;
 use nalgebra::DVector;
+use opspace_backend::quantity::Positive;
 use opspace_backend::signal_names::{
     DQ_DESIRED, Q_DESIRED, SETPOINT_ACCELERATION, SETPOINT_CLAMPED, SETPOINT_SPEED,
 };
@@ -73,7 +74,7 @@ impl Guard {
         };
         let governor = |(joint, &speed): (usize, &f64)| {
             let declared = setpoint_limits.get(joint).copied().unwrap_or_default();
-            GovernedSetpoint::new(&declared.within_speed(kind, speed), kind, period_s)
+            GovernedSetpoint::new(&within_speed(declared, kind, speed), kind, period_s)
         };
         let governors: Vec<_> = speeds.iter().enumerate().map(governor).collect();
         Some(Self {
@@ -210,10 +211,12 @@ impl Guard {
                 }
                 *setpoint = allowed;
             }
-            if missed > 0 {
-                governor.keep();
+            if governor.is_limited() {
+                if missed > 0 {
+                    governor.keep();
+                }
+                *setpoint = governor.follow(*setpoint);
             }
-            *setpoint = governor.follow(*setpoint);
         }
     }
 
@@ -296,6 +299,17 @@ impl Guard {
             *setpoint = holding[i] / self.damping[i];
         }
     }
+}
+
+/// Limits of a drive whose position setpoints are not faster than the joint's own speed limit, rad/s (m/s). A drive without limits has
+/// none.
+fn within_speed(declared: JointSetpointLimits, kind: CommandKind, speed_limit: f64) -> JointSetpointLimits {
+    let mut limits = declared;
+    if kind == CommandKind::Position && declared != JointSetpointLimits::default() {
+        let velocity = declared.velocity_rad_per_s.map_or(f64::INFINITY, Positive::get);
+        limits.velocity_rad_per_s = Positive::try_from(velocity.min(speed_limit)).ok();
+    }
+    limits
 }
 
 /// Returns the position nearest to `setpoint` that is at most a step from the previous setpoint. The first one may be anywhere.

@@ -16,6 +16,7 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
+use std::ops::RangeInclusive;
 
 /// Drive of one joint.
 #[derive(Clone, Debug, Deserialize)]
@@ -79,13 +80,17 @@ impl RotorParameters {
     }
 }
 
+/// Range of servo rates, Hz. A lower one indicates a mistake in a unit, and its period may be infinite. No position or
+/// velocity servo is faster, and the work of checks and simulations grows with the rate.
+pub const SERVO_RATES_HZ: RangeInclusive<f64> = 1e-3..=5e4;
+
 /// Drive profile of a robot: rates, servo gains and transformer. A robot may have several profiles.
 #[derive(Clone, Debug, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct ProfileParameters {
     /// Rate at which the drives close their loops, Hz.
-    #[cfg_attr(feature = "schema", schemars(extend("minimum" = 1e-3, "maximum" = 5e4)))]
+    #[cfg_attr(feature = "schema", schemars(extend("minimum" = SERVO_RATES_HZ.start(), "maximum" = SERVO_RATES_HZ.end())))]
     pub servo_hz: Positive,
     /// Servo ticks per interface cycle: setpoints are accepted and positions measured at
     /// `servo_hz / servo_ticks_per_cycle`.

@@ -62,20 +62,6 @@ pub struct JointSetpointLimits {
     pub jerk_rad_per_s3: Option<Positive>,
 }
 
-impl JointSetpointLimits {
-    /// Returns these limits of setpoints of the quantity `takes`. Where there is any, position setpoints are not faster than
-    /// `speed_limit` (rad/s, m/s), the joint's own limit.
-    #[must_use]
-    pub fn within_speed(mut self, takes: CommandKind, speed_limit: f64) -> Self {
-        if takes == CommandKind::Position && self != Self::default() {
-            let declared = self.velocity_rad_per_s.map_or(f64::INFINITY, Positive::get);
-            self.velocity_rad_per_s =
-                Positive::try_from(declared.min(speed_limit)).ok().or(self.velocity_rad_per_s);
-        }
-        self
-    }
-}
-
 /// Limit that a setpoint exceeds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]

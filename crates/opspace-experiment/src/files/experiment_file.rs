@@ -2,6 +2,8 @@
 
 use crate::files::controller_kind::ControllerKind;
 use crate::files::expectation::Expectation;
+#[cfg(feature = "schema")]
+use crate::files::task::LONGEST_RUN_S;
 use opspace_backend::CommandKind;
 use opspace_backend::quantity::{Fraction, NonNegative, Positive, exactly};
 use opspace_control::{CarryParameters, TeleoperationParameters};
@@ -20,7 +22,7 @@ use std::path::PathBuf;
 #[non_exhaustive]
 pub struct ExperimentFile {
     /// Duration of control, s; it replaces those of the tasks.
-    #[cfg_attr(feature = "schema", schemars(extend("maximum" = 1e6)))]
+    #[cfg_attr(feature = "schema", schemars(extend("maximum" = LONGEST_RUN_S)))]
     pub duration_s: Positive,
     /// Start of the statistics, s after the start of control; it replaces those of the tasks.
     #[serde(default)]

@@ -29,6 +29,7 @@ use opspace_model::{
 };
 use opspace_sim::SimulatedParameters;
 use opspace_sim::parameters::SensorLoadParameters as TrueLoad;
+use opspace_transformer::parameters::SERVO_RATES_HZ;
 use opspace_transformer::{
     ClosedLoopModel, Gears, JointParameters, ProfileParameters, ServoLaw, ServoParameters,
 };
@@ -37,7 +38,6 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 use serde::de::IgnoredAny;
 use std::collections::BTreeMap;
-use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
@@ -708,10 +708,6 @@ fn check_setpoint_limits(
 
 /// Maximum number of servo ticks per interface cycle; a larger number indicates a mistake in a rate.
 const MAX_RATIO: u32 = 10_000;
-
-/// Range of servo rates, Hz. A lower one indicates a mistake in a unit, and its period may be infinite. No position or
-/// velocity servo is faster, and the work of checks and simulations grows with the rate.
-const SERVO_RATES_HZ: RangeInclusive<f64> = 1e-3..=5e4;
 
 /// Maximum inertia of a rotor reflected to its joint, kg m² (kg): that of a URDF's moments.
 const MAX_REFLECTED_INERTIA: f64 = 1e9;

@@ -24,6 +24,9 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use toml_edit::DocumentMut;
 
+/// Longest run, s, 11.6 days: a longer one is a mistake in a unit.
+pub(crate) const LONGEST_RUN_S: f64 = 1e6;
+
 /// Largest number of events of a task: `opspace check` takes some seconds for as many.
 const MAX_EVENTS: usize = 1000;
 
@@ -36,7 +39,7 @@ pub struct TaskFile {
     /// Robot of the task: its folder or its robot.toml; the path is relative to this file.
     pub robot: PathBuf,
     /// Duration of control, s.
-    #[cfg_attr(feature = "schema", schemars(extend("maximum" = 1e6)))]
+    #[cfg_attr(feature = "schema", schemars(extend("maximum" = LONGEST_RUN_S)))]
     pub duration_s: Positive,
     /// Start of the statistics, s after the start of control.
     #[serde(default)]

@@ -7,6 +7,7 @@ use crate::files::origin::Files;
 use crate::files::overrides::split;
 use crate::files::robot::RobotDefinition;
 use crate::files::source::{FileError, Source};
+use crate::files::task::LONGEST_RUN_S;
 use crate::files::task::TaskDefinition;
 use crate::run::collision::{KeptDistances, kept_distances};
 use crate::run::comparisons::refuse_comparisons;
@@ -83,8 +84,7 @@ impl Default for RunOptions {
     }
 }
 
-/// Longest run, s: eleven days.
-const LONGEST_RUN_S: f64 = 1e6;
+/// Seconds of a day.
 const SECONDS_PER_DAY: f64 = 86_400.0;
 
 /// Size of a log per second of a run, bytes: that of a simulated arm of seven joints at 1 kHz.

@@ -224,7 +224,11 @@ impl CartesianErrors {
                 self.last = [None; 2];
                 continue;
             };
-            let is_counted = settled.contains(&k) && !run.is_held(run.joints.0[k]);
+            let is_held = run.is_held(run.joints.0[k]);
+            let is_counted = settled.contains(&k) && !is_held;
+            if is_held {
+                self.last = [None; 2];
+            }
             if is_counted {
                 self.single_axes.add_position(&row);
             }
