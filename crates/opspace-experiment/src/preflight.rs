@@ -10,6 +10,7 @@
 
 mod accelerations;
 mod admittance;
+mod approach;
 mod boundary;
 mod case;
 mod changed;
@@ -28,7 +29,9 @@ mod goals;
 mod half_turns;
 mod ignored_compliance;
 mod impedances;
+mod jumps;
 mod limits;
+mod loads;
 mod margins;
 mod motion;
 mod nudge;
@@ -40,6 +43,7 @@ mod refusal;
 mod reserves;
 mod sensor_loads;
 mod servo_gain;
+mod setpoint_filters;
 mod speeds;
 mod stability;
 mod surfaces;

@@ -136,12 +136,17 @@ impl ServoParameters {
         self.structure().setpoint().filter
     }
 
+    /// Time by which the setpoint's filter lags, s; zero without one.
+    #[must_use]
+    pub fn setpoint_filter_lag_s(&self) -> f64 {
+        self.setpoint_filter().map_or(0.0, |filter| filter.lag_s())
+    }
+
     /// Time by which the setpoint for a constant torque leads a joint of constant velocity, s: `1/kp` of a cascade, less what
     /// is fed forward, and the lag of the setpoint's filter. Zero for a transfer function and a velocity servo.
     #[must_use]
     pub fn setpoint_lead_s(&self) -> f64 {
-        let lag_s = self.setpoint_filter().map_or(0.0, |filter| filter.lag_s());
-        (1.0 - self.velocity_feed_forward()) * self.structure().lead_s() + lag_s
+        (1.0 - self.velocity_feed_forward()) * self.structure().lead_s() + self.setpoint_filter_lag_s()
     }
 
     /// True if the setpoint acts on the position error only, and unfiltered: no feed-forward and no setpoint filter.

@@ -2,8 +2,9 @@
 
 use super::case::PreflightCase;
 use super::{
-    accelerations, admittance, collisions, contact, freedom, goals, half_turns, ignored_compliance, limits,
-    objects, position_limits, ramp, sensor_loads, speeds, stability, times, torque_floor,
+    accelerations, admittance, approach, collisions, contact, freedom, goals, half_turns, ignored_compliance,
+    jumps, limits, loads, objects, position_limits, ramp, reserves, sensor_loads, setpoint_filters, speeds,
+    stability, times, torque_floor,
 };
 use crate::codes::Code;
 use crate::extensions::Entry;
@@ -60,6 +61,12 @@ pub(super) struct Preflight<'a> {
     /// Diagnostics of references that are out of reach.
     out_of_reach: Vec<Finding>,
     found: Vec<Finding>,
+}
+
+impl Preflight<'_> {
+    fn has_found(&self, code: Code) -> bool {
+        self.found.iter().any(|finding| finding.code == code)
+    }
 }
 
 impl Check {
@@ -170,26 +177,64 @@ static BUILT_IN: &[Check] = &[
         Condition::Torque,
         |case| torque_floor::narrow_limits(case.experiment).into_iter().collect(),
     ),
+    Check::start(
+        "resolutions",
+        "encoders and setpoints whose resolution causes large torque errors",
+        Condition::Torque,
+        |case| torque_floor::coarse(case.experiment),
+    ),
+    Check::start(
+        "setpoint-filters",
+        "filters of setpoints that are too slow for the torque",
+        Condition::Torque,
+        |case| setpoint_filters::slow(case.experiment).into_iter().collect(),
+    ),
+    Check::references("jumps", "references that jump", Condition::InReach, |p| {
+        jumps::of_references(&p.case, &p.rollout).into_iter().collect()
+    }),
     Check::references(
         "limits-of-postures",
         "rest postures and goals at or beyond the position limits",
         Condition::Always,
         |p| limits::of_postures(&p.case, &p.rollout),
     ),
+    // A jump explains speeds, accelerations and torques.
     Check::references("joint-speeds", "references faster than the joints", Condition::InReach, |p| {
-        speeds::of_joints(&p.case, &p.rollout).into_iter().collect()
+        let found = || speeds::of_joints(&p.case, &p.rollout).into_iter().collect();
+        if p.has_found(Code::ReferenceJump) { Vec::new() } else { found() }
     }),
     Check::references(
         "accelerations",
         "references that need more acceleration or torque of a joint than its limits",
         Condition::TorqueInReach,
-        |p| accelerations::of_joints(&p.case, &p.rollout),
+        |p| {
+            let found = || accelerations::of_joints(&p.case, &p.rollout);
+            if p.has_found(Code::ReferenceJump) { Vec::new() } else { found() }
+        },
     ),
     Check::references(
         "ramp",
         "references that move fast while the torque ramps in",
         Condition::TorqueInReach,
-        |p| ramp::of_references(&p.case, &p.rollout).into_iter().collect(),
+        |p| {
+            let found = || ramp::of_references(&p.case, &p.rollout).into_iter().collect();
+            if p.has_found(Code::ReferenceJump) { Vec::new() } else { found() }
+        },
+    ),
+    Check::references(
+        "approach",
+        "force axes that press away from every surface, or reach one after the run",
+        Condition::Always,
+        |p| approach::of_force_axes(&p.case, &p.rollout),
+    ),
+    Check::references("target-forces", "target forces that a joint cannot exert", Condition::InReach, |p| {
+        reserves::forces_above_limits(&p.case, &p.rollout).into_iter().collect()
+    }),
+    Check::references(
+        "loads",
+        "loads of the environment that a joint cannot hold",
+        Condition::InReach,
+        |p| loads::too_heavy(&p.case, &p.rollout),
     ),
     Check::references(
         "weight-on-the-way",
@@ -203,9 +248,8 @@ static BUILT_IN: &[Check] = &[
         Condition::InReach,
         |p| {
             // Targets beyond the limits explain themselves.
-            let explained = p.found.iter().any(|finding| finding.code == Code::TargetBeyondLimits);
             let beyond = || position_limits::beyond_on_the_way(&p.case, &p.rollout);
-            if explained { Vec::new() } else { beyond().into_iter().collect() }
+            if p.has_found(Code::TargetBeyondLimits) { Vec::new() } else { beyond().into_iter().collect() }
         },
     ),
     Check::references(

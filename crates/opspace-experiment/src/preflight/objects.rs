@@ -56,7 +56,7 @@ fn misplaced_object(
 
 /// Depth of a point behind the surface of an object, m, and the object's stiffness, N/m. The depth is negative outside; it
 /// is zero in a hole and below an edge. `None` for an object without a surface.
-fn depth(object: &EnvironmentObjectParameters, at: &Vector3<f64>) -> Option<(f64, f64)> {
+pub(super) fn depth(object: &EnvironmentObjectParameters, at: &Vector3<f64>) -> Option<(f64, f64)> {
     let unit = |vector: [f64; 3]| Vector3::from(vector).try_normalize(0.0);
     match object {
         EnvironmentObjectParameters::Wall(wall) => {

@@ -2,16 +2,18 @@
 //!
 //! The torques are those of the inverse dynamics along the references, M q̈ + C q̇ + g, with the declared friction against them.
 //! They are linear in the mass of a payload, and in the forces of the environment (Jᵀ F): of each the least multiple is computed
-//! at which a joint reaches its torque limit.
+//! at which a joint reaches its torque limit. A target force whose multiple is below 1 is a diagnostic.
 
 use super::accelerations::pairs;
 use super::case::PreflightCase;
-use super::diagnostic::short;
+use super::diagnostic::{at_most, short};
+use crate::codes::Code;
+use crate::finding::Finding;
 use crate::run::rollout::{Instant, Rollout};
 use crate::setup::tip::tip;
 use nalgebra::{Matrix6xX, Vector6};
 use opspace_backend::GravityCompensation;
-use opspace_control::ControlledFrame;
+use opspace_control::{AXIS_NAMES, ControlledFrame};
 use opspace_model::{Data, FrameId, Inertia, Model, Placement, frame_jacobian, kinematics, rnea};
 use std::fmt;
 
@@ -122,6 +124,46 @@ pub(super) fn reserves_of(case: &PreflightCase<'_>) -> Vec<Reserve> {
         speed(case, &followed.instants).reserve(case, ReserveOf::Speed),
     ];
     all.into_iter().flatten().collect()
+}
+
+/// Reports target forces that a joint cannot exert along the references, if there are any.
+pub(super) fn forces_above_limits(case: &PreflightCase<'_>, followed: &Rollout) -> Option<Finding> {
+    let (task_set, name, axis, target) = largest_target(case)?;
+    let torques = Torques::new(case, payload_frame(case)?);
+    let [_, forces] = torques.along(case, &followed.instants);
+    // Without any force left, the weight or the motion is a diagnostic of its own.
+    if forces.multiple >= 1.0 || forces.multiple == 0.0 {
+        return None;
+    }
+    let (axis, unit) = (AXIS_NAMES[axis], if axis < 3 { "N" } else { "Nm" });
+    let message = format!(
+        "task '{name}' asks for {} {unit} along {axis}, but joint '{}' reaches its torque limit at {} {unit}",
+        short(target),
+        case.joint(forces.joint),
+        at_most(forces.multiple * target),
+    );
+    let help = format!(
+        "give at most {} {unit}, or choose a posture with a shorter lever at this joint",
+        at_most(0.9 * forces.multiple * target)
+    );
+    let key = if unit == "N" { "target_n" } else { "target_nm" };
+    Some(Finding::new(
+        Code::ForceAboveLimit,
+        &case.key(task_set, &name, &["cartesian", "force", key]),
+        message,
+        help,
+    ))
+}
+
+/// Largest target force of all tasks (N, Nm) with its task set, task and axis; `None` without one.
+fn largest_target(case: &PreflightCase<'_>) -> Option<(usize, String, usize, f64)> {
+    let targets = case.task_sets.iter().enumerate().flat_map(|(number, set)| {
+        set.motions.iter().flat_map(move |motion| {
+            let target = motion.parameters.target_force();
+            (0..6).map(move |axis| (number, motion.name.to_owned(), axis, target[axis].abs()))
+        })
+    });
+    targets.filter(|(.., target)| *target > 0.0).max_by(|a, b| a.3.total_cmp(&b.3))
 }
 
 /// Frame of the first task, or the tip of the arm.

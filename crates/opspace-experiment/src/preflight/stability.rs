@@ -60,8 +60,8 @@ use opspace_backend::{CommandKind, Sample, Setpoints};
 use opspace_control::{
     AXIS_NAMES, AxisMode, BuildTask, ImpedanceParameters, JointTask, PerAxis, RowGains, Task, TaskParameters,
 };
+use opspace_transformer::impulse_response::ImpulseResponse;
 use opspace_transformer::moving_joint::MovingJoint;
-use opspace_transformer::torque_response::torque_response;
 use opspace_transformer::{ProfileParameters, ServoGains, ServoLaw, ServoParameters, VelocityEstimator};
 use std::f64::consts::TAU;
 
@@ -105,7 +105,7 @@ fn responses(case: &PreflightCase<'_>) -> Vec<Vec<f64>> {
         let velocity = VelocityEstimator::new(n, &experiment.profile().1.estimator, timing.period_s());
         let sample = Sample::new(&experiment.capabilities());
         let mut arm = MovingJoint::new(&mut *transformer, &case.data, joint, velocity, sample);
-        *response = torque_response(&mut arm, law, timing);
+        *response = ImpulseResponse::new(&mut arm, law, timing).torque;
     }
     responses
 }

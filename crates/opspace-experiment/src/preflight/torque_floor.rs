@@ -18,7 +18,7 @@
 //! floor = K Δq/√12     (rms)
 //! ```
 
-use super::diagnostic::{at_least, short};
+use super::diagnostic::{at_least, at_most, short};
 use crate::codes::Code;
 use crate::finding::Finding;
 use crate::run::experiment::Experiment;
@@ -54,6 +54,9 @@ const BANDWIDTH_SHARE: f64 = 0.1;
 
 /// Bandwidth below which the limits of setpoints are reported, Hz: that of a task with 30 rad/s.
 const LEAST_BANDWIDTH_HZ: f64 = 5.0;
+
+/// Torque error by a resolution that is reported, as a share of the torque limit.
+const COARSE: f64 = 0.05;
 
 /// Frequencies between which a bandwidth is searched, Hz.
 const SEARCHED_HZ: [f64; 2] = [1e-2, 1e4];
@@ -114,6 +117,51 @@ fn last_hz(holds: impl Fn(f64) -> bool) -> f64 {
         if holds(middle) { low = middle } else { high = middle }
     }
     low
+}
+
+/// Finds the joint whose encoder, and the one whose setpoints, are so coarse that their torque error is a noticeable share of the torque
+/// limit.
+pub(crate) fn coarse(experiment: &Experiment) -> Vec<Finding> {
+    let Some(floors) = floors(experiment) else { return Vec::new() };
+    let worst = |of: fn(&JointFloor) -> f64| {
+        let shares = floors.iter().map(|floor| (floor, of(floor) / floor.torque_limit_nm));
+        shares.filter(|(_, share)| *share > COARSE).max_by(|a, b| a.1.total_cmp(&b.1))
+    };
+    let percent = |share: f64| format!("{} % of its torque limit", short(100.0 * share));
+    let drive = |joint: &str| experiment.robot().file.joint.get(joint);
+    let encoder = worst(|floor| floor.floor_nm).map(|(floor, share)| {
+        let message = format!(
+            "the encoder of joint '{}' is coarse: each cycle its resolution causes a torque error of {} Nm (N) rms, {}",
+            floor.joint,
+            short(floor.floor_nm),
+            percent(share),
+        );
+        let counts = drive(&floor.joint).map_or(0.0, |drive| f64::from(drive.rotor.encoder_counts_per_turn.get()));
+        let help = format!(
+            "check gear_ratio and encoder_counts_per_turn, which are per turn of the motor: {} counts are fine enough; otherwise use a longer \
+             period, or softer drives",
+            (counts * share / COARSE).ceil()
+        );
+        let key = ["joint", &floor.joint, "rotor", "encoder_counts_per_turn"];
+        Finding::new(Code::CoarseEncoder, &key, message, help).of_robot()
+    });
+    let setpoints = worst(|floor| floor.setpoint_floor_nm).map(|(floor, share)| {
+        let message = format!(
+            "the setpoints of joint '{}' are coarse: their resolution causes a torque error of {} Nm (N) rms, {}",
+            floor.joint,
+            short(floor.setpoint_floor_nm),
+            percent(share),
+        );
+        let resolution =
+            drive(&floor.joint).and_then(|drive| drive.setpoint_resolution_rad).map_or(0.0, Positive::get);
+        let help = format!(
+            "check setpoint_resolution_rad: {} is fine enough; otherwise use an interface with finer setpoints, or softer drives",
+            at_most(resolution * COARSE / share)
+        );
+        let key = ["joint", &floor.joint, "setpoint_resolution_rad"];
+        Finding::new(Code::CoarseSetpoints, &key, message, help).of_robot()
+    });
+    encoder.into_iter().chain(setpoints).collect()
 }
 
 /// Finds limits of setpoints that leave a small bandwidth to the torque.

@@ -9,8 +9,9 @@ use opspace_model::{Data, update};
 use opspace_transformer::drive_timing::DriveTiming;
 use opspace_transformer::estimator::VelocityEstimator;
 use opspace_transformer::impedance::impedance;
+use opspace_transformer::impulse_response::ImpulseResponse;
 use opspace_transformer::moving_joint::MovingJoint;
-use opspace_transformer::torque_response::torque_response;
+
 use opspace_transformer::{
     CascadedServo, EstimatorParameters, ExtrapolatingTransformer, ExtrapolationSetup,
     GainAdaptationParameters, Gears, PaperTransformer, RemainingDamping, ServoLaw, ServoParameters,
@@ -121,7 +122,8 @@ fn torque_response_is_that_of_an_inverted_drive() {
         let [extrapolated, held] = transformers.map(|mut transformer| {
             let velocity = VelocityEstimator::new(2, &estimator(ESTIMATOR_HZ), timing.period_s());
             let sample = sample(CommandKind::Position, false);
-            torque_response(&mut MovingJoint::new(&mut *transformer, &data, 0, velocity, sample), law, timing)
+            let mut arm = MovingJoint::new(&mut *transformer, &data, 0, velocity, sample);
+            ImpulseResponse::new(&mut arm, law, timing).torque
         });
         let sum: f64 = extrapolated.iter().sum();
         assert!((sum - 1.0).abs() < SHARE, "{setpoint_filter:?}: {extrapolated:?}");

@@ -171,3 +171,45 @@ pub fn unknown_sensor_load(code: Code) {
     let locked = own.replace(", z = \"motion\" }", " }").set("task.hand.reference=\"hold\"");
     sensor.is_helped(code, &[stated, locked]);
 }
+
+/// The hand presses on a table that it reaches, with a target (N) along z.
+fn pressing_with(target_n: &str) -> TaskCase {
+    let on_table = TaskCase::of(PRESS).add(&table(2000.0)).backend(CommandKind::Position);
+    on_table.replace("target_n = { z = 20.0 }", &format!("target_n = {{ {target_n} }}"))
+}
+
+pub fn presses_away(code: Code) {
+    let away = pressing_with("z = -20.0");
+    let finding = away.only(code);
+    assert!(finding.message.contains("presses along +z, away from 'table'"), "{finding}");
+    away.is_helped(code, &[pressing_with(&format!("z = {:?}", number_after(&finding.help, "try z = ")))]);
+}
+
+pub fn nothing_ahead(code: Code) {
+    // A force along another axis, no object at all, and an approach that is too slow.
+    let along_x = pressing_with("x = -20.0").replace(
+        "axes = { x = \"motion\", y = \"motion\", z = \"force\" }",
+        "axes = { x = \"force\", y = \"motion\", z = \"motion\" }",
+    );
+    assert!(along_x.only(code).help.contains("check the axis x"), "{:?}", along_x.found());
+    along_x.is_helped(code, &[pressing_with("z = 20.0")]);
+    let alone = TaskCase::of(PRESS);
+    assert!(alone.only(code).message.contains("no surface for 'hand'"), "{:?}", alone.found());
+    alone.is_helped(code, &[pressing_with("z = 20.0")]);
+    let approaching = |m_per_s: f64| {
+        pressing_with("z = 20.0").replace(
+            "admittance_ns_per_m = 100.0",
+            &format!("admittance_ns_per_m = 100.0, contact = {{ approach_m_per_s = {m_per_s:?} }}"),
+        )
+    };
+    let fast = number_after(&approaching(1e-4).only(code).help, "approach_m_per_s = ");
+    approaching(1e-4).is_helped(code, &[approaching(fast)]);
+}
+
+pub fn force_above_limit(code: Code) {
+    const LARGE_N: f64 = 400.0;
+    let large = pressing_with(&format!("z = {LARGE_N:?}"));
+    let at_most = number_after(&large.only(code).help, "give at most ");
+    assert!(at_most < LARGE_N && at_most > 0.1 * LARGE_N, "{at_most} N");
+    large.is_helped(code, &[pressing_with(&format!("z = {at_most:?}"))]);
+}

@@ -75,6 +75,14 @@ pub fn weight_above_limit(code: Code) {
     let needed = number_after(&weaker.only(code).message, "needs ");
     let corrected = weaker.clone().set(format!("robot.joint.shoulder.torque_limit_nm={:?}", 1.05 * needed));
     weaker.is_helped(code, &[weaker.clone().set("start_rad={ shoulder = 1.3, elbow = 0.4 }"), corrected]);
+    // A load of the environment that the elbow cannot hold.
+    let loaded = |mass_kg: f64| {
+        TaskCase::of(HAND)
+            .add(&format!("[environment.load.mass]\nframe = \"hand\"\nmass_kg = {mass_kg:?}\nput_on_s = 0.5"))
+    };
+    let finding = loaded(40.0).only(code);
+    assert!(finding.message.contains("with 'load' of 40 kg"), "{finding}");
+    loaded(40.0).is_helped(code, &[loaded(number_after(&finding.help, "mass_kg = "))]);
 }
 
 pub fn weight_above_rate(code: Code) {

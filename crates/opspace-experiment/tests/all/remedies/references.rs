@@ -196,3 +196,30 @@ pub fn compliant_drift(code: Code) {
     let loaded = led.set(load).only(code).message;
     assert!(loaded.contains("holds the load 'load' of 2 kg"), "{loaded}");
 }
+
+pub fn reference_jump(code: Code) {
+    const WITHIN_S: f64 = 0.003;
+    // Joints that move within some cycles, a hand between two samples, and a hand that begins elsewhere.
+    let least_s = number_after(&elbow(1.0, WITHIN_S).only(code).help, "at least ");
+    elbow(1.0, WITHIN_S).is_helped(code, &[elbow(1.0, least_s)]);
+    let hand = |at_s: f64| {
+        TaskCase::of(HAND).replace(
+            "reference.point-to-point = { position = { offset_m = [0.05, 0.0, 0.05] }, duration_s = 1.0 }",
+            &format!(
+                "reference.waypoints = [{{ time_s = 0.5, position = {{ offset_m = [0.0, 0.0, 0.0] }} }}, \
+                 {{ time_s = {at_s:?}, position = {{ offset_m = [0.1, 0.0, 0.0] }} }}]"
+            ),
+        )
+    };
+    let least_s = number_after(&hand(0.5 + WITHIN_S).only(code).help, "at least ");
+    hand(0.5 + WITHIN_S).is_helped(code, &[hand(0.5 + least_s)]);
+    let beside = |offset_m: f64| {
+        TaskCase::of(HAND).replace(
+            "reference.point-to-point = { position = { offset_m = [0.05, 0.0, 0.05] }, duration_s = 1.0 }",
+            &format!(
+                "reference.sinusoid = {{ ramp_s = 0.001, z = [{{ amplitude_m = 0.0, frequency_hz = 1.0, offset_m = {offset_m:?} }}] }}"
+            ),
+        )
+    };
+    beside(0.1).is_helped(code, &[beside(0.0)]);
+}

@@ -211,3 +211,37 @@ pub fn narrow_setpoint_limits(code: Code) {
     let finding = only(code, &of(0.2).found());
     of(0.2).is_helped(code, &[of(number_after(&finding.help, "acceleration_rad_per_s2 = "))]);
 }
+
+pub fn slow_setpoint_filter(code: Code) {
+    let filtered = |cutoff_hz: f64| {
+        TaskCase::of(HAND).set(format!(
+            "robot.profile.a-med.servo.elbow.cascaded.setpoint_filter={{ first-order = {{ cutoff_hz = {cutoff_hz:?} }} }}"
+        ))
+    };
+    const INVERTED_HZ: f64 = 1.0;
+    let times = number_after(&filtered(INVERTED_HZ).only(code).help, "make the filter ");
+    filtered(INVERTED_HZ).is_helped(code, &[filtered(times * INVERTED_HZ)]);
+    // One that the transformer does not invert.
+    const IGNORED_HZ: f64 = 20.0;
+    let ignored = |cutoff_hz: f64| filtered(cutoff_hz).transformer("paper");
+    let help = ignored(IGNORED_HZ).only(code).help;
+    let times = number_after(&help, "filter of the drives ");
+    let named = help.split_once("--transformer ").unwrap().1.split('`').next().unwrap();
+    ignored(IGNORED_HZ)
+        .is_helped(code, &[ignored(times * IGNORED_HZ), filtered(IGNORED_HZ).transformer(named)]);
+}
+
+pub fn coarse_encoder(code: Code) {
+    let counted = |counts: f64| {
+        TaskCase::of(HAND).set(format!("robot.joint.elbow.rotor.encoder_counts_per_turn={counts:.0}"))
+    };
+    let finding = counted(200.0).only(code);
+    counted(200.0).is_helped(code, &[counted(number_after(&finding.help, "motor: "))]);
+}
+
+pub fn coarse_setpoints(code: Code) {
+    let rounded =
+        |by_rad: f64| TaskCase::of(HAND).set(format!("robot.joint.elbow.setpoint_resolution_rad={by_rad:?}"));
+    let finding = rounded(0.01).only(code);
+    rounded(0.01).is_helped(code, &[rounded(number_after(&finding.help, "setpoint_resolution_rad: "))]);
+}
