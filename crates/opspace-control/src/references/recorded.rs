@@ -60,7 +60,7 @@ fn default_approach_s() -> Positive {
 /// A timed pose.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PoseSample {
-    /// Time, s; only differences matter.
+    /// Time, s; only differences matter. In samples that are read from a file, the first time is 0.
     pub time_s: f64,
     /// Position, m.
     pub position: [f64; 3],
@@ -122,7 +122,16 @@ pub enum RecordedReason {
         /// Number of columns in the first line.
         columns: u64,
     },
-    /// A value that is not a finite number, or too large for a time or a position.
+    /// A time that is no number of seconds, also since 1970.
+    #[error(
+        "column `time_s`: expected seconds, from -1e10 to 1e10, got '{value}'; divide milliseconds by 1e3, microseconds by 1e6, \
+         nanoseconds by 1e9"
+    )]
+    Seconds {
+        /// Text in the file.
+        value: String,
+    },
+    /// A value that is not a finite number, or too large for a position.
     #[error("column `{column}`: expected a number from -1e9 to 1e9, got '{value}'")]
     Number {
         /// Column of the value.
@@ -170,8 +179,11 @@ pub enum RecordedReason {
 /// Columns in the file of a recorded path; the last four are all present or all absent.
 pub const COLUMNS: [&str; 8] = ["time_s", "x_m", "y_m", "z_m", "qw", "qx", "qy", "qz"];
 
-/// Largest magnitude of a time (s) and of a position (m): squares of it are far from the largest number.
+/// Largest magnitude of a position, m: squares of it are far from the largest number.
 const MAX_NUMBER: f64 = 1e9;
+
+/// Largest magnitude of a time, s: seconds since 1970 are below it until 2286.
+const MAX_TIME_S: f64 = 1e10;
 
 /// Shortest interval between two samples, s.
 const MIN_INTERVAL_S: f64 = 1e-9;
@@ -179,7 +191,8 @@ const MIN_INTERVAL_S: f64 = 1e-9;
 /// Tolerance of a quaternion's length; the error of a quaternion written with four digits is smaller.
 const LENGTH_TOLERANCE: f64 = 1e-3;
 
-/// Reads the samples from a CSV text whose first line contains the column names, in any order.
+/// Reads the samples from a CSV text whose first line contains the column names, in any order. Times may begin anywhere, as those
+/// since 1970 do: the first sample has time 0.
 ///
 /// # Errors
 /// The first error in the text, with its line.
@@ -189,23 +202,36 @@ pub fn parse(text: &str) -> Result<Vec<PoseSample>, RecordedError> {
     let first_line = line_at(text, 0);
     let places = places(&headers).map_err(|reason| RecordedError { line: Some(first_line), reason })?;
     let mut samples: Vec<PoseSample> = Vec::new();
+    let mut first: Option<FileTime> = None;
+    let mut previous = FileTime::default();
     for record in reader.records() {
         let record = record.map_err(|e| syntax(text, &e))?;
         let line = record.position().map(|position| line_at(text, position.byte()));
         let at = |reason| RecordedError { line, reason };
+        let value = |column: usize| places[column].and_then(|place| record.get(place));
         let mut numbers = [0.0; COLUMNS.len()];
-        for ((number, place), column) in numbers.iter_mut().zip(places).zip(COLUMNS) {
-            let Some(value) = place.and_then(|place| record.get(place)) else { continue };
+        for (column, number) in numbers.iter_mut().enumerate().skip(1) {
+            let Some(value) = value(column) else { continue };
             let parsed = value.parse().ok().filter(|parsed: &f64| parsed.abs() <= MAX_NUMBER);
+            let column = COLUMNS[column];
             *number = parsed.ok_or_else(|| at(RecordedReason::Number { column, value: value.to_owned() }))?;
         }
-        let [time_s, x, y, z, q @ ..] = numbers;
+        let time = value(0).unwrap_or_default();
+        let time =
+            FileTime::new(time).ok_or_else(|| at(RecordedReason::Seconds { value: time.to_owned() }))?;
+        let [_, x, y, z, q @ ..] = numbers;
         let quaternion = places[4].map(|_| unit(q)).transpose().map_err(at)?;
+        let time_s = time.after(*first.get_or_insert(time));
         let sample = PoseSample { time_s, position: [x, y, z], quaternion };
-        if let Some(previous) = samples.last() {
-            follows(&sample, previous).map_err(at)?;
+        if let Some(before) = samples.last() {
+            if time_s - before.time_s < MIN_INTERVAL_S {
+                let (time_s, previous_s) = (time.seconds(), previous.seconds());
+                return Err(at(RecordedReason::Time { time_s, previous_s }));
+            }
+            turns_little(&sample, before).map_err(at)?;
         }
         samples.push(sample);
+        previous = time;
     }
     if samples.len() < 2 {
         return Err(RecordedError { line: None, reason: RecordedReason::TooShort { count: samples.len() } });
@@ -241,11 +267,41 @@ fn unit(q: [f64; 4]) -> Result<[f64; 4], RecordedReason> {
     Ok(q.map(|part| part / length))
 }
 
-fn follows(sample: &PoseSample, previous: &PoseSample) -> Result<(), RecordedReason> {
-    let (time_s, previous_s) = (sample.time_s, previous.time_s);
-    if time_s - previous_s < MIN_INTERVAL_S {
-        return Err(RecordedReason::Time { time_s, previous_s });
+/// Time in a file. The differences of its whole seconds are exact, and those of the rest are as exact as the file: a number of
+/// seconds since 1970 would be rounded to 0.2 µs.
+#[derive(Clone, Copy, Default)]
+struct FileTime {
+    whole_s: f64,
+    rest_s: f64,
+}
+
+impl FileTime {
+    fn new(text: &str) -> Option<Self> {
+        let seconds: f64 = text.parse().ok().filter(|seconds: &f64| seconds.abs() <= MAX_TIME_S)?;
+        let rounded = Self { whole_s: seconds.trunc(), rest_s: seconds.fract() };
+        Some(Self::of_decimals(text).unwrap_or(rounded))
     }
+
+    /// Reads a number without an exponent.
+    fn of_decimals(text: &str) -> Option<Self> {
+        let (whole, rest) = text.split_once('.')?;
+        let sign = if whole.starts_with('-') { "-" } else { "" };
+        Some(Self { whole_s: whole.parse().ok()?, rest_s: format!("{sign}0.{rest}").parse().ok()? })
+            .filter(|_| rest.bytes().all(|byte| byte.is_ascii_digit()))
+    }
+
+    /// Time after another one, s.
+    fn after(self, first: Self) -> f64 {
+        (self.whole_s - first.whole_s) + (self.rest_s - first.rest_s)
+    }
+
+    fn seconds(self) -> f64 {
+        self.whole_s + self.rest_s
+    }
+}
+
+/// Checks that the orientation turns by less than a quarter turn from one sample to the next.
+fn turns_little(sample: &PoseSample, previous: &PoseSample) -> Result<(), RecordedReason> {
     if let (Some(q), Some(previous)) = (sample.quaternion, previous.quaternion) {
         let cosine = Vector4::from(q).dot(&Vector4::from(previous)).abs();
         let angle_rad = 2.0 * cosine.min(1.0).acos();

@@ -483,6 +483,16 @@ fn recorded_path_errors_name_the_line() {
             Some(4),
             "1 s is not after the previous 1 s",
         ),
+        (
+            "time_s,x_m,y_m,z_m\n1.7e12,0,0,0\n1.7e12,0,0,1\n".to_owned(),
+            Some(2),
+            "expected seconds, from -1e10 to 1e10, got '1.7e12'; divide milliseconds by 1e3",
+        ),
+        (
+            "time_s,x_m,y_m,z_m\n1700000000.5,0,0,0\n1700000000.25,0,0,1\n".to_owned(),
+            Some(3),
+            "1700000000.25 s is not after the previous 1700000000.5 s",
+        ),
         (turn("0.99,0,0,0"), Some(4), "length is 0.99, not 1"),
         (turn("0.7,0,0,0.7141428"), Some(4), "1.59"),
     ] {
@@ -564,6 +574,24 @@ fn joint_references_reach_their_goals() {
         let last = at(3.0);
         for i in 0..4 {
             assert!((last[0][i] - end[i]).abs() < 1e-15, "{reference}: joint {i} ends at {}", last[0][i]);
+        }
+    }
+}
+
+/// Compared: samples 1 ms apart whose times begin at 0, before 0, and in 2023 as seconds since 1970.
+#[test]
+fn times_since_1970_are_as_exact_as_times_since_zero() {
+    for (first_s, first_ms) in [(0, 0), (1_700_000_000, 998), (-3, 0)] {
+        let mut text = "time_s,x_m,y_m,z_m\n".to_owned();
+        for k in 0..3000_i64 {
+            let ms = 1000 * first_s + first_ms + k;
+            let sign = if ms < 0 { "-" } else { "" };
+            text += &format!("{sign}{}.{:03},0,0,0\n", ms.abs() / 1000, ms.abs() % 1000);
+        }
+        let samples = recorded::parse(&text).unwrap_or_else(|e| panic!("{e}"));
+        for (k, sample) in samples.iter().enumerate() {
+            let error_s = sample.time_s - k as f64 * 1e-3;
+            assert!(error_s.abs() < 2e-15, "{first_s}: sample {k} at {} s", sample.time_s);
         }
     }
 }
