@@ -289,10 +289,43 @@ pub(crate) fn check_layers(
                 (of(document, layer), of(expanded, joint))
             });
             check_layer::<ServoParameters>(source, document, position.0, position.1, Rule::Servo)?;
+            let joints = groups.get(*layer).cloned();
+            check_kind(source, [profile, layer], position.0, expanded, joints.as_deref())?;
             check_layer::<VelocityServo>(source, document, velocity.0, velocity.1, Rule::Values)?;
         }
     }
     Ok(())
+}
+
+/// Checks that a layer of servos has the kind of one of its joints (all joints without a list), so that its values are used.
+fn check_kind(
+    source: &Source,
+    [profile, name]: [&str; 2],
+    layer: Option<&Spanned<DeValue<'_>>>,
+    expanded: &DeTable<'_>,
+    joints: Option<&[String]>,
+) -> Result<(), FileError> {
+    let kind = |servo: &Spanned<DeValue<'_>>| {
+        let DeValue::Table(table) = servo.get_ref() else { return None };
+        table.keys().map(|kind| kind.get_ref().to_string()).find(|kind| kind != "joints")
+    };
+    let servos = inner(expanded, &["profile", profile, "servo"]).map(Spanned::get_ref);
+    let (Some(DeValue::Table(servos)), Some(own)) = (servos, layer.and_then(kind)) else { return Ok(()) };
+    let applies = |joint: &str| joints.is_none_or(|joints| joints.iter().any(|name| name == joint));
+    let kinds: Vec<String> = servos
+        .iter()
+        .filter(|(joint, _)| applies(joint.get_ref().as_ref()))
+        .filter_map(|(_, servo)| kind(servo))
+        .collect();
+    match kinds.first() {
+        Some(used) if !kinds.contains(&own) => {
+            let message = format!("no servo of its joints is of kind `{own}`: these values have no effect");
+            let help =
+                Some(format!("the servos are of kind `{used}`: write `{name} = {{ {used} = {{ ... }} }}`"));
+            Err(FileError::at_key(source, ["profile", profile, "servo", name], message, help))
+        }
+        _ => Ok(()),
+    }
 }
 
 /// Checks that the entries of joints and servos have names of joints. `expanded` has no layers.

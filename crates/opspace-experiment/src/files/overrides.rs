@@ -188,6 +188,9 @@ fn put(node: Node<'_>, keys: &[String], value: &Value, path: &mut Vec<String>) -
             return Err((format!("`{}` is of type {kind}: it has no key `{key}`", dotted(path)), None));
         }
     };
+    if let Some(error) = second_kind(table, key, path) {
+        return Err(error);
+    }
     for tag in tags_left_out(table, key, rest.is_empty(), path) {
         match table.get_mut(&tag).and_then(Item::as_table_like_mut) {
             Some(inner) => table = inner,
@@ -213,6 +216,22 @@ fn put(node: Node<'_>, keys: &[String], value: &Value, path: &mut Vec<String>) -
         Some(item) => put(node_of(item), rest, value, path),
         None => Ok(()),
     }
+}
+
+/// Error of a setting that names another kind of reference or servo than the table has.
+fn second_kind(table: &dyn TableLike, key: &str, path: &[String]) -> Option<OverrideError> {
+    let is_servo = path.len() == 4 && path[0] == "profile" && path[2] == "servo";
+    let has_one_kind = is_servo || path.last().is_some_and(|last| last == "reference");
+    let (kind, _) = sole_table(table).filter(|_| has_one_kind)?;
+    let is_other = kind != key && KINDS.contains(&kind) && KINDS.contains(&key);
+    is_other.then(|| {
+        let table = dotted(path);
+        let message = format!("`{table}` is of kind `{kind}`, not `{key}`");
+        (
+            message,
+            Some(format!("for another kind, set all its values at once: `{table}={{ {key} = {{ ... }} }}`")),
+        )
+    })
 }
 
 /// Names of kinds between this table and `key` that a setting omitted.

@@ -3,8 +3,10 @@
 
 use opspace_experiment::files::overrides::{KINDS, apply, apply_below, split};
 use opspace_experiment::files::source::{FileError, Source, parse};
+use opspace_experiment::{Experiment, Files, RunOptions};
 use serde::Deserialize;
 use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
 
 const FILE: &str = r#"# the hand is compliant in x
 robot = "../robots/asimo-arm"
@@ -350,4 +352,43 @@ fn settings_of_another_file_are_split_off() {
 fn nesting_depth_is_bounded() {
     let deep = format!("{}=1", vec!["a"; 60].join("."));
     assert!(set(&[&deep]).expect_err("refused").message().contains("nested too deeply"));
+}
+
+/// Settings with another kind of reference or servo than the file has, and values for servos of a kind that no joint has.
+#[test]
+fn another_kind_is_set_as_a_whole() {
+    let pid = |stiffness: f64| {
+        format!(
+            "{{ pid = {{ stiffness_nm_per_rad = {stiffness:?}, damping_nms_per_rad = 90.0, derivative_filter_hz = 600.0 }} }}"
+        )
+    };
+    let servos = format!("robot.profile.default.servo={{ shoulder = {}, elbow = {} }}", pid(26e3), pid(5e3));
+    let whole = "for another kind, set all its values at once:";
+    for (task, settings, message, help) in [
+        (
+            "joint-tracking",
+            vec!["task.joints.reference.recorded.file=x.csv"],
+            "`task.joints.joint-tracking.reference` is of kind `sinusoid`, not `recorded`",
+            whole,
+        ),
+        (
+            "planar-2-link-reach",
+            vec!["robot.profile.default.servo.elbow.pid.stiffness_nm_per_rad=3.0"],
+            "`profile.default.servo.elbow` is of kind `cascaded`, not `pid`",
+            whole,
+        ),
+        (
+            "planar-2-link-reach",
+            vec![servos.as_str(), "robot.profile.default.servo.joint_defaults.cascaded.gain_uncertainty=0.1"],
+            "no servo of its joints is of kind `cascaded`: these values have no effect",
+            "the servos are of kind `pid`: write `joint_defaults = { pid = { ... } }`",
+        ),
+    ] {
+        let settings: Vec<String> = settings.into_iter().map(str::to_owned).collect();
+        let path = format!("{}/../../tasks/{task}.toml", env!("CARGO_MANIFEST_DIR"));
+        let loaded = Experiment::load(Files::Disk, Path::new(&path), None, RunOptions::default(), &settings);
+        let Err(error) = loaded else { panic!("a refusal") };
+        assert!(error.to_string().contains(message), "{error}");
+        assert!(error.help().is_some_and(|text| text.contains(help)), "{:?}", error.help());
+    }
 }
