@@ -246,7 +246,7 @@ fn missed_cycles_and_holds_are_said() {
     let held_s = finding["numbers"]["held_s"].as_f64().expect("a number");
     assert!((0.1..1.5).contains(&held_s), "{held_s} s");
     // Outside of the holds, the hand is where it is without any, as far as the holds let it return.
-    assert!(!run("whole", &[]).contains("held"));
+    assert!(!run("whole", &[]).contains("was held"));
     let of = |name: &str| {
         let summary = crate::cli_common::read_json(folder.path().join(name).join("summary.json"));
         summary["metrics"]["position_max_m"].as_f64().expect("a number")

@@ -39,6 +39,7 @@ mod result_files;
 mod robot_layers;
 mod robots;
 mod safety;
+mod said;
 mod samples;
 mod sensor_loads;
 mod singular_start;

@@ -144,6 +144,9 @@ codes! {
     GoalNotReached "goal-not-reached" Effect::Noted,
     ReferenceLimited "reference-limited" Effect::Noted,
     EscapedSingularity "escaped-singularity" Effect::Noted,
+    DampedDirection "damped-direction" Effect::Noted,
+    CompliantAxesMoved "compliant-axes-moved" Effect::Noted,
+    TorquesSaturated "torques-saturated" Effect::Noted,
     // Robots.
     FrictionObserverWithoutSensor "friction-observer-without-sensor" Effect::Refused,
     ComparisonOnly "comparison-only" Effect::Never("it exists for comparisons in simulation and can damage a real robot"),

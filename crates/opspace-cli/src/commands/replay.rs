@@ -201,6 +201,7 @@ fn what_if_text(
     if let Some(replay) = &summary.replay {
         text += &format!("{}\n", replay.text());
     }
+    summary.findings.iter().for_each(|finding| text += &format!("NOTE {finding}\n"));
     let tick = recording.channel(TICK_CHANNEL);
     for (signal, elements) in &replayed.rms {
         let units = tick.and_then(|tick| tick.signal(signal)).map_or(&[][..], |column| column.units());

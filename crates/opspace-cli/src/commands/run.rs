@@ -265,6 +265,9 @@ fn say_end_of_robots(summary: &RunSummary, folder: &Path, console: Console) {
     for failure in summary.failures() {
         console.note(&failure);
     }
+    for note in summary.notes() {
+        console.note(&format!("NOTE {note}"));
+    }
     if summary.not_saved.is_empty() {
         console.note(&format!("wrote {}, and a folder for each robot", folder.join(REPORT).display()));
     }

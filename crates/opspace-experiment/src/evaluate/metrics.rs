@@ -7,6 +7,8 @@
 mod axis_metrics;
 mod chatter;
 mod cycles;
+mod damped_directions;
+mod drifts;
 mod escapes;
 mod estimates;
 mod hand;
@@ -20,6 +22,7 @@ mod near_pairs;
 mod objects;
 mod ripple;
 pub(crate) mod run_log;
+mod saturated_torques;
 pub(crate) mod slack;
 pub(crate) mod task_axes;
 pub(crate) mod tasks;
@@ -38,6 +41,7 @@ use crate::finding::Finding;
 use crate::metrics::metric::{LogMetric, Metric};
 use crate::run::experiment::Experiment;
 use cycles::Cycles;
+use damped_directions::DampedDirections;
 use escapes::Escapes;
 use estimates::Estimates;
 use hand::Hand;
@@ -48,6 +52,7 @@ use limited_references::LimitedReferences;
 use objects::Objects;
 use opspace_log::Recording;
 use run_log::{Control, Run};
+use saturated_torques::saturated_torques;
 use tasks::Tasks;
 use times::CycleTimes;
 use torque_errors::TorqueErrors;
@@ -90,6 +95,7 @@ pub(crate) struct Evaluator<'a> {
     unreached: UnreachedGoals<'a>,
     limited: LimitedReferences<'a>,
     escapes: Escapes,
+    damped: DampedDirections<'a>,
     interruptions: Interruptions,
     times: CycleTimes,
     added: Vec<(&'static str, Box<dyn LogMetric>)>,
@@ -120,6 +126,7 @@ impl<'a> Evaluator<'a> {
             unreached: UnreachedGoals::new(experiment),
             limited: LimitedReferences::new(experiment),
             escapes: Escapes::default(),
+            damped: DampedDirections::new(experiment),
             interruptions: Interruptions::default(),
             times: CycleTimes::new(),
             added: added.filter_map(|metric| Some((metric.key, metric.start()?))).collect(),
@@ -142,6 +149,7 @@ impl<'a> Evaluator<'a> {
         self.unreached.add(&run);
         self.limited.add(&run);
         self.escapes.add(&run);
+        self.damped.add(&run);
         self.estimates.add(&run);
         self.objects.add(&run);
         self.added.iter_mut().for_each(|(_, metric)| metric.add(segment, run.settled_ticks()));
@@ -151,8 +159,9 @@ impl<'a> Evaluator<'a> {
     }
 
     /// Returns the metrics; none of them has a value if the log has no control cycle.
-    pub(crate) fn finish(self) -> Evaluated {
+    pub(crate) fn finish(mut self) -> Evaluated {
         let mut evaluation = Evaluation::default();
+        let drifts = self.tasks.drifts(self.experiment);
         if self.control.start_s.is_some() {
             let Evaluation { metrics, tasks, joints } = &mut evaluation;
             let intervals = self.torque_errors.finish(metrics);
@@ -185,9 +194,18 @@ impl<'a> Evaluator<'a> {
         limited.retain(|limited| !is_listed(limited));
         let mut findings = Findings::default();
         let interface = interface_findings(&self.interruptions, &evaluation.metrics);
-        for found in [failures, interface, unreached, limited, self.escapes.finish()] {
+        let saturated = saturated_torques(&evaluation.joints);
+        for found in [failures, interface, unreached, limited, self.escapes.finish(), drifts] {
             findings.extend(found);
         }
+        findings.extend(saturated);
+        // What is said of a task that is held along the same direction is said already.
+        let is_said = |damped: &Finding| {
+            findings.iter().any(|other| other.place == damped.place && other.causes.singular_along.is_some())
+        };
+        let mut damped = self.damped.finish();
+        damped.retain(|damped| !is_said(damped));
+        findings.extend(damped);
         Evaluated { evaluation, findings, interruptions: self.interruptions, times: self.times }
     }
 }

@@ -92,7 +92,9 @@ pub fn notes(summaries: &[Summary], metrics: &[Metric]) -> Vec<String> {
     let shows = |key: &str| metrics.iter().any(|metric| metric.key == key && has_value(summaries, metric));
     let shows_one = |keys: &[&str]| keys.iter().any(|key| shows(key));
     let mut notes = vec![terms(summaries)];
-    notes.extend(if let [one] = summaries { judged_task(one) } else { None });
+    if let [one] = summaries {
+        notes.extend(transformer_choice(one).into_iter().chain(judged_task(one)));
+    }
     let mut add = |is_true: bool, note: &str| notes.extend(is_true.then(|| note.to_owned()));
     add(groups.iter().any(|group| group.runs.len() > 1), OF_SEEDS);
     let times = shows_one(&["tick_ns_median", "realtime_factor"]);
@@ -133,6 +135,12 @@ fn terms(summaries: &[Summary]) -> String {
         _ => "1:n: a command every n servo ticks.".to_owned(),
     });
     texts.join(" ")
+}
+
+/// Names the transformer of a run, with the reason for its choice.
+fn transformer_choice(summary: &Summary) -> Option<String> {
+    let (name, reason) = (summary.transformer.as_ref()?, summary.transformer_reason.as_ref()?);
+    Some(format!("Transformer '{name}': {reason}."))
 }
 
 /// Names the task whose errors of the pose are those of the run, if others have some too.

@@ -1,6 +1,7 @@
 //! Summary of a run: of one robot, or of several with their couplings.
 
 use crate::evaluate::coupling::CouplingEvaluator;
+use crate::evaluate::notes::final_notes;
 use crate::evaluate::summary::Summary;
 use crate::metrics::coupling_metrics::CouplingMetrics;
 use crate::run::coupling_expectations::missed;
@@ -163,6 +164,17 @@ impl RunSummary {
             failures.extend(robot.missed_expectations.iter().map(|missed| format!("{name}: {missed}")));
         }
         failures
+    }
+
+    /// Findings of the robots that are no failures, and their errors at the end, each with the name of its robot.
+    #[must_use]
+    pub fn notes(&self) -> Vec<String> {
+        let of_robot = |(name, robot): (&String, &Summary)| {
+            let findings = robot.findings.notes().map(ToString::to_string);
+            let all: Vec<String> = findings.chain(final_notes(robot)).collect();
+            all.into_iter().map(|note| format!("{name}: {note}")).collect::<Vec<String>>()
+        };
+        self.robots.iter().flat_map(of_robot).collect()
     }
 }
 

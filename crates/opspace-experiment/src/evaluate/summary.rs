@@ -79,7 +79,8 @@ pub struct Summary {
     /// Expectations of the task file that the run missed.
     pub missed_expectations: Vec<String>,
     /// Findings of the run: failures that no single metric shows, goals that tasks did not reach, moving references that they did
-    /// not follow, escapes from singular poses, compliance that the controller ignores, and damping that the transformer leaves.
+    /// not follow, escapes from singular poses and damping near them, compliant axes that drifted, saturated torques, compliance
+    /// that the controller ignores, and damping that the transformer leaves.
     #[serde(flatten)]
     pub findings: Findings,
     /// Metrics of the run.

@@ -7,7 +7,7 @@
 use super::near_pairs::NearPairs;
 use crate::evaluate::direction::direction;
 use crate::run::experiment::Experiment;
-use nalgebra::{DMatrix, DVector, Matrix6xX, Vector6};
+use nalgebra::{DMatrix, DVector, Matrix6xX, SymmetricEigen, Vector6};
 use opspace_backend::GravityCompensation;
 use opspace_control::tasks::task::DEFAULT_INVERSION;
 use opspace_control::{Task, TaskSet};
@@ -33,6 +33,9 @@ const AT_LIMIT: f64 = 0.1;
 
 /// Smallest effect of a joint's limit on a task, relative to the joint with the largest one.
 const MIN_EFFECT: f64 = 0.1;
+
+/// Largest number of iterations of a decomposition: finite matrices of six rows need some fifty.
+const MAX_ITERATIONS: usize = 1000;
 
 /// Measurements and commands of a control cycle; all slices have n elements.
 pub(super) struct Cycle<'a> {
@@ -236,6 +239,20 @@ impl<'a> HeldState<'a> {
         hold
     }
 
+    /// Direction in which a task can be moved least, below the tasks above it; `place` is the place of the task in the set.
+    pub(super) fn weakest_direction(&self, set: &TaskSet, place: usize) -> Option<String> {
+        let n = self.q.len();
+        let mut freedom: DMatrix<f64> = DMatrix::identity(n, n);
+        for (k, (task, typical)) in set.tasks().zip(set.typical_mobilities()).enumerate() {
+            let level = self.level(task, typical.dynamic, &NO_ERRORS);
+            if k == place {
+                return level.weakest_direction(&freedom);
+            }
+            level.reduce(&mut freedom);
+        }
+        None
+    }
+
     /// Returns the limits that take accelerations `taken` from a task of all joints with the spring terms `wanted` (n; rad/s²
     /// or m/s²).
     pub(super) fn of_moving_joints(&self, wanted: &[f64], taken: &[f64]) -> Hold {
@@ -357,6 +374,18 @@ impl Level<'_> {
         let (mut projected, space) = self.space(freedom);
         let mobility = self.state.data.mass_matrix_factor.mobility(&mut projected);
         self.wanted.dot(&(mobility * (space.task_inertia * self.wanted))) / self.wanted.norm_squared()
+    }
+
+    /// Direction in which the task can be moved least in the null space `freedom`.
+    fn weakest_direction(&self, freedom: &DMatrix<f64>) -> Option<String> {
+        let mut projected = Matrix6xX::zeros(freedom.ncols());
+        projected.copy_from(&(&self.jacobian * freedom));
+        let mobility = self.state.data.mass_matrix_factor.mobility(&mut projected);
+        let rows = self.task.rows();
+        let mobility = mobility.view((0, 0), (rows, rows)).into_owned();
+        let spectrum = SymmetricEigen::try_new(mobility, f64::EPSILON, MAX_ITERATIONS)?;
+        let weakest = spectrum.eigenvectors.column(spectrum.eigenvalues.imin());
+        Some(direction(weakest.as_slice(), &self.task.row_names()))
     }
 
     /// Adds the limits of the joints that hold the task: those at a bound that the task's force pushes against. At the

@@ -15,6 +15,7 @@ pub(crate) struct TaskAxes {
     pub(crate) directions: AxesFrame,
     pub(crate) motion: [bool; 6],
     pub(crate) compliant: [bool; 3],
+    pub(crate) compliant_rotations: [bool; 3],
     pub(crate) force: [bool; 3],
     /// Target force, N; `None` for a streamed task, which gets its target from outside.
     pub(crate) target: Option<Vector3<f64>>,
@@ -31,6 +32,10 @@ impl TaskAxes {
             directions: task.axes_frame.resolve(model, controlled).ok()?,
             motion: task.motion_axes(),
             compliant: translation(AxisMode::Compliant),
+            compliant_rotations: {
+                let [.., rx, ry, rz] = task.axes.with_mode(AxisMode::Compliant);
+                [rx, ry, rz]
+            },
             force: translation(AxisMode::Force),
             target: (!is_streamed).then(|| task.target_force().fixed_rows::<3>(0).into_owned()),
         })
@@ -43,6 +48,7 @@ impl TaskAxes {
         Self {
             motion: [0, 1, 2, 3, 4, 5].map(has(AxisMode::Motion)),
             compliant: translation(AxisMode::Compliant),
+            compliant_rotations: [3, 4, 5].map(has(AxisMode::Compliant)),
             force: translation(AxisMode::Force),
             ..self
         }
@@ -93,7 +99,12 @@ impl AxesOfTask {
                 // Nothing touches a centre of mass.
                 TaskParameters::CenterOfMass(task) => {
                     let axes = TaskAxes::new(model, &task.as_cartesian(), controlled)?;
-                    Some(TaskAxes { compliant: [false; 3], force: [false; 3], ..axes })
+                    Some(TaskAxes {
+                        compliant: [false; 3],
+                        compliant_rotations: [false; 3],
+                        force: [false; 3],
+                        ..axes
+                    })
                 }
                 _ => None,
             }

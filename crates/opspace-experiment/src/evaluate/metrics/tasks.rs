@@ -1,9 +1,11 @@
 //! Metrics of single tasks: the error of each task against its own reference, contact, and compliance.
 
 use super::axis_metrics::AxisMetrics;
+use super::drifts::Drifts;
 use super::run_log::{Mean, RmsMax, Run, masked_norm};
 use super::slack::SlackOfTask;
 use super::task_axes::{AxesOfTask, TaskAxes, TaskRow, orientation};
+use crate::finding::Finding;
 use crate::metrics::metric_tables::{ElementError, TaskMetrics};
 use crate::run::experiment::Experiment;
 use nalgebra::{Matrix3, Vector3};
@@ -94,6 +96,15 @@ impl Tasks {
                 None => {}
             }
         }
+    }
+
+    /// Returns the drifts of compliant axes in a run; the tasks have none then.
+    pub(super) fn drifts(&mut self, experiment: &Experiment) -> Vec<Finding> {
+        let of_task = |task: &mut TaskOfRun| match &mut task.errors {
+            Some(Errors::Cartesian(errors)) => errors.drift(experiment),
+            _ => None,
+        };
+        self.tasks.iter_mut().filter_map(of_task).collect()
     }
 
     pub(super) fn finish(self) -> BTreeMap<String, TaskMetrics> {
@@ -187,6 +198,7 @@ struct CartesianErrors {
     reference_before: Option<Matrix3<f64>>,
     contact: Option<ContactForce>,
     compliance: Option<CompliantMotion>,
+    drifts: Drifts,
 }
 
 impl CartesianErrors {
@@ -202,13 +214,16 @@ impl CartesianErrors {
             reference_before: None,
             contact: None,
             compliance: None,
+            drifts: Drifts::default(),
         }
     }
 
     fn add<'a>(&mut self, run: &Run<'a>) {
         let signal = |name: &str| run.tick.signal(&signal_names::of(&self.name, name));
         let (reference, reference_orientation) = (signal(REFERENCE), signal(REFERENCE_ORIENTATION));
-        let forces = run.forces_on(&self.frame);
+        let named_forces = run.named_forces_on(&self.frame);
+        let forces: Option<Vec<Column<'_>>> =
+            named_forces.as_ref().map(|forces| forces.iter().map(|(_, force)| *force).collect());
         let reference_velocity = signal(REFERENCE_VELOCITY);
         let (target, made, passivity) = (signal(TARGET_FORCE), signal(CONTACT), signal(PASSIVITY_TIME));
         let linear_rests = |tick: Option<usize>| {
@@ -278,6 +293,7 @@ impl CartesianErrors {
                 }
                 None => self.contact.iter_mut().for_each(ContactForce::leave),
             }
+            self.drifts.add(&row, &axes, run.joints.0[k] - run.start_s, named_forces.as_deref());
             let acts = forces.as_ref().is_some_and(|forces| !forces.is_empty());
             if axes.compliant.contains(&true) {
                 let compliance = self.compliance.get_or_insert_default();
@@ -292,6 +308,12 @@ impl CartesianErrors {
     fn leave(&mut self) {
         self.contact.iter_mut().for_each(ContactForce::leave);
         self.compliance.iter_mut().for_each(CompliantMotion::leave);
+        self.drifts.leave();
+    }
+
+    /// Returns the largest drift of the compliant axes.
+    fn drift(&mut self, experiment: &Experiment) -> Option<Finding> {
+        std::mem::take(&mut self.drifts).finish(experiment, &self.name)
     }
 
     fn finish(self, metrics: &mut TaskMetrics) {
@@ -490,12 +512,19 @@ impl Run<'_> {
     /// True forces of the objects of the environment that act on the body of a frame; `None` if the log has no true
     /// state.
     pub(crate) fn forces_on(&self, frame: &str) -> Option<Vec<Column<'_>>> {
+        Some(self.named_forces_on(frame)?.into_iter().map(|(_, force)| force).collect())
+    }
+
+    /// True forces of the objects of the environment that act on the body of a frame, with the names of the objects; `None` if
+    /// the log has no true state.
+    pub(crate) fn named_forces_on(&self, frame: &str) -> Option<Vec<(&str, Column<'_>)>> {
         let model = &self.experiment.robot().model;
         let body = |name: &str| model.frame_id(name).ok().map(|id: FrameId| model.frame(id).body);
         let truth = self.recording.channel(TRUTH_CHANNEL)?;
         let objects = self.experiment.task().file.environment.iter();
         let on_body = objects.filter(|(_, object)| body(object.frame()) == body(frame));
-        Some(on_body.filter_map(|(name, _)| truth.signal(&signal_names::of(name, FORCE))).collect())
+        let force = |name: &str| truth.signal(&signal_names::of(name, FORCE));
+        Some(on_body.filter_map(|(name, _)| Some((name.as_str(), force(name)?))).collect())
     }
 }
 

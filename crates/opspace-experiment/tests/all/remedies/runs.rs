@@ -96,3 +96,29 @@ pub fn escaped_singularity(code: Code) {
     let bent = straight.clone().set("start_rad.elbow=0.5");
     is_helped(code, &straight, "start away from the singular pose", &[bent]);
 }
+
+pub fn damped_direction(code: Code) {
+    let pulled = |force_n: f64| {
+        torque("ur5e-pulled-straight").set("duration_s=3.0").set(format!(
+            "environment.someone.pushes.push=[{{ at_s = 0.5, duration_s = 2.0, force_n = [{force_n:?}, 0.0, 0.0] }}]"
+        ))
+    };
+    is_helped(code, &pulled(40.0), "away from the singular pose", &[pulled(10.0)]);
+}
+
+pub fn compliant_axes_moved(code: Code) {
+    let loaded = torque("panda-compliant")
+        .replace("compliant_damping_per_s = 2.0", "")
+        .set("duration_s=2.0")
+        .set("task.flange.cartesian.axes.z=\"compliant\"")
+        .set("environment={ load = { mass = { frame = \"flange\", mass_kg = 2.0, put_on_s = 0.5 } } }");
+    let axes = ["x", "z"].map(|axis| format!("task.flange.cartesian.axes.{axis}=\"motion\""));
+    let held = axes.iter().fold(loaded.clone(), |case, setting| case.set(setting));
+    is_helped(code, &loaded, "make the axis `motion`", &[held]);
+}
+
+pub fn torques_saturated(code: Code) {
+    let fast = torque("joint-tracking").set("duration_s=2.0");
+    let weak = fast.clone().set("robot.joint.elbow.torque_limit_nm=1.0");
+    is_helped(code, &weak, "declare its true limits", &[fast]);
+}
