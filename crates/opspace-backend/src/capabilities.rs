@@ -38,6 +38,8 @@ pub struct Capabilities {
     /// True if the robot has brakes that hold it when no controller commands it. A robot without brakes is held by its
     /// servos.
     pub has_brakes: bool,
+    /// Limits that the device keeps by itself (n); empty if it reports none.
+    pub joint_limits: Vec<DeviceLimits>,
     /// Simulated or real.
     pub world: World,
 }
@@ -65,6 +67,7 @@ impl Capabilities {
             reports_status: false,
             force_sensors: Vec::new(),
             has_brakes: command == CommandKind::Torque,
+            joint_limits: Vec::new(),
             world: World::Real,
         }
     }
@@ -120,6 +123,12 @@ impl Capabilities {
         Self { has_brakes, ..self }
     }
 
+    /// Sets the limits that the device keeps by itself (n). A limit of robot.toml above one of them is an error before a run.
+    #[must_use]
+    pub fn with_joint_limits(self, joint_limits: Vec<DeviceLimits>) -> Self {
+        Self { joint_limits, ..self }
+    }
+
     /// Declares that each sample contains a status.
     #[must_use]
     pub fn with_status(self) -> Self {
@@ -131,6 +140,21 @@ impl Capabilities {
     pub fn simulated(self) -> Self {
         Self { world: World::Simulated, ..self }
     }
+}
+
+/// Limits of one joint beyond which a device stops or clamps by itself. `None` is a limit that it does not report.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct DeviceLimits {
+    /// Largest torque, Nm (N).
+    pub torque_nm: Option<f64>,
+    /// Largest speed, rad/s (m/s).
+    pub velocity_rad_per_s: Option<f64>,
+    /// Largest velocity of a setpoint, rad/s (m/s).
+    pub setpoint_velocity_rad_per_s: Option<f64>,
+    /// Largest acceleration of a setpoint, rad/s² (m/s²).
+    pub setpoint_acceleration_rad_per_s2: Option<f64>,
+    /// Largest jerk of a setpoint, rad/s³ (m/s³).
+    pub setpoint_jerk_rad_per_s3: Option<f64>,
 }
 
 /// A force sensor. It measures the wrench in the axes of its frame, about the origin of that frame.

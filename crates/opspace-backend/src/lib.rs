@@ -65,7 +65,8 @@ pub mod sink;
 
 pub use backend::{Backend, RemoteStop};
 pub use capabilities::{
-    Capabilities, ForceSensor, GravityCompensation, Measured, MissedCycle, Setpoints, StopMethod, World,
+    Capabilities, DeviceLimits, ForceSensor, GravityCompensation, Measured, MissedCycle, Setpoints,
+    StopMethod, World,
 };
 pub use command::{Command, CommandKind};
 pub use driver::{Driver, DriverError, Setting, Settings};

@@ -13,6 +13,7 @@ mod coupled_late_commands;
 mod coupled_logs;
 mod coupled_restarts;
 mod coupled_robots;
+mod device_limits;
 mod diagnostics;
 mod drive_faults;
 mod drives;
