@@ -36,12 +36,15 @@ impl CurrentObserver {
         &self.torque_disturbance
     }
 
-    /// Updates δ with the `measured` and `expected` mean torques of an interval (n; Nm, N).
+    /// Updates δ with the `measured` and `expected` mean torques of an interval (n; Nm, N). Where one of them is not a number,
+    /// as after an emulation that overflowed, δ stays.
     pub fn update(&mut self, measured: &[f64], expected: &DVector<f64>) {
         for i in 0..self.limits.len() {
             let more = measured[i] - expected[i];
             let surplus = self.torque_disturbance[i] + GAIN * (more - self.torque_disturbance[i]);
-            self.torque_disturbance[i] = surplus.clamp(-self.limits[i], self.limits[i]);
+            if !surplus.is_nan() {
+                self.torque_disturbance[i] = surplus.clamp(-self.limits[i], self.limits[i]);
+            }
         }
     }
 

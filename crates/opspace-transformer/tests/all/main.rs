@@ -1,6 +1,7 @@
 //! Tests of servo laws and transformers on joints with known parameters.
 
 mod closed_loop;
+mod current;
 mod emulation;
 mod extrapolation;
 mod impedance;
