@@ -155,6 +155,7 @@ fn damaged() {
     std::fs::write(&log, &bytes[..bytes.len() / 2]).expect("half of it");
     opspace(folder.path(), &["log", "info", "run"]).exits(3);
     opspace(folder.path(), &["report", "run"]).exits(3);
+    opspace(folder.path(), &["log", "export", "run", "-o", "rows.csv"]).exits(3);
     // A full disk: `hostile_inputs::full_disk_exits_with_3`.
 }
 

@@ -130,7 +130,7 @@ fn damaged_attachment_is_named_and_costs_no_row() {
         .exits(2)
         .says(&named)
         .says(&["lacks the attached task.toml"]);
-    opspace(folder.path(), &["log", "export", "damaged.mcap", "-o", "rows.csv"]).exits(0).says(&named);
+    opspace(folder.path(), &["log", "export", "damaged.mcap", "-o", "rows.csv"]).exits(3).says(&named);
     let whole = Recording::read(&log).unwrap();
     assert_eq!(read(folder.path().join("rows.csv")).lines().count(), whole.tick().unwrap().len() + 1);
     let text = opspace(folder.path(), &["log", "diff", "out", "damaged.mcap"]).exits(3).stdout;

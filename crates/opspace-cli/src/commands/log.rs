@@ -305,7 +305,7 @@ fn export(args: &LogExportArgs, console: Console) -> Outcome {
     if let Some(damage) = &recording.damage {
         console.note(&format!("{}: damaged: {damage}", path.display()));
     }
-    let lost = recording.damage.as_ref().is_some_and(|damage| damage.rows_lost) || recording.dropped() > 0;
+    let lost = recording.damage.is_some() || recording.dropped() > 0;
     Ok(if lost { Exit::DataLost } else { Exit::Done })
 }
 
