@@ -57,7 +57,9 @@ fn try_robot(inputs: &Inputs, seed: usize, random: &mut Random, folder: &Path) -
         let settings = ["--set", "duration_s=0.05", "--set", "settle_s=0"];
         let run =
             inputs.program.run(folder, &[&["run", &task, "--robot", &robot], &settings[..]].concat())?;
-        if run.said.starts_with(&format!("error: {robot}/robot.toml")) {
+        // Servos that a transformer cannot invert are no mistake of the robot, and a real one needs no [simulated].
+        let is_of_robot = ["transformer = ", "[not-simulated]"].iter().all(|words| !run.said.contains(words));
+        if is_of_robot && run.said.contains(&format!("error: {robot}/robot.toml")) {
             return Err(format!("check accepts the robot, but not run: {}", tail(&run.said)));
         }
     }
