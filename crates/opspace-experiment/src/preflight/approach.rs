@@ -73,6 +73,10 @@ fn approaches<'a>(case: &'a PreflightCase<'a>, task_set: usize, motion: &'a Moti
             _ => return Vec::new(),
         }
     }
+    // A surface that the task states need not be in the environment.
+    if surfaces.is_empty() && force.surface.is_some() {
+        return Vec::new();
+    }
     let in_force = motion.parameters.axes.with_mode(AxisMode::Force);
     let target_n = |axis: usize| motion.parameters.target_force()[axis];
     (0..3)

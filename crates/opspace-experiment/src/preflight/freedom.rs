@@ -19,6 +19,9 @@ const FARTHEST_BENDS: u32 = 30;
 /// Maximum number of steps for two joints.
 const FARTHEST_BENDS_OF_TWO: u32 = 10;
 
+/// Vertical part of an axis of unit length up to which it counts as level.
+const LEVEL: f64 = 0.02;
+
 /// Finds degrees of freedom that no task controls.
 pub(crate) fn uncontrolled(case: &PreflightCase<'_>) -> Option<Finding> {
     let n = case.model.n();
@@ -80,7 +83,10 @@ pub(crate) fn drifting(case: &PreflightCase<'_>) -> Vec<Finding> {
                 );
             let subject = format!("task '{}': nothing", motion.name);
             let (hand, axes_text) = (motion.controlled_name(), axes.join(", "));
-            let message = match load.filter(|_| compliant[..3].contains(&true)) {
+            // A load falls along an axis that is not level.
+            let axes_in_world = motion.axes(case.model, &case.data);
+            let falls = (0..3).any(|axis| compliant[axis] && axes_in_world[(2, axis)].abs() > LEVEL);
+            let message = match load.filter(|_| falls) {
                 Some((name, mass_kg)) => format!(
                     "{subject} holds the load '{name}' of {} kg along {axes_text}: {hand} falls with it, beyond what friction holds",
                     short(mass_kg)

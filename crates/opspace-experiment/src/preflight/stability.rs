@@ -34,7 +34,9 @@
 //! In both cases the bracket is zero without hold and lag: the servo is then inverted exactly. With them, the first
 //! terms of the bracket in s act as additional damping and inertia, like a servo that lags. At |L| = 1, the phase
 //! margin is 180° + arg L. The emulating and extrapolating transformers are treated like that of the paper, and observers
-//! like the filter: with an exact model an observer allows higher gains, but how exact the model is, is not known here.
+//! like the filter: with an exact model an observer allows higher gains, but how exact the model is, is not known here. They also
+//! take away the damping of a drive that lags, with which the loop of (K10) bears a long delay. Their loop must therefore have the
+//! margin of the torque robot too, with a velocity that does not lag; the smaller one counts.
 //!
 //! Drives that filter setpoints or feed their velocity forward are not inverted by (K10). The emulating and extrapolating
 //! transformers invert them; with the mean torques h_k of the intervals after a desired torque of 1, for a joint at rest,
@@ -71,6 +73,9 @@ const LEAST_MARGIN_DEG: f64 = 30.0;
 
 /// Phase margin of the proposed gains, degrees.
 const GOOD_MARGIN_DEG: f64 = 45.0;
+
+/// Cutoff frequency of a velocity estimate that does not lag, Hz.
+const IDEAL_FILTER_HZ: f64 = 1e6;
 
 /// Damping ratio of an impedance whose file states neither a ratio nor a damping.
 const IMPEDANCE_DAMPING_RATIO: f64 = 0.7;
@@ -112,7 +117,7 @@ fn responses(case: &PreflightCase<'_>) -> Vec<Vec<f64>> {
 
 fn stiff_task(case: &PreflightCase<'_>, responses: &[Vec<f64>], stack: usize, name: &str) -> Option<Finding> {
     let worst = followers(case, responses, stack, name).into_iter().filter_map(|follower| {
-        let margin = follower.plant.margin(&follower.law)?;
+        let margin = follower.plant.least_margin(&follower.law)?;
         // If less than half of the margin of the ideal loop remains, the cause is delay and not low damping.
         let ideal = Plant::ideal().margin(&follower.law).map_or(90.0, |ideal| ideal.degrees);
         (margin.degrees < LEAST_MARGIN_DEG.min(0.5 * ideal)).then_some((follower, margin))
@@ -436,6 +441,8 @@ struct Plant<'a> {
     delay_s: f64,
     /// Cutoff frequency of the velocity estimate, Hz.
     filter_hz: f64,
+    /// True if the transformer evaluates the law of the servo.
+    is_inverted: bool,
 }
 
 impl<'a> Plant<'a> {
@@ -455,6 +462,10 @@ impl<'a> Plant<'a> {
             servo_period_s: profile.servo_period_s(),
             delay_s: f64::from(profile.delay()) * profile.servo_period_s(),
             filter_hz: profile.estimator.velocity_filter_hz.get(),
+            is_inverted: case
+                .experiment
+                .transformer_traits()
+                .is_some_and(|traits| traits.evaluates_servo_law),
         }
     }
 
@@ -468,7 +479,8 @@ impl<'a> Plant<'a> {
             period_s: tick_s,
             servo_period_s: tick_s,
             delay_s: 0.0,
-            filter_hz: 1e6,
+            filter_hz: IDEAL_FILTER_HZ,
+            is_inverted: false,
         }
     }
 
@@ -518,6 +530,14 @@ impl<'a> Plant<'a> {
         self.inertia * c * led / (self.inertia * s * s - servo_loop)
     }
 
+    /// Smaller one of the margins with the drive and, if the transformer inverts it, with its torque as desired.
+    fn least_margin(&self, law: &AxisFeedback) -> Option<Margin> {
+        let with_drive = self.margin(law)?;
+        let inverted = self.is_inverted.then_some(Self { servo: None, filter_hz: IDEAL_FILTER_HZ, ..*self });
+        let margins = inverted.and_then(|plant| plant.margin(law)).into_iter().chain([with_drive]);
+        margins.min_by(|a, b| a.degrees.total_cmp(&b.degrees))
+    }
+
     /// Smallest margin over all crossovers; `None` if the law has no stiffness and no damping.
     fn margin(&self, law: &AxisFeedback) -> Option<Margin> {
         if law.stiffness <= 0.0 && law.damping <= 0.0 {
@@ -530,7 +550,7 @@ impl<'a> Plant<'a> {
     /// `GOOD_MARGIN_DEG`.
     fn highest_scale(&self, law: &AxisFeedback) -> Option<f64> {
         let good = |scale: f64| {
-            self.margin(&law.scaled(scale)).is_some_and(|margin| margin.degrees >= GOOD_MARGIN_DEG)
+            self.least_margin(&law.scaled(scale)).is_some_and(|margin| margin.degrees >= GOOD_MARGIN_DEG)
         };
         let (mut low, mut high) = (1e-4, 1.0);
         if !good(low) {
@@ -581,6 +601,7 @@ mod tests {
             servo_period_s: 1.0 / servo_hz,
             delay_s: f64::from(delay) / servo_hz,
             filter_hz,
+            is_inverted: false,
         }
     }
 

@@ -64,7 +64,7 @@ impl Kind {
             Self::CoarseEncoder => Code::CoarseEncoder,
             Self::CoarseSetpoints => Code::CoarseSetpoints,
             Self::SlowFilter => Code::SlowSetpointFilter,
-            Self::SlowInterface => Code::SmallGainMargin,
+            Self::SlowInterface => Code::GainsTooHigh,
             Self::IgnoredMode => Code::IgnoredCompliance,
         }
     }

@@ -193,8 +193,12 @@ pub fn compliant_drift(code: Code) {
     led.is_helped(code, &[TaskCase::of(HAND).replace(gains, &spring)]);
     // A load does not hold the hand, but falls with it.
     let load = "environment.load.mass={ frame = \"hand\", mass_kg = 2.0, put_on_s = 0.5 }";
-    let loaded = led.set(load).only(code).message;
+    let lowered = TaskCase::of(HAND).replace("z = \"motion\"", "z = \"compliant\"");
+    let loaded = lowered.set(load).only(code).message;
     assert!(loaded.contains("holds the load 'load' of 2 kg"), "{loaded}");
+    // Along a level axis it does not fall.
+    let level = led.set(load).only(code).message;
+    assert!(level.contains("brings 'hand' back along x"), "{level}");
 }
 
 pub fn reference_jump(code: Code) {
