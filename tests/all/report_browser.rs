@@ -1,4 +1,4 @@
-//! Report of a run in a browser: everything is laid out and drawn, without messages on the console. `.ci/run browser`
+//! Report of a run in a browser: everything is laid out and drawn, without messages on the console, and figures can be saved. `.ci/run browser`
 //! installs Chromium and runs these tests.
 
 #![expect(clippy::unwrap_used, clippy::expect_used, reason = "a test")]
@@ -9,13 +9,27 @@ use std::fs;
 use std::path::Path;
 use std::process::Command;
 
-/// Script that writes the layout of the page into its DOM: size and texts of each figure, and all errors.
-const PROBE: &str = r#"
+/// Script that writes the layout of the page into its DOM: size and texts of each figure, all errors, and the files that the buttons
+/// of the first figure save.
+const PROBE: &str = r##"
 <script>
 const errors = [];
 addEventListener("error", e => errors.push(e.message || "a resource"), true);
 addEventListener("unhandledrejection", e => errors.push(String(e.reason)));
-addEventListener("load", () => {
+const saved = [], blobs = {};
+const create = URL.createObjectURL;
+URL.createObjectURL = blob => { const url = create.call(URL, blob); blobs[url] = blob; return url; };
+HTMLAnchorElement.prototype.click = function () { saved.push({ name: this.download, blob: blobs[this.href] }); };
+const wait = async (count) => { for (let k = 0; saved.length < count && k < 100; k++) await new Promise(r => setTimeout(r, 20)); };
+addEventListener("load", async () => {
+  const buttons = [...document.querySelectorAll("#figure-1 .save button")];
+  buttons.forEach(button => button.click());
+  await wait(buttons.length);
+  const files = [];
+  for (const { name, blob } of saved) {
+    const start = new Uint8Array(await blob.slice(0, 8).arrayBuffer());
+    files.push({ name, type: blob.type, size: blob.size, start: [...start], text: blob.type.includes("svg") ? await blob.text() : "" });
+  }
   const figures = [...document.querySelectorAll("figure")].map(figure => {
     const svg = figure.querySelector("svg");
     const box = svg ? svg.getBoundingClientRect() : { width: 0, height: 0 };
@@ -30,12 +44,12 @@ addEventListener("load", () => {
   });
   const probe = document.createElement("pre");
   probe.id = "probe";
-  probe.textContent = JSON.stringify({ errors, figures, rows: document.querySelectorAll("table tr").length,
+  probe.textContent = JSON.stringify({ errors, figures, files, rows: document.querySelectorAll("table tr").length,
     outside: document.documentElement.scrollWidth - document.documentElement.clientWidth });
   document.body.append(probe);
 });
 </script>
-"#;
+"##;
 
 const BROWSERS: [&str; 4] = ["chromium", "chromium-browser", "google-chrome", "google-chrome-stable"];
 
@@ -53,7 +67,7 @@ fn probed(browser: &str, page: &Path) -> Value {
         .args(["--headless", "--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-sync"])
         .args(["--disable-background-networking", "--disable-component-update", "--enable-logging=stderr"])
         .arg(format!("--user-data-dir={}", folder.join("profile").display()))
-        .args(["--window-size=1200,900", "--dump-dom"])
+        .args(["--window-size=1200,900", "--virtual-time-budget=20000", "--dump-dom"])
         .arg(format!("file://{}", probing.display()))
         .output()
         .unwrap();
@@ -106,6 +120,14 @@ fn run_report_is_drawn() {
     for figure in ["torque", "Position of 'hand'", "Force", "Setpoints"] {
         assert!(captions.iter().any(|caption| caption.contains(figure)), "{figure}: {captions:?}");
     }
+    let [svg, png] = &probe["files"].as_array().unwrap()[..] else { panic!("two files: {}", probe["files"]) };
+    assert_eq!([&svg["name"], &png["name"]], ["figure-1.svg", "figure-1.png"]);
+    let text = svg["text"].as_str().unwrap();
+    let is_drawing =
+        text.starts_with("<svg xmlns=\"http://www.w3.org/2000/svg\"") && text.ends_with("</svg>");
+    assert!(is_drawing && text.contains("fill=\"white\"") && text.matches("<text").count() > 10, "{text}");
+    let signature = [137, 80, 78, 71, 13, 10, 26, 10].map(Value::from);
+    assert!(png["start"].as_array().unwrap() == &signature && png["size"].as_u64() > Some(5000), "{png}");
     let torques = texts(&probe, "torque");
     assert!(JOINTS.iter().all(|joint| torques.contains(joint)), "a panel for each joint: {torques:?}");
     for figure in ["Position of", "Force on the frame"] {

@@ -10,6 +10,7 @@ pub(crate) mod harmonics;
 pub mod metrics;
 pub mod notes;
 pub mod posture;
+pub mod response_sentences;
 pub mod results;
 pub mod run_summary;
 pub(crate) mod spectrum;

@@ -14,6 +14,7 @@ pub mod figure;
 pub mod html;
 mod lines;
 mod polygon;
+mod response_figures;
 mod run_figures;
 mod run_section;
 mod slack_figure;

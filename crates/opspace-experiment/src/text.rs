@@ -37,3 +37,20 @@ fn format_digits(number: f64, digits: usize) -> String {
         _ => rounded,
     }
 }
+
+/// Names of things in a sentence: `x, y and z`.
+pub(crate) fn listed(names: &[String]) -> String {
+    match names {
+        [names @ .., last] if !names.is_empty() => format!("{} and {last}", names.join(", ")),
+        _ => names.concat(),
+    }
+}
+
+/// Text that begins with a capital letter.
+pub(crate) fn capitalised(text: &str) -> String {
+    let mut text = text.to_owned();
+    if let Some(first) = text.get_mut(..1) {
+        first.make_ascii_uppercase();
+    }
+    text
+}

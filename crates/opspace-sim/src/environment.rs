@@ -26,7 +26,7 @@ pub use operator::{
     OperatorMotion, ProbeMotion, RandomMotion, ReachParameters, ReleaseParameters, ScriptedMotion, Spring,
     SpringParameters, WorldAxis,
 };
-pub use pushes::{PushParameters, PushesParameters};
+pub use pushes::{PushParameters, PushShape, PushesParameters, Staircase};
 pub use wall::{Wall, WallEdgeParameters, WallParameters};
 
 use nalgebra::Vector3;

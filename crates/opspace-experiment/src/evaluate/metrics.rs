@@ -20,6 +20,7 @@ mod joints;
 mod limited_references;
 mod near_pairs;
 mod objects;
+pub(crate) mod response;
 mod ripple;
 pub(crate) mod run_log;
 mod saturated_torques;

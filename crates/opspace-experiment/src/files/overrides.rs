@@ -258,7 +258,7 @@ fn tags_left_out(table: &dyn TableLike, key: &str, last: bool, path: &[String]) 
 }
 
 /// Names of kinds: what a file may have in one table, of which it has exactly one.
-pub const KINDS: [&str; 51] = [
+pub const KINDS: [&str; 52] = [
     "absolute_m",
     "absolute_rad",
     "absolute_rpy_rad",
@@ -301,6 +301,7 @@ pub const KINDS: [&str; 51] = [
     "sphere",
     "spline",
     "spring",
+    "staircase",
     "still",
     "streamed",
     "surface",

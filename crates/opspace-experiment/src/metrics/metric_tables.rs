@@ -200,8 +200,9 @@ metric_table! {
             slack: Slack
         ];
         (
-            /// Errors along single motion axes of a Cartesian task or of the centre of mass, and ranges of its motion along x, y and z, each
-            /// by the name of the metric: `x_rms_m`, `rx_max_rad`, `x_range_m`. Those that the task does not have are absent.
+            /// Errors along single motion axes of a Cartesian task or of the centre of mass, ranges of its motion along x, y and z, and its
+            /// response to external forces, each by the name of the metric: `x_rms_m`, `rx_max_rad`, `x_range_m`, `x_stiffness_n_per_m`.
+            /// Those that the task does not have are absent.
             #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
             axes: BTreeMap<String, f64>
         );
@@ -217,6 +218,13 @@ pub(crate) fn error_names(axis: usize) -> [String; 2] {
 /// Name of the range of motion along an axis of translation.
 pub(crate) fn range_name(axis: usize) -> String {
     format!("{}_range_m", AXIS_NAMES[axis])
+}
+
+/// Names of the response to external forces along an axis of translation: largest force, largest deflection, stiffness, hysteresis
+/// and displacement that is left at the end.
+pub(crate) fn response_names(axis: usize) -> [String; 5] {
+    ["force_max_n", "deflection_max_m", "stiffness_n_per_m", "hysteresis_m", "return_m"]
+        .map(|quantity| format!("{}_{quantity}", AXIS_NAMES[axis]))
 }
 
 /// Error of a joint or of an element of a coordinate.

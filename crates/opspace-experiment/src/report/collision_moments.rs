@@ -3,22 +3,24 @@
 use crate::evaluate::metrics::run_log::Run;
 use crate::report::environment_shapes::{PlacedObject, environment_shapes};
 use crate::run::experiment::Experiment;
+use crate::text::format_short;
 use nalgebra::Vector3;
 use opspace_backend::signal_names::Q;
+use opspace_control::TaskParameters;
 use opspace_model::collision::{
     Capsule, CollisionData, CollisionModel, CollisionShape, Holder, Proximity, collision_distances,
 };
-use opspace_model::{Data, Frame, Model, forward_kinematics, frame_placement};
+use opspace_model::{Data, Frame, FrameId, Model, forward_kinematics, frame_placement};
 
 /// Radius of the lines that stand for links without collision geometry, m.
 const LINE_RADIUS_M: f64 = 0.008;
 
-/// Arm, obstacles and environment at a moment of a run, in world axes.
+/// Arm, obstacles and environment at a moment of a run, or the links of an arm at several moments, in world axes.
 #[derive(Clone, Debug)]
 pub struct CollisionMoment {
-    /// Name: start, least distance, end.
+    /// Name: start, least distance, end; that of all moments for links without collision geometry.
     pub name: String,
-    /// Time after the start of control, s.
+    /// Time after the start of control, s; that of the last of several moments.
     pub time_s: f64,
     /// Capsules of the arm, then obstacles.
     pub shapes: Vec<PlacedShape>,
@@ -37,6 +39,9 @@ pub struct PlacedShape {
     pub name: String,
     /// True for an obstacle.
     pub is_obstacle: bool,
+    /// Index of the moment at which the shape is here: 0 at the start, 1 farthest from it, 2 at the end. Zero for a shape that is
+    /// drawn at one moment.
+    pub moment: usize,
     /// Shape in world axes.
     pub shape: CollisionShape,
 }
@@ -61,7 +66,7 @@ struct Row {
     q: Vec<f64>,
 }
 
-/// First, closest and last row of control while segments of a log arrive.
+/// First, closest, farthest and last row of control while segments of a log arrive.
 pub(super) struct CollisionMoments<'a> {
     model: &'a Model,
     /// Collision geometry with its distances; `None` for a robot without.
@@ -71,27 +76,37 @@ pub(super) struct CollisionMoments<'a> {
     start: Option<Row>,
     /// Row with the smallest distance, and this distance, m.
     least: Option<(Row, f64)>,
+    /// Frame whose displacement decides which row is the farthest: that of the first Cartesian task, otherwise that of the last link.
+    frame: Option<FrameId>,
+    /// Position of this frame at the start, m.
+    origin: Option<Vector3<f64>>,
+    /// Row with the largest displacement, and this displacement, m.
+    farthest: Option<(Row, f64)>,
     end: Option<Row>,
 }
 
 impl<'a> CollisionMoments<'a> {
-    /// Returns `None` if the experiment keeps no distances and has no environment that can be drawn.
-    pub(super) fn new(experiment: &'a Experiment) -> Option<Self> {
+    pub(super) fn new(experiment: &'a Experiment) -> Self {
         let geometry = experiment.kept_distances().map(|kept| &kept.limits.geometry);
-        let environment = environment_shapes(experiment);
-        if geometry.is_none() && environment.is_empty() {
-            return None;
-        }
         let model = &experiment.robot().model;
-        Some(Self {
+        let tasks = experiment.task().tasks_of_the_run();
+        let of_task = tasks.into_iter().find_map(|(_, task)| match task {
+            TaskParameters::Cartesian(task) => model.frame_id(&task.frame).ok(),
+            _ => None,
+        });
+        let last = || model.frame_id(&model.frames().last()?.name).ok();
+        Self {
             model,
             geometry: geometry.map(|geometry| (geometry, CollisionData::new(geometry))),
-            environment,
+            environment: environment_shapes(experiment),
             data: Data::new(model),
             start: None,
             least: None,
+            frame: of_task.or_else(last),
+            origin: None,
+            farthest: None,
             end: None,
-        })
+        }
     }
 
     /// Adds the next segment of the log.
@@ -110,6 +125,11 @@ impl<'a> CollisionMoments<'a> {
             {
                 self.least = Some((row(), proximity.distance_m));
             }
+            if let Some(moved_m) = self.displacement(q.row(k))
+                && self.farthest.as_ref().is_none_or(|(_, farthest_m)| moved_m > *farthest_m)
+            {
+                self.farthest = Some((row(), moved_m));
+            }
             let end = self.end.get_or_insert_with(row);
             end.time_s = time_s - run.start_s;
             end.q.copy_from_slice(q.row(k));
@@ -125,8 +145,21 @@ impl<'a> CollisionMoments<'a> {
         near.min_by(|(_, a), (_, b)| a.distance_m.total_cmp(&b.distance_m))
     }
 
-    /// Returns the moments in the order of their times; those at the same time are one.
-    pub(super) fn finish(mut self) -> Vec<CollisionMoment> {
+    /// Displacement of the frame from its position at the start, m.
+    fn displacement(&mut self, q: &[f64]) -> Option<f64> {
+        let frame = self.frame?;
+        forward_kinematics(self.model, &mut self.data, q);
+        let position = frame_placement(self.model, &self.data, frame).translation;
+        Some((position - *self.origin.get_or_insert(position)).norm())
+    }
+
+    /// Returns the links at the start, where they are farthest from it and at the end, and with collision geometry each moment
+    /// in the order of their times; those at the same time are one.
+    pub(super) fn finish(mut self) -> (Option<CollisionMoment>, Vec<CollisionMoment>) {
+        let links = self.links();
+        if self.geometry.is_none() {
+            return (links, Vec::new());
+        }
         let rows = [
             ("start", self.start.take()),
             ("least distance", self.least.take().map(|(row, _)| row)),
@@ -140,7 +173,35 @@ impl<'a> CollisionMoments<'a> {
                 None => moments.push(self.moment(name, &row)),
             }
         }
-        moments
+        (links, moments)
+    }
+
+    /// Links at all moments.
+    fn links(&mut self) -> Option<CollisionMoment> {
+        let (start, end) = (self.start.clone()?, self.end.clone()?);
+        // A row in which nothing has moved looks like the start.
+        let farthest = self.farthest.take().filter(|(_, moved_m)| *moved_m > 2.0 * LINE_RADIUS_M);
+        let farthest = farthest.map(|(row, _)| row).filter(|row| row.time_s < end.time_s);
+        let mut name = "start".to_owned();
+        if let Some(row) = &farthest {
+            name += &format!(", farthest from it (at {} s)", format_short(row.time_s));
+        }
+        name += " and end";
+        let mut shapes = Vec::new();
+        for (moment, row) in [Some(&start), farthest.as_ref(), Some(&end)].into_iter().enumerate() {
+            let Some(row) = row else { continue };
+            forward_kinematics(self.model, &mut self.data, &row.q);
+            let links = sketch(self.model, &self.data).into_iter();
+            shapes.extend(links.map(|shape| PlacedShape { moment, ..shape }));
+        }
+        Some(CollisionMoment {
+            name,
+            time_s: end.time_s,
+            shapes,
+            closest: None,
+            environment: self.environment.clone(),
+            is_sketch: true,
+        })
     }
 
     fn moment(&mut self, name: &str, row: &Row) -> CollisionMoment {
@@ -151,15 +212,13 @@ impl<'a> CollisionMoments<'a> {
             shapes: Vec::new(),
             closest: None,
             environment: self.environment.clone(),
-            is_sketch: self.geometry.is_none(),
+            is_sketch: false,
         };
-        let Some((geometry, _)) = &self.geometry else {
-            forward_kinematics(self.model, &mut self.data, &row.q);
-            return CollisionMoment { shapes: sketch(self.model, &self.data), ..moment };
-        };
+        let Some((geometry, _)) = &self.geometry else { return moment };
         let shapes = geometry.objects().iter().map(|object| PlacedShape {
             name: object.name.clone(),
             is_obstacle: object.holder == Holder::World,
+            moment: 0,
             shape: match object.shape {
                 CollisionShape::Capsule(capsule) => {
                     let placement = object.holder.placement(self.model, &self.data);
@@ -192,6 +251,7 @@ fn sketch(model: &Model, data: &Data) -> Vec<PlacedShape> {
         (!is_point).then(|| PlacedShape {
             name: name.to_owned(),
             is_obstacle: false,
+            moment: 0,
             shape: CollisionShape::Capsule(capsule),
         })
     };

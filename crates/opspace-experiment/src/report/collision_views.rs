@@ -4,7 +4,7 @@ use crate::report::collision_moments::{ClosestPair, CollisionMoment, PlacedShape
 use crate::report::environment_shapes::{EnvironmentShape, PlacedObject};
 use crate::report::figure::{Axis, Chart, Drawn, INK, PALETTE, canvas, chart, escape, printable, px, text};
 use crate::report::polygon::{cut, on, within};
-use crate::text::format_short;
+use crate::text::{capitalised, format_short};
 use nalgebra::{Vector2, Vector3};
 use opspace_model::collision::{Capsule, CollisionShape, HalfSpace};
 use plotters::prelude::*;
@@ -51,14 +51,18 @@ const AXES: [&str; 3] = ["x (m)", "y (m)", "z (m)"];
 #[derive(Clone, Copy, PartialEq)]
 enum Role {
     Arm,
+    ArmFarthest,
+    ArmAtEnd,
     Obstacle,
     Closest,
     Environment,
 }
 
 impl Role {
-    const ALL: [(Self, &str); 4] = [
+    const ALL: [(Self, &str); 6] = [
         (Self::Arm, "arm"),
+        (Self::ArmFarthest, "arm, farthest from the start"),
+        (Self::ArmAtEnd, "arm at the end"),
         (Self::Obstacle, "obstacle"),
         (Self::Closest, "closest pair"),
         (Self::Environment, "environment"),
@@ -68,13 +72,15 @@ impl Role {
         match &moment.closest {
             Some(closest) if closest.shapes.contains(&shape) => Self::Closest,
             _ if moment.shapes[shape].is_obstacle => Self::Obstacle,
-            _ => Self::Arm,
+            _ => [Self::Arm, Self::ArmFarthest, Self::ArmAtEnd][moment.shapes[shape].moment.min(2)],
         }
     }
 
     fn color(self) -> RGBColor {
         match self {
             Self::Arm => PALETTE[0].0,
+            Self::ArmFarthest => PALETTE[4].0,
+            Self::ArmAtEnd => PALETTE[5].0,
             Self::Obstacle => PALETTE[2].0,
             Self::Closest => PALETTE[1].0,
             Self::Environment => PALETTE[3].0,
@@ -116,14 +122,22 @@ pub(super) fn views(moments: &[CollisionMoment]) -> String {
 
 /// Title of the views.
 pub(super) fn title(moments: &[CollisionMoment]) -> &'static str {
-    if moments.iter().any(|moment| moment.is_sketch) { "Arm and environment" } else { "Collision geometry" }
+    let has_environment = moments.iter().any(|moment| !moment.environment.is_empty());
+    match moments.iter().any(|moment| moment.is_sketch) {
+        true if has_environment => "Arm and environment",
+        true => "Arm",
+        false => "Collision geometry",
+    }
 }
 
 /// Caption of the views.
 pub(super) fn caption(moments: &[CollisionMoment]) -> String {
     let shapes = || moments.first().into_iter().flat_map(|moment| &moment.shapes);
     let objects = || moments.first().into_iter().flat_map(|moment| &moment.environment);
-    let contents = if moments.iter().any(|moment| moment.is_sketch) {
+    let is_sketch = moments.iter().any(|moment| moment.is_sketch);
+    let contents = if is_sketch && objects().next().is_none() {
+        "Links as lines between joints and frames"
+    } else if is_sketch {
         "Links as lines between joints and frames, and the objects of the environment"
     } else if objects().next().is_some() {
         "Capsules of the arm, obstacles, and the objects of the environment"
@@ -161,8 +175,10 @@ pub(super) fn caption(moments: &[CollisionMoment]) -> String {
 
 /// Time of a moment, and its closest pair.
 fn sentence(moment: &CollisionMoment) -> String {
-    let mut name = moment.name.clone();
-    name[..1].make_ascii_uppercase();
+    let name = capitalised(&moment.name);
+    if moment.is_sketch {
+        return format!("{name}, at {} s.", format_short(moment.time_s));
+    }
     let time = format!("{name}, at {} s", format_short(moment.time_s));
     let Some(ClosestPair { shapes: [a, b], distance_m, .. }) = moment.closest else {
         return format!("{time}.");
@@ -315,7 +331,7 @@ impl View {
                 a.total_cmp(&b)
             });
             for shape in order {
-                let PlacedShape { name, is_obstacle, shape: placed } = &moment.shapes[shape];
+                let PlacedShape { name, is_obstacle, shape: placed, .. } = &moment.shapes[shape];
                 let outline: Vec<(f64, f64)> = self.outline(placed, part).iter().map(place).collect();
                 let role = Role::of(moment, shape);
                 // The names of the closest pair are above the views, and its line would cross them.

@@ -25,18 +25,27 @@ pub fn page(
     {
         all_notes.push(format!("Axes of the operator force and of the hand motion: {}.", run.operator_axes));
     }
-    let mut head = with_assumed(Page::new(title).lead(lead), summaries);
+    let results = |page: Page| {
+        page.section("Results").table(
+            &caption(summaries, shown),
+            &table(summaries, metrics),
+            &borrowed(&all_notes),
+        )
+    };
+    // What happened comes first where there is one run.
+    if let ([run], [_]) = (shown, summaries) {
+        let head = Page::new(&run.sentence).story(&run.story).lead(&format!("{lead} {}.", run.title));
+        let head = run_head(with_assumed(head, summaries), run);
+        return run_body(results(head), run).render();
+    }
+    let mut page = with_assumed(Page::new(title).lead(lead), summaries);
     // The failures of a single run are in its section.
     if summaries.len() > 1 {
-        head = failures(summaries)
+        page = failures(summaries)
             .iter()
-            .fold(head, |head, failure| head.warning(&format!("Failed: {failure}.")));
+            .fold(page, |page, failure| page.warning(&format!("Failed: {failure}.")));
     }
-    let mut page = head.section("Results").table(
-        &caption(summaries, shown),
-        &table(summaries, metrics),
-        &borrowed(&all_notes),
-    );
+    page = results(page);
     if summaries.len() > 1 {
         for comparison in comparisons(summaries) {
             page = page.comparison(&comparison);
@@ -46,8 +55,7 @@ pub fn page(
         }
     }
     for run in shown {
-        page =
-            run_blocks(page, if run.title == title { "Tasks, joints and signals" } else { &run.title }, run);
+        page = run_blocks(page, &run.title, run);
     }
     page.render()
 }
@@ -60,11 +68,23 @@ pub(super) fn with_assumed<'a>(page: Page, summaries: impl IntoIterator<Item = &
 }
 
 /// Adds the section of one run to a page.
-pub(super) fn run_blocks(mut page: Page, heading: &str, run: &RunSection) -> Page {
-    page = page.section(heading);
+pub(super) fn run_blocks(page: Page, heading: &str, run: &RunSection) -> Page {
+    run_body(run_head(page.section(heading).story(&run.story), run), run)
+}
+
+/// Adds what is wrong with a run, the figure that it is about, and the arm.
+fn run_head(mut page: Page, run: &RunSection) -> Page {
     for warning in &run.warnings {
         page = page.warning(warning);
     }
+    if let Some(first) = run.figures.first() {
+        page = page.figure(first);
+    }
+    page.collisions(run.arm.as_slice())
+}
+
+/// Adds the tables of a run and its other figures.
+fn run_body(mut page: Page, run: &RunSection) -> Page {
     let (tasks, joints) = (in_order(task_table(&run.summary), run), in_order(joint_table(&run.summary), run));
     let task_notes = task_notes(&run.summary);
     if tasks.rows.is_empty() {
@@ -80,7 +100,7 @@ pub(super) fn run_blocks(mut page: Page, heading: &str, run: &RunSection) -> Pag
         page = page.table(&caption, &joints, &borrowed(&joint_notes(&run.summary)));
     }
     page = page.collisions(&run.collisions);
-    for figure in &run.figures {
+    for figure in run.figures.iter().skip(1) {
         page = page.figure(figure);
     }
     page = page.facts(run.facts.iter().map(|(term, text)| (term.as_str(), text.as_str())));

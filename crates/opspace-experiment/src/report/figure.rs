@@ -53,6 +53,8 @@ pub struct Panel {
     pub x_scale: Scale,
     /// Scale of the ordinate: linear or logarithmic.
     pub y_scale: Scale,
+    /// True if lengths in m are drawn in mm from the first value of the first line.
+    pub is_from_start: bool,
     /// Limits of the quantity: lines are added where a run comes near them.
     pub limits: Option<Range<f64>>,
 }
@@ -231,6 +233,12 @@ impl Figure {
             let areas = grid.split_evenly((rows, columns));
             self.panels.iter().zip(&areas).try_for_each(|(panel, area)| panel.draw(area, &entries))
         })
+    }
+
+    /// True if a line shows a desired quantity.
+    pub(super) fn has_desired_lines(&self) -> bool {
+        let is_desired = |line: &Series| line.style == Style::Desired && line.y.iter().any(|y| y.is_finite());
+        self.panels.iter().flat_map(|panel| &panel.series).any(is_desired)
     }
 
     fn is_dotted(&self, label: &str) -> bool {

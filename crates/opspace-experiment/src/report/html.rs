@@ -1,9 +1,12 @@
-//! Report as one self-contained HTML page: without network access, scripts or fonts.
+//! Report as one self-contained HTML page: without network access or fonts. Its only script saves figures as files.
 //!
 //! The page is valid XML and HTML, has a light and a dark colour scheme, and can be printed.
 
 use std::fmt::Write as _;
 
+use base64::Engine as _;
+use base64::engine::general_purpose::STANDARD;
+use hmac_sha256::Hash;
 use plotters::style::RGBColor;
 
 use crate::evaluate::table::{Cell, Table};
@@ -48,6 +51,15 @@ impl Page {
             "<p class=\"warning\" role=\"note\"><strong>Warning.</strong> {}</p>",
             escape(text)
         ))
+    }
+
+    /// Adds what happened in a run, in a few sentences.
+    pub fn story(self, sentences: &[String]) -> Self {
+        if sentences.is_empty() {
+            self
+        } else {
+            self.block(&format!("<p class=\"story\">{}</p>", escape(&sentences.join(" "))))
+        }
     }
 
     /// Adds a list of terms and their values: seeds, versions, files.
@@ -121,11 +133,11 @@ impl Page {
         }
         self.figures += 1;
         let html = format!(
-            "<figure class=\"views\">\n{}<figcaption><b>Figure {}. {}.</b> {}</figcaption>\n</figure>",
+            "<figure class=\"views\" id=\"figure-{number}\">\n{}<figcaption><b>Figure {number}. {}.</b> {}{SAVE}</figcaption>\n</figure>",
             views(moments),
-            self.figures,
             title(moments),
-            escape(&caption(moments))
+            escape(&caption(moments)),
+            number = self.figures,
         );
         self.block(&html)
     }
@@ -138,8 +150,9 @@ impl Page {
             "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\"/>\n\
              <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\"/>\n\
              <meta name=\"color-scheme\" content=\"light dark\"/>\n<title>{title}</title>\n\
-             <meta http-equiv=\"Content-Security-Policy\" content=\"{POLICY}\"/>\n\
-             <style>\n{STYLE}{}</style>\n</head>\n<body>\n<main>\n<h1>{}</h1>\n{}</main>\n</body>\n</html>\n",
+             <meta http-equiv=\"Content-Security-Policy\" content=\"{}\"/>\n\
+             <style>\n{STYLE}{}</style>\n</head>\n<body>\n<main>\n<h1>{}</h1>\n{}</main>\n<script>{SCRIPT}</script>\n</body>\n</html>\n",
+            policy(),
             dark_figures(),
             unbroken(&title),
             self.body
@@ -150,8 +163,8 @@ impl Page {
         self.figures += 1;
         let number = self.figures;
         let html = format!(
-            "<figure>\n<div class=\"scroll\" tabindex=\"0\" role=\"region\" aria-label=\"Figure {number}\">{svg}</div>\n\
-             <figcaption><b>Figure {number}. {}.</b> {}</figcaption>\n</figure>",
+            "<figure id=\"figure-{number}\">\n<div class=\"scroll\" tabindex=\"0\" role=\"region\" aria-label=\"Figure {number}\">{svg}</div>\n\
+             <figcaption><b>Figure {number}. {}.</b> {}{SAVE}</figcaption>\n</figure>",
             escape(title.trim_end_matches('.')),
             escape(caption)
         );
@@ -201,8 +214,19 @@ fn dark_figures() -> String {
     format!("@media screen and (prefers-color-scheme: dark) {{\n{rules}}}\n")
 }
 
-/// Permissions of the page in a browser: its own styles and nothing else, should a name ever become code.
-const POLICY: &str = "default-src 'none'; style-src 'unsafe-inline'";
+/// Permissions of the page in a browser: its own styles, its own script by its hash, and the images that this script draws; nothing
+/// else, should a name ever become code.
+fn policy() -> String {
+    let hash = STANDARD.encode(Hash::hash(SCRIPT.as_bytes()));
+    format!("default-src 'none'; style-src 'unsafe-inline'; img-src blob:; script-src 'sha256-{hash}'")
+}
+
+/// Script that saves figures. The page is valid XML, so that it has neither `<` nor `&`.
+const SCRIPT: &str = include_str!("save_figure.js");
+
+/// Buttons that save a figure; without the script they are hidden.
+const SAVE: &str = " <span class=\"save\" hidden=\"\">Save as <button type=\"button\" data-save=\"svg\">SVG</button> \
+    <button type=\"button\" data-save=\"png\">PNG</button></span>";
 
 const STYLE: &str = "\
 :root { color-scheme: light dark; --ink: #1c2024; --soft: #5b636b; --line: #d6dade; --back: #ffffff; --stripe: #1c20240a;
@@ -220,6 +244,7 @@ h1 { font-size: 1.9rem; line-height: 1.2; margin: 0 0 0.75rem }
 h2 { font-size: 1.3rem; margin: 2.75rem 0 0.75rem; padding-top: 0.9rem; border-top: 1px solid var(--line) }
 p { max-width: 46rem }
 .lead { font-size: 1.12rem; color: var(--soft); margin: 0 0 1.75rem }
+.story { font-size: 1.12rem; margin: 0 0 1.25rem }
 .warning { background: var(--warn); border-left: 4px solid var(--fail); padding: 0.6rem 0.9rem }
 .word { display: inline-block }
 /* A shadow at each edge beyond which there is more: it stays in place, and the covers of it move with the content. */
@@ -243,6 +268,8 @@ p.note { font-size: 0.86rem; color: var(--soft); margin: 0.2rem 0 }
 figure { margin: 1.75rem 0 2.25rem; break-inside: avoid }
 figure svg { display: block; width: 100%; min-width: 40rem; height: auto }
 figcaption { font-size: 0.92rem; max-width: 50rem; margin-top: 0.6rem; color: var(--soft) }
+.save { white-space: nowrap; margin-left: 0.4rem } .save[hidden] { display: none }
+.save button { font: inherit; color: inherit; background: none; border: 0; padding: 0 0.15rem; text-decoration: underline; cursor: pointer }
 figcaption b { color: var(--ink) }
 figure text { font-family: system-ui, sans-serif; font-variant-numeric: tabular-nums }
 /* The views of a moment are side by side, or below each other on a narrow screen. */
@@ -259,6 +286,6 @@ dt { color: var(--soft); font-size: 0.84rem } dd { margin: 0; overflow-wrap: any
   table { font-size: 0.72rem } th, td { padding: 0.3rem 0.25rem } tbody th { white-space: pre-wrap } }
 @media screen and (max-width: 41.4rem) {
   figure:not(.views)::before { content: 'Scroll the figure sideways to see all of it.'; font-size: 0.86rem; color: var(--soft) } }
-@media print { main { max-width: none; padding: 0 } figure svg { min-width: 0 } .scroll { overflow: visible }
+@media print { .save { display: none } main { max-width: none; padding: 0 } figure svg { min-width: 0 } .scroll { overflow: visible }
   h2 { break-after: avoid } tr { break-inside: avoid } }
 ";

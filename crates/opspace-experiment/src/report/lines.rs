@@ -2,7 +2,7 @@
 
 use crate::evaluate::metrics::run_log::Run;
 use crate::report::figure::{Figure, Panel, Series, Style};
-use crate::text::format_short;
+use crate::text::{format_short, listed};
 use opspace_backend::signal_names::Q;
 use opspace_log::{ChannelData, Column};
 
@@ -73,14 +73,6 @@ pub(super) fn tables_begin(run: &Run<'_>) -> String {
     format!("The rms and max values of the tables begin at settle_s ({settle_s} s).")
 }
 
-/// Names of things in a sentence: `x, y and z`.
-pub(super) fn listed(names: &[String]) -> String {
-    match names {
-        [names @ .., last] if !names.is_empty() => format!("{} and {last}", names.join(", ")),
-        _ => names.concat(),
-    }
-}
-
 /// Axis label: the quantity, and the unit of one element of a signal.
 pub(super) fn label_of(quantity: &str, column: &Column<'_>, element: usize) -> String {
     format!("{quantity} ({})", column.units()[element].replace("Nm", "N·m"))
@@ -141,11 +133,24 @@ pub(super) fn complete(events_s: &[f64], mut figures: Vec<Figure>) -> Vec<Figure
             panel.series.retain(|series| series.y.iter().any(|value| value.is_finite()));
         }
         figure.panels.retain(|panel| !panel.series.is_empty());
+        figure.panels.iter_mut().filter(|panel| panel.is_from_start).for_each(measure_from_start);
         draw_limits(figure);
         mark_events(figure, events_s);
     }
     figures.retain(|figure| !figure.panels.is_empty());
     figures
+}
+
+/// Converts the lines of a panel from m to mm from the first value of the first line, which the title states.
+fn measure_from_start(panel: &mut Panel) {
+    let Some(start) = panel.series.first().and_then(|line| line.y.iter().copied().find(|y| y.is_finite()))
+    else {
+        return;
+    };
+    for value in panel.series.iter_mut().flat_map(|line| &mut line.y) {
+        *value = 1e3 * (*value - start);
+    }
+    panel.title += &format!(", from {start:.4} m").replace('-', "−");
 }
 
 /// Marks the events that occurred while the lines of a figure were logged.

@@ -9,6 +9,7 @@ use crate::report::energy_figure::energy_figure;
 use crate::report::event_times::EventTimes;
 use crate::report::figure::{Figure, Panel, Scale, Series, Style};
 use crate::report::lines::{COLUMNS, append, complete, element, joint_figure, label_of, time_panel};
+use crate::report::response_figures::ResponseFigures;
 use crate::report::slack_figure::slack_figure;
 use crate::report::task_figures::task_figures;
 use crate::run::experiment::Experiment;
@@ -40,14 +41,14 @@ enum Draw {
     Added(Arc<Added>),
 }
 
-/// The built-in kinds, in the order of their figures.
+/// The built-in kinds, in the order of their figures: what the run is about, then the joints.
 static BUILT_IN: [FigureKind; 6] = [
-    FigureKind::built_in("torques", |run| torques(run).into_iter().collect()),
     FigureKind::built_in("tasks", task_figures),
     FigureKind::built_in("energy", |run| energy_figure(run).into_iter().collect()),
-    FigureKind::built_in("slack", |run| slack_figure(run).into_iter().collect()),
     FigureKind::built_in("distances", |run| distance_figure(run).into_iter().collect()),
+    FigureKind::built_in("torques", |run| torques(run).into_iter().collect()),
     FigureKind::built_in("setpoints", |run| setpoint_figure(run).into_iter().collect()),
+    FigureKind::built_in("slack", |run| slack_figure(run).into_iter().collect()),
 ];
 
 impl FigureKind {
@@ -91,18 +92,28 @@ impl fmt::Debug for FigureKind {
     }
 }
 
-/// Figures of a run while segments of its log arrive: torques by joint, then the signals of its tasks and sensors.
+/// What is drawn of a run.
+#[derive(Default)]
+pub(super) struct RunDrawings {
+    pub(super) figures: Vec<Figure>,
+    /// Links at several moments.
+    pub(super) arm: Option<CollisionMoment>,
+    /// Collision geometry; empty without one.
+    pub(super) collisions: Vec<CollisionMoment>,
+}
+
+/// Figures of a run while segments of its log arrive: the response to pushes, the tasks, then torques and setpoints by joint.
 pub(super) struct RunFigures<'a> {
     experiment: &'a Experiment,
     control: Control,
+    responses: ResponseFigures<'a>,
     /// Figures over time.
     figures: Vec<Figure>,
     /// Joint, axis label and spectrum of the torque error of each joint, at servo rate, after settling.
     errors: Vec<(String, String, Welch)>,
     times: CycleTimes,
     events: EventTimes<'a>,
-    /// `None` without collision geometry.
-    collisions: Option<CollisionMoments<'a>>,
+    collisions: CollisionMoments<'a>,
 }
 
 impl<'a> RunFigures<'a> {
@@ -110,6 +121,7 @@ impl<'a> RunFigures<'a> {
         Self {
             experiment,
             control: Control::default(),
+            responses: ResponseFigures::new(experiment),
             figures: Vec::new(),
             errors: Vec::new(),
             times: CycleTimes::new(),
@@ -126,9 +138,8 @@ impl<'a> RunFigures<'a> {
         let next: Vec<Figure> = kinds.flat_map(|kind| kind.draw(&run)).collect();
         append(&mut self.figures, next);
         self.events.add(&run);
-        if let Some(collisions) = &mut self.collisions {
-            collisions.add(&run);
-        }
+        self.responses.add(&run);
+        self.collisions.add(&run);
         self.add_torque_errors(&run);
     }
 
@@ -154,15 +165,17 @@ impl<'a> RunFigures<'a> {
         }
     }
 
-    /// Returns the figures and the collision geometry; none if the log has no control cycle.
-    pub(super) fn finish(self) -> (Vec<Figure>, Vec<CollisionMoment>) {
+    /// Returns the figures, the arm and the collision geometry; none if the log has no control cycle.
+    pub(super) fn finish(self) -> RunDrawings {
         if self.control.start_s.is_none() {
-            return (Vec::new(), Vec::new());
+            return RunDrawings::default();
         }
-        let mut figures = complete(&self.events.finish(), self.figures);
+        let mut figures = self.responses.finish();
+        figures.extend(complete(&self.events.finish(), self.figures));
         figures.extend(torque_error_spectrum(self.experiment, self.errors));
         figures.extend(computing_times(&self.times));
-        (figures, self.collisions.map_or_else(Vec::new, CollisionMoments::finish))
+        let (arm, collisions) = self.collisions.finish();
+        RunDrawings { figures, arm, collisions }
     }
 }
 

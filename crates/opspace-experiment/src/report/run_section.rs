@@ -1,14 +1,16 @@
 //! Section of a page about one run.
 
 use crate::evaluate::notes::final_notes;
+use crate::evaluate::response_sentences::response_sentences;
 use crate::evaluate::summary::Summary;
 pub use crate::report::collision_moments::{ClosestPair, CollisionMoment, PlacedShape};
 use crate::report::figure::Figure;
-use crate::report::run_figures::RunFigures;
+use crate::report::run_figures::{RunDrawings, RunFigures};
 use crate::run::error::RunError;
 use crate::run::experiment::Experiment;
 use crate::run::log_header;
 use crate::run::physics::OWN_PLANT;
+use crate::text::capitalised;
 use opspace_log::{LogFile, RECOVERED, Recording};
 use opspace_sim::{EnvironmentObjectParameters, WorldAxis};
 use opspace_transformer::VelocitySource;
@@ -16,12 +18,18 @@ use opspace_transformer::VelocitySource;
 /// Section of a page about one run, with all its figures.
 #[derive(Clone, Debug)]
 pub struct RunSection {
-    /// Title of the run, in one line.
+    /// Title of the run among others, in one line: task, robot, controller, transformer, profile and seed.
     pub title: String,
+    /// Title of a page about this run alone: a sentence.
+    pub sentence: String,
+    /// What happened, in a few sentences; empty if no sentence suits the run.
+    pub story: Vec<String>,
     /// Summary of the run.
     pub summary: Summary,
     /// Figures of the run.
     pub figures: Vec<Figure>,
+    /// Links of the arm at the start, where they are farthest from it, and at the end; `None` if the log has no control cycle.
+    pub arm: Option<CollisionMoment>,
     /// Collision geometry at the start, at the least distance and at the end; empty if the experiment keeps no distances.
     pub collisions: Vec<CollisionMoment>,
     /// Start of the statistics, s after the start of control.
@@ -58,7 +66,7 @@ impl RunSection {
     fn with_figures(
         experiment: &Experiment,
         recording: &Recording,
-        (figures, collisions): (Vec<Figure>, Vec<CollisionMoment>),
+        RunDrawings { figures, arm, collisions }: RunDrawings,
         summary: Summary,
     ) -> Self {
         let mut warnings = Vec::new();
@@ -95,10 +103,13 @@ impl RunSection {
         let joints = experiment.robot().model.joints().iter().map(|joint| joint.name.clone());
         Self {
             title: title(&summary),
+            sentence: sentence(&summary),
+            story: response_sentences(&summary),
             settle_s: experiment.task().file.settle_s.get(),
             order: tasks.chain(joints).collect(),
             operator_axes: operator_axes(experiment),
             figures,
+            arm,
             collisions,
             summary,
             warnings,
@@ -140,6 +151,17 @@ fn operator_axes(experiment: &Experiment) -> String {
     };
     operator
         .map_or_else(String::new, |spring| spring.report.iter().map(name).collect::<Vec<&str>>().join(", "))
+}
+
+fn sentence(summary: &Summary) -> String {
+    let by = summary.transformer.as_ref().map_or_else(String::new, |t| format!(" through '{t}'"));
+    format!(
+        "{} robot '{}' runs '{}' with {}{by}",
+        capitalised(&summary.backend),
+        summary.robot,
+        summary.task,
+        summary.controller
+    )
 }
 
 fn title(summary: &Summary) -> String {

@@ -5,7 +5,8 @@ use crate::evaluate::metrics::task_axes::{AxesOfTask, TaskAxes, TaskRow, orienta
 use crate::evaluate::metrics::tasks::total;
 use crate::evaluate::table::shown_unit;
 use crate::report::figure::{Figure, Panel, Series, Style};
-use crate::report::lines::{error_panel, joint_figure, line, listed, tables_begin, time_panel};
+use crate::report::lines::{error_panel, joint_figure, line, tables_begin, time_panel};
+use crate::text::listed;
 use nalgebra::Vector3;
 use opspace_backend::signal_names::{
     self, ERROR, Q, REFERENCE, REFERENCE_ORIENTATION, TARGET_FORCE, TRUTH_CHANNEL, WRENCH,
@@ -32,8 +33,13 @@ pub(super) fn task_figures(run: &Run<'_>) -> Vec<Figure> {
                     relative_to: task.relative_to.as_deref(),
                     ..CartesianFigures::new(run, name, frame, controlled)
                 };
-                figures.extend([shown.position(), shown.orientation(), shown.errors()]);
-                figures.extend(shown.forces(task));
+                // The force is what a task with force axes is about.
+                let forces = shown.forces(task);
+                let has_target = forces.as_ref().is_some_and(Figure::has_desired_lines);
+                let (first, last) = if has_target { (forces, None) } else { (None, forces) };
+                figures.extend(first);
+                figures.extend([shown.position(), shown.errors(), shown.orientation()]);
+                figures.extend(last);
             }
             TaskParameters::CenterOfMass(_) => {
                 let of_mass = "the centre of mass".to_owned();
@@ -150,7 +156,7 @@ impl<'a> CartesianFigures<'a> {
 
     /// Position in the world, or relative to another frame in its axes. An axis has a reference while it is a motion axis.
     fn position(&self) -> Figure {
-        let panels = self.panels("position (m)", |axis| {
+        let mut panels = self.panels("displacement (mm)", |axis| {
             let line = |label, style, is_drawn: fn(&TaskAxes, usize) -> bool| {
                 let reference = self.reference?;
                 Some(self.line(label, style, |row| {
@@ -164,6 +170,7 @@ impl<'a> CartesianFigures<'a> {
                 line("reference in other axes", Style::Thin, |axes, _| follows_in_other_axes(axes));
             [Some(truth), reference, in_other_axes].into_iter().flatten().collect()
         });
+        panels.iter_mut().for_each(|panel| panel.is_from_start = true);
         let coordinates = match self.relative_to {
             Some(frame) => format!("relative to '{frame}', in its axes"),
             None => "in world axes".to_owned(),
@@ -180,7 +187,10 @@ impl<'a> CartesianFigures<'a> {
         };
         Figure {
             title: format!("Position of {}", self.frame),
-            caption: format!("Position ({}) {coordinates}. {followed}", known(self.run)),
+            caption: format!(
+                "Position ({}) from that at the start, {coordinates}. {followed}",
+                known(self.run)
+            ),
             panels,
             overlays: true,
             ..Figure::default()

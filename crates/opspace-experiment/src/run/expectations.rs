@@ -5,7 +5,7 @@ use crate::files::source::FileError;
 use crate::files::task::TaskDefinition;
 use crate::metrics::metric::Metric;
 use crate::metrics::metric_tables::{
-    ElementError, Evaluation, JointMetrics, Metrics, TaskMetrics, error_names, range_name,
+    ElementError, Evaluation, JointMetrics, Metrics, TaskMetrics, error_names, range_name, response_names,
 };
 use crate::suggest::choices;
 use crate::text::format_number;
@@ -39,7 +39,7 @@ pub(crate) fn check(task: &TaskDefinition, robot: &RobotDefinition) -> Result<()
         // Joints and coordinates have elements, a Cartesian task and a centre of mass have axes.
         if !is_joint && let Some(controlled) = controlled_axes(task, owner) {
             let uncontrolled =
-                |axis: &usize| !controlled[*axis] && error_names(*axis).iter().any(|n| n == metric);
+                |axis: &usize| !controlled[*axis] && of_motion(*axis).iter().any(|n| n == metric);
             let all: Vec<String> = keys(&TaskMetrics::rows())
                 .into_iter()
                 .chain((0..AXIS_NAMES.len()).flat_map(of_axis))
@@ -48,7 +48,7 @@ pub(crate) fn check(task: &TaskDefinition, robot: &RobotDefinition) -> Result<()
                 let axis = AXIS_NAMES[axis];
                 let message =
                     format!("`{metric}` does not exist: {axis} is never a motion axis of task '{owner}'");
-                let help = "only motion axes have errors; `x_range_m`, `y_range_m` and `z_range_m` exist for all axes";
+                let help = "only motion axes have errors and a stiffness; `x_range_m`, `y_range_m` and `z_range_m` exist for all axes";
                 return refuse(message, Some(help.to_owned()));
             }
             if !all.iter().any(|key| key == metric) {
@@ -86,10 +86,16 @@ fn controlled_axes(task: &TaskDefinition, name: &str) -> Option<[bool; 6]> {
     axes.reduce(|one, other| std::array::from_fn(|axis| one[axis] || other[axis]))
 }
 
+/// Names of the metrics that only a motion axis has: its errors, its stiffness and its hysteresis.
+fn of_motion(axis: usize) -> Vec<String> {
+    let [_, _, stiffness, hysteresis, _] = response_names(axis);
+    error_names(axis).into_iter().chain([stiffness, hysteresis]).collect()
+}
+
 /// Names of the metrics of an axis.
 fn of_axis(axis: usize) -> Vec<String> {
-    let range = (axis < 3).then(|| range_name(axis));
-    error_names(axis).into_iter().chain(range).collect()
+    let of_translation = (axis < 3).then(|| response_names(axis).into_iter().chain([range_name(axis)]));
+    error_names(axis).into_iter().chain(of_translation.into_iter().flatten()).collect()
 }
 
 /// Keys of metrics.

@@ -86,15 +86,42 @@ fn moments_are_those_of_the_logged_positions() {
         &default_columns(&[]),
         std::slice::from_ref(&section),
     );
-    assert_eq!(html.matches("<p class=\"moment\">").count(), 3);
+    // The links of the arm come first.
+    assert_eq!(html.matches("<p class=\"moment\">").count(), 4);
     assert!(html.contains("Collision geometry.</b>") && html.contains("and ball are closest: "), "{html}");
 }
 
-/// Checks that a robot without `[collision]` has no such figure.
+/// Compared: the links of a robot without `[collision]`, and its frames at the first row, at the row with the hand farthest from its
+/// start, and at the last row of the log.
 #[test]
-fn robot_without_collision_geometry_has_no_views() {
-    let (_, section) = shown(&load("compliant-x", CommandKind::Torque, 0.4));
+fn links_are_drawn_at_the_start_farthest_from_it_and_at_the_end() {
+    let experiment = load("cartesian-tracking", CommandKind::Torque, 3.0);
+    let ((rows, _), section) = shown(&experiment);
     assert!(section.collisions.is_empty());
+    let tick = rows.channel(TICK_CHANNEL).unwrap();
+    let [q, phase] = [Q, PHASE].map(|name| tick.signal(name).unwrap());
+    let idle = [Phase::Rest, Phase::Stopped].map(Phase::code);
+    let controlled: Vec<usize> = (0..tick.len()).filter(|k| !idle.contains(&phase.row(*k)[0])).collect();
+    let model = &experiment.robot().model;
+    let mut data = Data::new(model);
+    let mut hand = |k: usize| {
+        forward_kinematics(model, &mut data, q.row(k));
+        frame_placement(model, &data, model.frame_id("hand").unwrap()).translation
+    };
+    let start = hand(controlled[0]);
+    let farthest =
+        controlled.iter().map(|k| hand(*k)).max_by(|a, b| (a - start).norm().total_cmp(&(b - start).norm()));
+    let expected = [start, farthest.unwrap(), hand(*controlled.last().unwrap())];
+    assert!((expected[1] - start).norm() > 0.02);
+    let arm = section.arm.as_ref().unwrap();
+    for (moment, expected) in expected.iter().enumerate() {
+        let links = arm.shapes.iter().filter(|shape| shape.moment == moment);
+        let off = links.map(|shape| match shape.shape {
+            CollisionShape::Capsule(capsule) => (capsule.end_m - expected).norm(),
+            CollisionShape::HalfSpace(_) => f64::INFINITY,
+        });
+        assert!(off.fold(f64::INFINITY, f64::min) < ROUNDING_M, "moment {moment}");
+    }
     let html = page(
         "t",
         "l",
@@ -102,11 +129,12 @@ fn robot_without_collision_geometry_has_no_views() {
         &default_columns(&[]),
         std::slice::from_ref(&section),
     );
-    assert!(!html.contains("Collision geometry"), "no heading");
+    assert!(!html.contains("Collision geometry") && html.contains("Arm.</b>"), "no heading");
+    assert!(html.contains("arm, farthest from the start") && html.contains("arm at the end"));
 }
 
 fn shape(name: &str, is_obstacle: bool, shape: CollisionShape) -> PlacedShape {
-    PlacedShape { name: name.to_owned(), is_obstacle, shape }
+    PlacedShape { name: name.to_owned(), is_obstacle, moment: 0, shape }
 }
 
 fn sphere(center: [f64; 3], radius_m: f64) -> CollisionShape {
@@ -294,8 +322,8 @@ fn environment_is_drawn_to_scale() {
 fn arm_without_collision_geometry_is_drawn_with_its_environment() {
     let experiment = load("press-wall", CommandKind::Torque, 0.4);
     let ((rows, _), section) = shown(&experiment);
-    let names: Vec<&str> = section.collisions.iter().map(|moment| moment.name.as_str()).collect();
-    assert_eq!(names, ["start", "end"]);
+    let moment = section.arm.as_ref().unwrap();
+    assert_eq!(moment.name, "start and end");
     let tick = rows.channel(TICK_CHANNEL).unwrap();
     let phase = tick.signal(PHASE).unwrap();
     let first = (0..tick.len()).find(|k| phase.row(*k)[0] != Phase::Rest.code()).unwrap();
@@ -303,7 +331,6 @@ fn arm_without_collision_geometry_is_drawn_with_its_environment() {
     let mut data = Data::new(model);
     forward_kinematics(model, &mut data, tick.signal(Q).unwrap().row(first));
     let hand = frame_placement(model, &data, model.frame_id("hand").unwrap()).translation;
-    let moment = &section.collisions[0];
     assert!(moment.is_sketch && moment.closest.is_none());
     let ends = moment.shapes.iter().map(|shape| match shape.shape {
         CollisionShape::Capsule(capsule) => (capsule.end_m - hand).norm(),

@@ -78,7 +78,10 @@ fn figures_follow_the_task_set_in_force() {
     let position = figure(&section, "Position of 'hand'");
     let drawn_while = "A reference is drawn while the axis follows it.";
     let events = "Vertical lines without a name: the events at 0.4, 0.7 and 0.8 s.";
-    assert_eq!(position.caption, format!("Position (true) in world axes. {drawn_while} {events}"));
+    assert_eq!(
+        position.caption,
+        format!("Position (true) from that at the start, in world axes. {drawn_while} {events}")
+    );
     let marks: Vec<f64> = position.panels[2].marks.iter().map(|(time_s, _)| *time_s).collect();
     assert_eq!(marks, [0.4, 0.7, 0.8]);
     assert!(
@@ -144,11 +147,18 @@ fn position_relative_to_a_link_says_so() {
         assert_eq!(labels(panel), ["true", "reference in other axes"]);
         let drawn = &panel.series[0];
         let first = truth.len() - drawn.x.len();
+        let mut start_m = None;
         for k in (0..drawn.x.len()).step_by(100) {
             kinematics(model, &mut data, q.row(first + k), &[0.0; 7]);
             let [flange, link] = ["flange", "link1"].map(|name| frame_placement(model, &data, place(name)));
             let expected = link.rotation.tr_mul(&(flange.translation - link.translation))[axis];
-            assert!((drawn.y[k] - expected).abs() < ROUNDING, "{} m for {expected} m", drawn.y[k]);
+            let start = *start_m.get_or_insert(expected);
+            let expected_mm = 1e3 * (expected - start);
+            assert!(
+                (drawn.y[k] - expected_mm).abs() < 1e3 * ROUNDING,
+                "{} mm for {expected_mm} mm",
+                drawn.y[k]
+            );
         }
     }
 }
@@ -254,6 +264,53 @@ fn force_is_drawn_with_its_target_and_errors_over_time() {
     let largest = settled.fold(0.0, f64::max);
     let metric = 1e3 * section.summary.metrics.pose.position_max_m.unwrap();
     assert!((largest / metric - 1.0).abs() < ROUNDING, "{largest} mm drawn, {metric} mm in the table");
+}
+
+/// Compared: the figures of a push with the force and the position in the log, and the numbers of the summary with those of a
+/// computation here. The spring has 400 N/m, and the joints have no friction.
+#[test]
+fn response_to_a_push_is_drawn_and_measured() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tasks/cookbook/hold-against-pushes.toml");
+    let options =
+        RunOptions { backend: CommandKind::Torque, duration_s: Some(12.0), ..RunOptions::default() };
+    let push = r#"environment.someone.pushes.push=[{ at_s = 1.0, duration_s = 10.0, shape = "ramp", force_n = [0.0, 12.0, -16.0] }]"#;
+    let settings = [
+        push,
+        "expect={}",
+        "robot.simulated.true_over_nominal.friction=0.0",
+        "friction_compensation.gain=0.0",
+    ];
+    let experiment =
+        Experiment::load(Files::Disk, &path, None, options, &settings.map(str::to_owned)).unwrap();
+    let (run, section) = shown(&experiment);
+    let axes = &section.summary.tasks["flange"].axes;
+    let force = run.0.channel("truth").unwrap().signal("someone.force").unwrap();
+    for (axis, name, peak_n) in [(1, "y", 12.0), (2, "z", 16.0)] {
+        let number = |quantity: &str| axes[&format!("{name}_{quantity}")];
+        let logged = force.rows().map(|row| row[axis].abs()).fold(0.0, f64::max);
+        assert!((number("force_max_n") - logged).abs() < 0.01 && (logged - peak_n).abs() < 0.01, "{logged}");
+        let stiffness = number("stiffness_n_per_m");
+        assert!((stiffness / 400.0 - 1.0).abs() < 0.05, "{name}: {stiffness} N/m");
+        let deflection_m = number("deflection_max_m");
+        assert!((deflection_m / (peak_n / 400.0) - 1.0).abs() < 0.05, "{name}: {deflection_m} m");
+        assert!(number("return_m") < 0.02 * deflection_m, "{name}: {}", number("return_m"));
+        assert!(number("hysteresis_m") < 0.1 * deflection_m, "{name}: {}", number("hysteresis_m"));
+    }
+    assert!(!axes.contains_key("x_stiffness_n_per_m"), "nothing pushes along x");
+    assert_eq!(axes["x_force_max_n"], 0.0);
+    let first = &section.figures[0];
+    assert!(first.title.starts_with("Force over displacement"), "{}", first.title);
+    let [y, z] = &first.panels[..] else { panic!("axes that are pushed") };
+    assert_eq!(labels(z), ["measured", "asked for", "least-squares line"]);
+    // Pushed downwards.
+    let lowest = |values: &[f64]| values.iter().copied().fold(f64::INFINITY, f64::min);
+    assert!((lowest(&z.series[0].y) + 16.0).abs() < 0.01 && lowest(&z.series[0].x) < -38.0);
+    assert!(y.title.starts_with("y: ") && first.remark.contains("400 N/m asked for"), "{}", first.remark);
+    let over_time = &section.figures[1].panels[1];
+    let end = |line: &[f64]| line.last().copied().unwrap_or(f64::NAN).abs();
+    assert!(over_time.series.iter().all(|line| end(&line.y) < 1.0), "{over_time:?}");
+    let story = section.story.concat();
+    assert!(story.contains("12 N along y and 16 N along z") || story.contains("12.00 N along y"), "{story}");
 }
 
 /// Compared: the energy of the force feedback in figure and log, with the store of the task.

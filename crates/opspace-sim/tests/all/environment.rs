@@ -149,6 +149,32 @@ fn push_is_half_a_sine() {
     assert!((impulse - 10.0 * 0.5 * 2.0 / (TAU / 2.0)).abs() < 1e-5, "{impulse} Ns");
 }
 
+/// Compared: forces of a push in each shape at some fractions of its duration, and their definitions.
+#[test]
+fn push_has_its_shape() {
+    let at = [0.05, 0.2, 0.3, 0.5, 0.7, 0.9];
+    for (shape, expected) in [
+        ("'step'", [1.0; 6]),
+        ("'ramp'", [0.1, 0.4, 0.6, 1.0, 0.6, 0.2]),
+        ("'hold'", [0.2, 0.8, 1.0, 1.0, 1.0, 0.4]),
+        // Levels of a third, two thirds, the peak, and back, a fifth of the duration each.
+        ("{ staircase = { steps = 3 } }", [1.0 / 3.0, 2.0 / 3.0, 2.0 / 3.0, 1.0, 2.0 / 3.0, 1.0 / 3.0]),
+    ] {
+        let parameters = object(&format!(
+            "[pushes]\nframe = 'hand'\npush = [{{ at_s = 1.0, duration_s = 2.0, shape = {shape}, force_n = [0.0, 0.0, -30.0] }}]"
+        ));
+        let mut push =
+            EnvironmentObject::new(&parameters, HOME, GRAVITY, generator(1, RngStream::EnvironmentObject(0)));
+        let mut force = |t: f64| push.force(t, STEP_S, &HOME, &Vector3::zeros());
+        for (u, share) in at.into_iter().zip(expected) {
+            // Levels change at exact fractions, which rounding may miss.
+            let found = force(1.0 + 2.0 * u + 1e-9);
+            assert!((found.z + 30.0 * share).abs() < 1e-5, "{shape} at {u}: {found}");
+        }
+        assert_eq!([force(0.99), force(3.01)], [Vector3::zeros(); 2], "{shape}");
+    }
+}
+
 /// Compared: the wall's force at many positions and velocities, and its definition: along the normal, outwards only,
 /// zero in front of the wall.
 #[test]

@@ -2,6 +2,7 @@
 
 use super::axis_metrics::AxisMetrics;
 use super::drifts::Drifts;
+use super::response::Response;
 use super::run_log::{Mean, RmsMax, Run, masked_norm};
 use super::slack::SlackOfTask;
 use super::task_axes::{AxesOfTask, TaskAxes, TaskRow, orientation};
@@ -199,6 +200,7 @@ struct CartesianErrors {
     contact: Option<ContactForce>,
     compliance: Option<CompliantMotion>,
     drifts: Drifts,
+    response: Response,
 }
 
 impl CartesianErrors {
@@ -215,6 +217,7 @@ impl CartesianErrors {
             contact: None,
             compliance: None,
             drifts: Drifts::default(),
+            response: Response::default(),
         }
     }
 
@@ -248,10 +251,12 @@ impl CartesianErrors {
                 self.single_axes.add_position(&row);
             }
             let tick = if is_counted { run.tick_of(k) } else { None };
+            let mut linear_error = None;
             if let Some(reference) = logged_row(reference, tick).filter(|_| axes.motion[..3].contains(&true))
             {
                 let error = rotation.tr_mul(&(pose.translation - Vector3::from_column_slice(reference)));
                 self.single_axes.add_errors(0, &error, &axes.motion);
+                linear_error = Some(error);
                 let error = masked_norm(&error, &axes.motion[..3]);
                 self.position_m.add(error);
                 self.last[0] = Some(error).filter(|_| linear_rests(tick));
@@ -295,6 +300,10 @@ impl CartesianErrors {
             }
             self.drifts.add(&row, &axes, run.joints.0[k] - run.start_s, named_forces.as_deref());
             let acts = forces.as_ref().is_some_and(|forces| !forces.is_empty());
+            if let Some(force) = force.filter(|_| acts && is_counted) {
+                let since_start_s = run.joints.0[k] - run.start_s;
+                self.response.add(since_start_s, &row, &axes, &force, linear_error.as_ref());
+            }
             if axes.compliant.contains(&true) {
                 let compliance = self.compliance.get_or_insert_default();
                 compliance.add(&row, &axes, force.filter(|_| acts), is_counted);
@@ -323,6 +332,7 @@ impl CartesianErrors {
             (orientation.rms(), orientation.max());
         [metrics.pose.position_final_m, metrics.pose.orientation_final_rad] = self.last;
         metrics.axes = self.single_axes.finish();
+        self.response.finish(&mut metrics.axes);
         if let Some(contact) = self.contact {
             contact.finish(metrics);
         }

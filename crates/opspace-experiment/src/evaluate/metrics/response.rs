@@ -1,0 +1,282 @@
+//! Response of a controlled frame to external forces: deflection, stiffness, hysteresis and return along each axis of space.
+
+use super::task_axes::{TaskAxes, TaskRow};
+use crate::metrics::metric_tables::response_names;
+use nalgebra::Vector3;
+use std::collections::BTreeMap;
+
+/// Smallest external force that is a push, N.
+const PUSHED_N: f64 = 0.5;
+
+/// Number of samples that are kept at most, and the time between two of them at first, s.
+const MAX_SAMPLES: usize = 8192;
+const SPACING_S: f64 = 1e-3;
+
+/// Number of intervals of the force in which displacements are compared, and the fewest samples of each direction in one.
+const BINS: usize = 20;
+const LEAST_IN_BIN: usize = 3;
+
+/// Change of the force that reverses its direction, relative to its range.
+const REVERSED: f64 = 0.02;
+
+/// Force that counts as none, relative to the largest.
+const RELEASED: f64 = 0.05;
+
+/// Smallest squared correlation of displacement and force with which their ratio is a stiffness.
+const CORRELATED: f64 = 0.8;
+
+/// Force and displacement along the axes of a task at one time; an axis that is not considered is NaN.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct ResponseSample {
+    /// Time after the start of control, s.
+    pub(crate) time_s: f64,
+    /// External force on the frame, N.
+    pub(crate) force_n: Vector3<f64>,
+    /// Displacement from the first sample, m: of the deviation from the reference on motion axes, of the position on compliant axes.
+    pub(crate) moved_m: Vector3<f64>,
+}
+
+/// Forces and displacements of a task while segments of a log arrive.
+#[derive(Clone, Debug)]
+pub(crate) struct Response {
+    samples: Vec<ResponseSample>,
+    spacing_s: f64,
+    /// Deviation (m) and modes at the first sample.
+    first: Option<(Vector3<f64>, [AxisResponse; 3])>,
+}
+
+/// What an axis does under a force.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum AxisResponse {
+    /// Follows a reference, from which a force deflects it.
+    Deflects,
+    /// Compliant, or not controlled.
+    Moves,
+}
+
+/// Numbers of the response of one axis.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct AxisNumbers {
+    /// Largest magnitude of the external force, N.
+    pub(crate) force_max_n: f64,
+    /// Largest magnitude of the displacement, m.
+    pub(crate) deflection_max_m: f64,
+    /// True if the axis follows a reference, from which the force deflects it.
+    pub(crate) deflects: bool,
+    /// Slope of the least-squares line of the displacement over the force, inverted, N/m.
+    pub(crate) stiffness_n_per_m: Option<f64>,
+    /// Largest difference of the displacement at one force, while it rises and while it falls, m; `None` without a stiffness.
+    pub(crate) hysteresis_m: Option<f64>,
+    /// Displacement at the end without force, magnitude, m.
+    pub(crate) return_m: Option<f64>,
+}
+
+impl Default for Response {
+    fn default() -> Self {
+        Self { samples: Vec::new(), spacing_s: SPACING_S, first: None }
+    }
+}
+
+impl Response {
+    /// Adds the external force on the frame in the axes of the task (N), the axes, and the deviation from the reference in these axes
+    /// (m; `None` without a reference). Rows of a task that controls a force are left out.
+    pub(crate) fn add(
+        &mut self,
+        time_s: f64,
+        row: &TaskRow,
+        axes: &TaskAxes,
+        force_n: &Vector3<f64>,
+        error_m: Option<&Vector3<f64>>,
+    ) {
+        let is_due = self.samples.last().is_none_or(|last| time_s - last.time_s >= self.spacing_s);
+        if axes.force.contains(&true) || !is_due || (axes.motion[..3].contains(&true) && error_m.is_none()) {
+            return;
+        }
+        let position_m = row.rotation.tr_mul(&row.pose.translation);
+        let modes = [0, 1, 2].map(|axis| match axes.motion[axis] {
+            true => AxisResponse::Deflects,
+            false => AxisResponse::Moves,
+        });
+        let deviation_m = Vector3::from_fn(|axis, _| match (modes[axis], error_m) {
+            (AxisResponse::Deflects, Some(error_m)) => error_m[axis],
+            _ => position_m[axis],
+        });
+        let (first_m, first_modes) = self.first.get_or_insert((deviation_m, modes));
+        // An axis whose mode has changed has another response.
+        let is_same = |axis: usize| modes[axis] == first_modes[axis];
+        let moved = deviation_m - *first_m;
+        let only_same = |v: &Vector3<f64>| Vector3::from_fn(|i, _| if is_same(i) { v[i] } else { f64::NAN });
+        self.samples.push(ResponseSample { time_s, force_n: only_same(force_n), moved_m: only_same(&moved) });
+        if self.samples.len() > MAX_SAMPLES {
+            let mut place = 0;
+            self.samples.retain(|_| {
+                place += 1;
+                place % 2 == 1
+            });
+            self.spacing_s *= 2.0;
+        }
+    }
+
+    /// Samples in the order of time.
+    pub(crate) fn samples(&self) -> &[ResponseSample] {
+        &self.samples
+    }
+
+    /// Returns the numbers of each axis; `None` if nothing pushed the frame. An axis without a force has a deflection alone.
+    pub(crate) fn numbers(&self) -> Option<[AxisNumbers; 3]> {
+        let (_, modes) = self.first?;
+        let largest = |of: fn(&ResponseSample) -> &Vector3<f64>, axis: usize| {
+            let sizes = self.samples.iter().map(|sample| of(sample)[axis].abs());
+            sizes.filter(|size| size.is_finite()).fold(0.0, f64::max)
+        };
+        let forces = [0, 1, 2].map(|axis| largest(|sample| &sample.force_n, axis));
+        if forces.iter().all(|force| *force < PUSHED_N) {
+            return None;
+        }
+        Some([0, 1, 2].map(|axis| {
+            let points = self.points(axis);
+            let is_pushed = forces[axis] >= PUSHED_N;
+            let deflects = modes[axis] == AxisResponse::Deflects;
+            let line = line(&points).filter(|_| is_pushed && deflects);
+            AxisNumbers {
+                force_max_n: forces[axis],
+                deflection_max_m: largest(|sample| &sample.moved_m, axis),
+                deflects,
+                stiffness_n_per_m: line.map(|(_, compliance)| 1.0 / compliance),
+                hysteresis_m: line.and_then(|_| hysteresis(&points)),
+                return_m: returned(&points, forces[axis]).filter(|_| is_pushed),
+            }
+        }))
+    }
+
+    /// Forces (N) and displacements (m) along an axis.
+    pub(crate) fn points(&self, axis: usize) -> Vec<(f64, f64)> {
+        let points = self.samples.iter().map(|sample| (sample.force_n[axis], sample.moved_m[axis]));
+        points.filter(|(force, moved)| force.is_finite() && moved.is_finite()).collect()
+    }
+
+    /// Adds the numbers by their names; those that do not exist are absent.
+    pub(super) fn finish(&self, metrics: &mut BTreeMap<String, f64>) {
+        for (axis, numbers) in self.numbers().into_iter().flatten().enumerate() {
+            let values = [
+                Some(numbers.force_max_n),
+                Some(numbers.deflection_max_m),
+                numbers.stiffness_n_per_m,
+                numbers.hysteresis_m,
+                numbers.return_m,
+            ];
+            let named = response_names(axis).into_iter().zip(values);
+            metrics.extend(named.filter_map(|(name, value)| Some((name, value?))));
+        }
+    }
+}
+
+/// Least-squares line of the displacement over the force: displacement without force (m) and compliance (m/N); `None` if they are
+/// not correlated.
+pub(crate) fn line(points: &[(f64, f64)]) -> Option<(f64, f64)> {
+    let count = points.len() as f64;
+    let mean = |of: fn(&(f64, f64)) -> f64| points.iter().map(of).sum::<f64>() / count;
+    let (force, moved) = (mean(|point| point.0), mean(|point| point.1));
+    let (mut forces, mut products, mut squares) = (0.0, 0.0, 0.0);
+    for (f, x) in points {
+        forces += (f - force).powi(2);
+        products += (f - force) * (x - moved);
+        squares += (x - moved).powi(2);
+    }
+    let compliance = products / forces;
+    let is_correlated = products * products >= CORRELATED * forces * squares && compliance > 0.0;
+    (is_correlated && compliance.is_finite()).then_some((moved - compliance * force, compliance))
+}
+
+/// Largest difference of the median displacements in an interval of the force, while it rises and while it falls, m.
+fn hysteresis(points: &[(f64, f64)]) -> Option<f64> {
+    let &(first, _) = points.first()?;
+    let (least, greatest) =
+        points.iter().fold((first, first), |(low, high), (force, _)| (low.min(*force), high.max(*force)));
+    let range = greatest - least;
+    if range <= 0.0 {
+        return None;
+    }
+    let mut bins: Vec<[Vec<f64>; 2]> = vec![[Vec::new(), Vec::new()]; BINS];
+    let (mut low, mut high, mut rises) = (first, first, None);
+    for &(force, moved) in points {
+        if rises != Some(true) && force > low + REVERSED * range {
+            (rises, high) = (Some(true), force);
+        } else if rises != Some(false) && force < high - REVERSED * range {
+            (rises, low) = (Some(false), force);
+        }
+        (low, high) = (low.min(force), high.max(force));
+        let bin = ((force - least) / range * BINS as f64) as usize;
+        if let Some(rises) = rises {
+            bins[bin.min(BINS - 1)][usize::from(rises)].push(moved);
+        }
+    }
+    let widths = bins.iter_mut().filter(|both| both.iter().all(|part| part.len() >= LEAST_IN_BIN));
+    widths.map(|[falling, rising]| (median(falling) - median(rising)).abs()).reduce(f64::max)
+}
+
+/// Upper median of some numbers.
+fn median(numbers: &mut [f64]) -> f64 {
+    let middle = numbers.len() / 2;
+    *numbers.select_nth_unstable_by(middle, f64::total_cmp).1
+}
+
+/// Displacement at the end, if there is no force at the beginning and at the end, m.
+fn returned(points: &[(f64, f64)], largest_n: f64) -> Option<f64> {
+    let [(first_n, _), .., (last_n, last_m)] = points else { return None };
+    let is_free = |force: &f64| force.abs() <= RELEASED * largest_n;
+    (is_free(first_n) && is_free(last_n)).then_some(last_m.abs())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{hysteresis, line, returned};
+
+    /// Displacement of a spring with dry friction, which starts to yield above the friction and holds back by it.
+    fn with_friction(forces: impl Iterator<Item = f64>, stiffness: f64, friction: f64) -> Vec<(f64, f64)> {
+        let mut moved = 0.0_f64;
+        let points = forces.map(|force| {
+            let reach = [(force - friction) / stiffness, (force + friction) / stiffness];
+            moved = moved.clamp(reach[0], reach[1]);
+            (force, moved)
+        });
+        points.collect()
+    }
+
+    fn triangle(peak: f64) -> impl Iterator<Item = f64> {
+        (0..=400).map(move |k| peak * (1.0 - (f64::from(k) / 200.0 - 1.0).abs()))
+    }
+
+    /// Without friction the stiffness is that of the spring, and there is no hysteresis.
+    #[test]
+    fn spring_has_its_stiffness_and_no_hysteresis() {
+        for peak in [20.0, -20.0] {
+            let points = with_friction(triangle(peak), 400.0, 0.0);
+            let (_, compliance) = line(&points).unwrap_or_default();
+            assert!((1.0 / compliance - 400.0).abs() < 1e-6);
+            // Median displacements of an interval, whose force spans a twentieth of the range.
+            assert!(hysteresis(&points).unwrap_or(1.0) < 1e-3);
+            assert!(returned(&points, 20.0).unwrap_or(1.0) < 1e-9);
+        }
+    }
+
+    /// Dry friction leaves the spring displaced by the friction over the stiffness; branches are apart by twice as much.
+    #[test]
+    fn friction_gives_hysteresis_and_a_return_error() {
+        for peak in [20.0, -20.0] {
+            let points = with_friction(triangle(peak), 400.0, 2.0);
+            let width = hysteresis(&points).unwrap_or_default();
+            assert!((width - 2.0 * 2.0 / 400.0).abs() < 1e-3, "{width}");
+            let returned = returned(&points, 20.0).unwrap_or_default();
+            assert!((returned - 2.0 / 400.0).abs() < 1e-9, "{returned}");
+        }
+    }
+
+    /// Displacements that have nothing to do with the force give no stiffness.
+    #[test]
+    fn uncorrelated_motion_has_no_stiffness() {
+        let points: Vec<(f64, f64)> =
+            (0..1000).map(|k| ((f64::from(k) * 0.1).sin(), (f64::from(k) * 0.37).sin())).collect();
+        assert_eq!(line(&points), None);
+    }
+}

@@ -1,0 +1,183 @@
+//! Figures of the response to external forces: force over displacement, and both over time.
+
+use crate::evaluate::metrics::response::{AxisNumbers, Response, ResponseSample, line};
+use crate::evaluate::metrics::run_log::Run;
+use crate::evaluate::metrics::task_axes::AxesOfTask;
+use crate::evaluate::metrics::tasks::total;
+use crate::report::figure::{Figure, Panel, Series, Style};
+use crate::report::lines::{COLUMNS, time_panel};
+use crate::run::experiment::Experiment;
+use crate::text::format_short;
+use nalgebra::Vector3;
+use opspace_backend::signal_names::{self, REFERENCE};
+use opspace_control::{AXIS_NAMES, CartesianParameters, TaskParameters};
+
+/// Force along an axis from which on the axis has a panel, relative to the largest of all axes.
+const DRAWN: f64 = 0.1;
+
+/// Responses of the Cartesian tasks of a run while segments of its log arrive.
+pub(super) struct ResponseFigures<'a> {
+    tasks: Vec<TaskResponse<'a>>,
+}
+
+struct TaskResponse<'a> {
+    name: &'a str,
+    task: &'a CartesianParameters,
+    axes: AxesOfTask,
+    response: Response,
+}
+
+impl<'a> ResponseFigures<'a> {
+    pub(super) fn new(experiment: &'a Experiment) -> Self {
+        let tasks = experiment.task().tasks_of_the_run().into_iter().filter_map(|(name, task)| {
+            let TaskParameters::Cartesian(task) = task else { return None };
+            let controlled = task.controlled_frame(&experiment.robot().model).ok()?;
+            let axes = AxesOfTask::new(experiment, name, controlled);
+            Some(TaskResponse { name, task, axes, response: Response::default() })
+        });
+        Self { tasks: tasks.collect() }
+    }
+
+    /// Adds the next segment of the log.
+    pub(super) fn add(&mut self, run: &Run<'_>) {
+        for TaskResponse { name, task, axes, response } in &mut self.tasks {
+            let Some(forces) = run.forces_on(&task.frame).filter(|forces| !forces.is_empty()) else {
+                continue;
+            };
+            let reference = run.tick.signal(&signal_names::of(name, REFERENCE));
+            let counted = run.settled(run.joints.0);
+            for row in axes.rows(run) {
+                let time_s = run.joints.0[row.k];
+                let (true, Some(axes)) = (counted.contains(&row.k) && !run.is_held(time_s), row.axes) else {
+                    continue;
+                };
+                let force_n = row.in_world.tr_mul(&total(&forces, row.k));
+                let at_row = reference.and_then(|reference| Some(reference.row(run.tick_of(row.k)?)));
+                let error_m = at_row.filter(|row| row.iter().all(|x| x.is_finite())).map(|reference| {
+                    row.rotation.tr_mul(&(row.pose.translation - Vector3::from_column_slice(reference)))
+                });
+                response.add(time_s - run.start_s, &row, &axes, &force_n, error_m.as_ref());
+            }
+        }
+    }
+
+    /// Returns the figures of each task whose frame was pushed: force over displacement, and both over time; the one that shows a
+    /// stiffness first.
+    pub(super) fn finish(self) -> Vec<Figure> {
+        let figures = self.tasks.iter().filter_map(|task| {
+            let numbers = task.response.numbers()?;
+            let figures = [task.force_over_displacement(&numbers), Some(task.over_time())];
+            let has_stiffness = numbers.iter().any(|axis| axis.stiffness_n_per_m.is_some());
+            let [first, second] = figures;
+            Some(if has_stiffness { [first, second] } else { [second, first] })
+        });
+        figures.flatten().flatten().collect()
+    }
+}
+
+impl TaskResponse<'_> {
+    /// Force over displacement of the axes that follow a reference; `None` if no considerable force acts along them.
+    fn force_over_displacement(&self, numbers: &[AxisNumbers; 3]) -> Option<Figure> {
+        let largest_n = numbers.iter().map(|axis| axis.force_max_n).fold(0.0, f64::max);
+        let is_drawn =
+            |axis: &usize| numbers[*axis].deflects && numbers[*axis].force_max_n >= DRAWN * largest_n;
+        let drawn: Vec<usize> = (0..3).filter(is_drawn).collect();
+        let remarks = drawn.iter().map(|&axis| self.remark(axis, &numbers[axis]));
+        let panels: Vec<Panel> = drawn.iter().map(|&axis| self.panel(axis, &numbers[axis])).collect();
+        (!panels.is_empty()).then(|| Figure {
+            title: format!("Force over displacement of task '{}'", self.name),
+            caption: "External force on the frame over its deviation from the reference, along the axes of the task. Dark: the stiffness \
+                      asked for. Thin: the least-squares line, whose slope is the stiffness measured. Hysteresis: largest \
+                      difference of the displacement at one force, while it rises and while it falls; friction and, under fast pushes, damping cause it."
+                .to_owned(),
+            remark: remarks.collect::<Vec<_>>().join(" "),
+            columns: Some(panels.len()),
+            panels,
+            overlays: true,
+            ..Figure::default()
+        })
+    }
+
+    /// Describes the stiffness of an axis, or states why there is none.
+    fn remark(&self, axis: usize, numbers: &AxisNumbers) -> String {
+        let Some(measured) = numbers.stiffness_n_per_m.map(format_short) else {
+            return format!(
+                "{}: no stiffness, because force and displacement are not proportional. A slower push may show one.",
+                AXIS_NAMES[axis]
+            );
+        };
+        let asked = self.asked_n_per_m(axis);
+        let asked =
+            asked.map_or_else(String::new, |asked| format!(", {} N/m asked for", format_short(asked)));
+        let hysteresis = numbers.hysteresis_m.map_or_else(String::new, |hysteresis_m| {
+            format!(", hysteresis {} mm", format_short(1e3 * hysteresis_m))
+        });
+        format!("{}: {measured} N/m measured{asked}{hysteresis}.", AXIS_NAMES[axis])
+    }
+
+    fn panel(&self, axis: usize, numbers: &AxisNumbers) -> Panel {
+        let points = self.response.points(axis);
+        let stride = points.len().div_ceil(COLUMNS).max(1);
+        let shown = || points.iter().step_by(stride).chain(points.last());
+        let measured = Series::new(
+            "measured",
+            shown().map(|(_, moved)| 1e3 * moved).collect(),
+            shown().map(|(force, _)| *force).collect(),
+        );
+        let (least, greatest) = points
+            .iter()
+            .fold((0.0_f64, 0.0_f64), |(low, high), (force, _)| (low.min(*force), high.max(*force)));
+        // A line over the range of the forces: displacement without force, and compliance.
+        let over_forces = |label: &str, style: Style, (offset_m, compliance): (f64, f64)| {
+            let x = [least, greatest].map(|force| 1e3 * (offset_m + compliance * force));
+            Series::new(label, x.to_vec(), vec![least, greatest]).style(style)
+        };
+        let mut series = vec![measured];
+        if let Some(stiffness) = self.asked_n_per_m(axis) {
+            series.push(over_forces("asked for", Style::Desired, (0.0, 1.0 / stiffness)));
+        }
+        if let Some(fitted) = line(&points).filter(|_| numbers.stiffness_n_per_m.is_some()) {
+            series.push(over_forces("least-squares line", Style::Thin, fitted));
+        }
+        let name = AXIS_NAMES[axis];
+        let stiffness = numbers.stiffness_n_per_m;
+        let stiffness = stiffness.map_or_else(String::new, |k| format!(": {} N/m", format_short(k)));
+        Panel {
+            title: format!("{name}{stiffness}"),
+            x_label: format!("displacement along {name} (mm)"),
+            y_label: "force (N)".to_owned(),
+            series,
+            ..Panel::default()
+        }
+    }
+
+    /// Stiffness of the impedance along an axis; `None` without a constant one.
+    fn asked_n_per_m(&self, axis: usize) -> Option<f64> {
+        let impedance = self.task.impedance.as_ref().filter(|impedance| impedance.profile.is_none())?;
+        let stiffness = impedance.stiffness_n_per_m.as_ref()?.get(axis)?.get();
+        (self.task.motion_axes()[axis] && stiffness > 0.0).then_some(stiffness)
+    }
+
+    fn over_time(&self) -> Figure {
+        let panel = |title: &str, label: &str, value: &dyn Fn(&ResponseSample) -> Vector3<f64>| {
+            let samples = self.response.samples();
+            let x: Vec<f64> = samples.iter().map(|sample| sample.time_s).collect();
+            let of_axis = |axis: usize| {
+                let y = samples.iter().map(|sample| value(sample)[axis]).collect();
+                Series::new(AXIS_NAMES[axis], x.clone(), y).thinned(COLUMNS)
+            };
+            time_panel(title, label, (0..3).map(of_axis).collect())
+        };
+        Figure {
+            title: format!("Response of task '{}' to forces", self.name),
+            caption: "External force on the frame, and displacement of the frame since settle_s, along the axes of the task."
+                .to_owned(),
+            panels: vec![
+                panel("force", "force (N)", &|sample| sample.force_n),
+                panel("displacement", "displacement (mm)", &|sample| 1e3 * sample.moved_m),
+            ],
+            overlays: true,
+            ..Figure::default()
+        }
+    }
+}
