@@ -4,12 +4,14 @@ use annotate_snippets::renderer::DecorStyle;
 use annotate_snippets::{AnnotationKind, Group, Level, Renderer, Snippet};
 use comfy_table::{CellAlignment, ContentArrangement, LineStyle, TableStyle};
 use opspace_experiment::Metric;
+use opspace_experiment::evaluate::headline::headline;
 use opspace_experiment::evaluate::notes::{
-    allowed_notes, assumed_notes, final_notes, joint_notes, notes, task_notes,
+    allowed_notes, assumed_counts, assumed_notes, final_notes, joint_notes, notes, replay_notes, task_notes,
 };
 use opspace_experiment::evaluate::results::{failures, joint_table, table, task_table};
+use opspace_experiment::evaluate::run_table::{run_table, run_title};
 use opspace_experiment::evaluate::table::{Cell, Table};
-use opspace_experiment::{FileError, RunError, Summary};
+use opspace_experiment::{FileError, Finding, RunError, Summary};
 use opspace_log::LogError;
 use std::borrow::Cow;
 use std::io::{self, IsTerminal, Write};
@@ -178,46 +180,87 @@ pub fn results(console: Console, summaries: &[Summary], metrics: &[Metric]) -> S
     if summaries.is_empty() {
         return "no runs\n".to_owned();
     }
-    let mut text = String::new();
-    if let [one] = summaries
-        && let Some(fault) = &one.faulted
-    {
-        let time_s = one.fault_time_s.unwrap_or(f64::NAN);
-        text += &format!("STOPPED at {time_s:.3} s: {fault}. All values below are those until the stop.\n");
-    }
-    assumed_notes(summaries).iter().for_each(|note| text += &format!("ASSUMED {note}\n"));
-    allowed_notes(summaries).iter().for_each(|note| text += &format!("ALLOWED {note}\n"));
-    failures(summaries).iter().for_each(|failure| text += &format!("FAILED {failure}\n"));
     if let [one] = summaries {
-        one.findings.notes().for_each(|finding| text += &format!("NOTE {finding}\n"));
-        final_notes(one).iter().for_each(|note| text += &format!("NOTE {note}\n"));
+        return result(console, one, metrics);
     }
+    let mut text: String = failures(summaries).iter().map(|failure| format!("FAILED {failure}\n")).collect();
+    text += &premises(console, summaries);
     text += &render(&table(summaries, metrics));
-    if let [one] = summaries {
-        let tables = [task_table(one), joint_table(one)];
-        tables
-            .iter()
-            .filter(|table| !table.rows.is_empty())
-            .for_each(|table| text += &format!("\n{}", render(table)));
-    }
-    let mut notes = notes(summaries, metrics);
-    if let [one] = summaries {
-        notes.extend(task_notes(one).into_iter().chain(joint_notes(one)));
-    }
-    with_notes(console, text, &notes)
+    replay_notes(summaries).iter().for_each(|note| text += &format!("\n{}\n", wrap(note, shown_width())));
+    with_notes(console, text, &notes(summaries, metrics))
 }
 
-/// Appends notes to a text, unless only results are wanted.
+/// Longest list of failures above the result of a run.
+const FIRST_FAILURES: usize = 2;
+
+/// Renders the result of one run: what became of it, its notes and its tables.
+fn result(console: Console, run: &Summary, metrics: &[Metric]) -> String {
+    let runs = std::slice::from_ref(run);
+    let mut text = String::new();
+    if let Some(fault) = &run.faulted {
+        let time_s = run.fault_time_s.unwrap_or(f64::NAN);
+        text += &format!("STOPPED at {time_s:.3} s: {fault}. All values below are those until the stop.\n");
+    }
+    let failures = failures(runs);
+    let (first, more) = failures.split_at(failures.len().min(FIRST_FAILURES - text.lines().count()));
+    first.iter().for_each(|failure| text += &format!("FAILED {failure}\n"));
+    headline(run).iter().for_each(|line| text += &format!("{line}\n"));
+    more.iter().for_each(|failure| text += &format!("FAILED {failure}\n"));
+    run.findings.failures().for_each(|finding| text += &help(finding));
+    text += &premises(console, runs);
+    run.findings.notes().for_each(|finding| text += &note(finding));
+    final_notes(run).iter().for_each(|note| text += &format!("NOTE {note}\n"));
+    replay_notes(runs).iter().for_each(|note| text += &format!("NOTE {note}\n"));
+    text += &format!("\n{}\n", run_title(run));
+    let tables = [run_table(run, metrics), task_table(run), joint_table(run)];
+    let drawn: Vec<String> = tables.iter().filter(|table| !table.rows.is_empty()).map(render).collect();
+    text += &drawn.join("\n");
+    let footnotes: Vec<String> =
+        notes(runs, metrics).into_iter().chain(task_notes(run)).chain(joint_notes(run)).collect();
+    with_notes(console, text, &footnotes)
+}
+
+/// Lists what the results rest on: assumed values, by number unless verbose, and refusals that were allowed.
+pub fn premises<'a>(
+    console: Console,
+    summaries: impl IntoIterator<Item = &'a Summary, IntoIter: Clone>,
+) -> String {
+    let summaries = summaries.into_iter();
+    let assumed = if console.verbose { assumed_notes } else { assumed_counts };
+    let assumed = assumed(summaries.clone()).into_iter().map(|note| format!("ASSUMED {note}\n"));
+    assumed.chain(allowed_notes(summaries).into_iter().map(|note| format!("ALLOWED {note}\n"))).collect()
+}
+
+/// Renders a finding with its code and its remedy.
+pub fn note(finding: &Finding) -> String {
+    format!("NOTE {finding} [{}]\n{}", finding.code, help(finding))
+}
+
+/// Renders the remedy of a finding; without one, the command that explains its code.
+fn help(finding: &Finding) -> String {
+    match finding.help.as_str() {
+        "" => format!("    help: `opspace explain {}`\n", finding.code),
+        help => format!("    help: {help}\n"),
+    }
+}
+
+/// Appends notes to a text if verbose, otherwise how to get them, unless only results are wanted.
 pub fn with_notes(console: Console, mut text: String, notes: &[String]) -> String {
-    if !console.quiet {
-        let width = usize::from(width().unwrap_or(100));
-        notes.iter().for_each(|note| text += &format!("\n{}\n", wrap(note, width)));
+    if console.verbose {
+        notes.iter().for_each(|note| text += &format!("\n{}\n", wrap(note, shown_width())));
+    } else if !console.quiet && !notes.is_empty() {
+        text += "\n`-v` explains the columns and what the values are based on\n";
     }
     text
 }
 
-/// Renders a table as text. Columns that do not fit into the width of the terminal follow below, after a repeated
-/// first column.
+/// Width of the output in columns.
+fn shown_width() -> usize {
+    usize::from(width().unwrap_or(100))
+}
+
+/// Renders a table as text. Columns that do not fit into the width of the terminal, or into 100 columns without one, follow below,
+/// after a repeated first column.
 pub fn render(table: &Table) -> String {
     let texts = table.texts();
     let heads: Vec<String> = (0..table.columns.len()).map(|place| head(table, place)).collect();
@@ -227,19 +270,28 @@ pub fn render(table: &Table) -> String {
             cells.chain(heads[place].lines()).map(|line| line.chars().count() + PADDING).max().unwrap_or(0)
         })
         .collect();
-    let blocks = blocks(&widths, width().map(usize::from));
+    let blocks = blocks(&widths, shown_width());
     let drawn: Vec<String> = blocks.iter().map(|block| draw(table, &texts, &heads, block)).collect();
     drawn.join("\n")
 }
 
-/// Renders the head of a column. Above numbers it has one word per line, because these columns are narrow.
+/// Most lines of the head of a column.
+const HEAD_LINES: usize = 3;
+
+/// Renders the head of a column. Above numbers it has few lines that are as short as possible, because these columns are narrow.
 fn head(table: &Table, place: usize) -> String {
     let column = &table.columns[place];
-    let mut lines = column.title.replace(' ', if is_numeric(table, place) { "\n" } else { " " });
-    if !column.unit.is_empty() {
-        lines += &format!("\n({})", column.unit);
+    let unit = if column.unit.is_empty() { String::new() } else { format!("({})", column.unit) };
+    if !is_numeric(table, place) {
+        return format!("{}{}{unit}", column.title, if unit.is_empty() { "" } else { "\n" });
     }
-    lines
+    let words: Vec<&str> = column.title.split(' ').collect();
+    let most = HEAD_LINES - usize::from(!unit.is_empty());
+    let longest = words.iter().map(|word| word.chars().count()).max().unwrap_or(0);
+    // One line holds all words at the latest.
+    let title =
+        (longest..).map(|width| wrap(&column.title, width)).find(|title| title.lines().count() <= most);
+    [title.unwrap_or_default(), unit].join("\n").trim_end().to_owned()
 }
 
 fn is_numeric(table: &Table, place: usize) -> bool {
@@ -253,8 +305,7 @@ const STYLE: TableStyle = TableStyle::new().header_separator(LineStyle::none().f
 const PADDING: usize = 2;
 
 /// Groups of columns that fit side by side; each group begins with the first column.
-fn blocks(widths: &[usize], most: Option<usize>) -> Vec<Vec<usize>> {
-    let most = most.unwrap_or(usize::MAX);
+fn blocks(widths: &[usize], most: usize) -> Vec<Vec<usize>> {
     let first = widths.first().copied().unwrap_or(0);
     let (mut blocks, mut used) = (vec![vec![0]], first);
     for (place, &width) in widths.iter().enumerate().skip(1) {
@@ -367,7 +418,8 @@ fn wrap(text: &str, width: usize) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::{blocks, escaped, excerpt};
+    use super::{blocks, escaped, excerpt, head, render};
+    use opspace_experiment::evaluate::table::{Cell, Table};
     use opspace_experiment::{FileError, Source};
     use std::borrow::Cow;
 
@@ -399,13 +451,21 @@ mod tests {
 
     #[test]
     fn wide_tables_continue_below_with_first_column() {
-        assert_eq!(blocks(&[10, 5, 5, 5], None), [vec![0, 1, 2, 3]]);
-        assert_eq!(blocks(&[10, 5, 5, 5], Some(25)), [vec![0, 1, 2, 3]]);
-        assert_eq!(blocks(&[10, 5, 5, 5], Some(24)), [vec![0, 1, 2], vec![0, 3]]);
-        assert_eq!(
-            blocks(&[10, 5, 5, 5], Some(3)),
-            [vec![0, 1], vec![0, 2], vec![0, 3]],
-            "never none at all"
-        );
+        assert_eq!(blocks(&[10, 5, 5, 5], 25), [vec![0, 1, 2, 3]]);
+        assert_eq!(blocks(&[10, 5, 5, 5], 24), [vec![0, 1, 2], vec![0, 3]]);
+        assert_eq!(blocks(&[10, 5, 5, 5], 3), [vec![0, 1], vec![0, 2], vec![0, 3]], "never none at all");
+    }
+
+    /// Checks the head of a column of eight words, and that no line of a table without a terminal has more than 100 columns.
+    #[test]
+    fn heads_have_three_lines_and_tables_a_hundred_columns() {
+        let titles = [("joint", ""), ("desired torque above 8 Hz, rms", "N·m")];
+        let columns = [&titles[..1], &[titles[1]; 12]].concat();
+        let mut table = Table::new(&columns);
+        table.push(std::iter::once("shoulder_pitch".into()).chain(vec![Cell::Number(0.1); 12]).collect());
+        assert_eq!(head(&table, 1), "desired torque\nabove 8 Hz, rms\n(N·m)");
+        let text = render(&table);
+        assert!(text.lines().all(|line| line.chars().count() <= 100), "{text}");
+        assert_eq!(text.matches("0.1000").count(), 12, "{text}");
     }
 }

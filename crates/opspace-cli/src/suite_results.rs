@@ -1,13 +1,14 @@
 //! Results of a suite: table, page, JSON, CSV, and the comparison with a baseline.
 
 use crate::cli::SuiteOutputArgs;
-use crate::console::{Console, Exit, Failure, Outcome, print_exactly, render, report, results, with_notes};
+use crate::console::{
+    Console, Exit, Failure, Outcome, premises, print_exactly, render, report, results, with_notes,
+};
 use crate::output::{Format, pretty, write, write_named};
 use crate::result_folder::{LOGS, ROWS};
 use crate::run_progress::exit_code;
 use opspace_experiment::evaluate::baseline::{Baseline, BaselineComparison, TOLERANCE, Verdict};
 use opspace_experiment::evaluate::csv::csv;
-use opspace_experiment::evaluate::notes::{allowed_notes, assumed_notes};
 use opspace_experiment::evaluate::results::{group_rows, has_value};
 use opspace_experiment::metrics::columns::columns_named;
 use opspace_experiment::report::coupling_pages::coupling_suite_page;
@@ -239,9 +240,7 @@ impl SuiteResults {
 /// Text of the results of runs of several robots: failures, table and notes.
 fn coupling_results(console: Console, summaries: &[RunSummary]) -> String {
     let robots = summaries.iter().flat_map(|summary| summary.robots.values());
-    let mut text: String =
-        assumed_notes(robots.clone()).iter().map(|note| format!("ASSUMED {note}\n")).collect();
-    allowed_notes(robots).iter().for_each(|note| text += &format!("ALLOWED {note}\n"));
+    let mut text = premises(console, robots);
     for summary in summaries {
         for failure in summary.failures() {
             text += &format!("FAILED {}: {failure}\n", summary.title());
@@ -274,7 +273,7 @@ fn compared(comparison: &BaselineComparison, console: Console) -> String {
     if !table.rows.is_empty() {
         text += &render(&table);
     }
-    if !console.quiet {
+    if console.verbose {
         text += &format!(
             "\nMeans over the pairs of runs with equal seeds; ± is half of the 95 % confidence interval of the mean \
              difference (Student's t). A metric is better or worse if this interval excludes zero and the means differ by \

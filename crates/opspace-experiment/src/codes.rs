@@ -147,6 +147,7 @@ codes! {
     DampedDirection "damped-direction" Effect::Noted,
     CompliantAxesMoved "compliant-axes-moved" Effect::Noted,
     TorquesSaturated "torques-saturated" Effect::Noted,
+    SpringDeflected "spring-deflected" Effect::Noted,
     // Robots.
     FrictionObserverWithoutSensor "friction-observer-without-sensor" Effect::Refused,
     ComparisonOnly "comparison-only" Effect::Never("it exists for comparisons in simulation and can damage a real robot"),

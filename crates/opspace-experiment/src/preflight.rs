@@ -64,6 +64,7 @@ pub use gear_resonance::GearResonance;
 pub use gears::{GearMargin, GearScale, gear_margin};
 pub use impedances::{JointImpedance, impedances};
 pub use margins::{Margins, Quantity, RangeEnd, StableRange, alternatives, margins, margins_with};
+use opspace_transformer::Gears;
 pub use refusal::{LEAST_EXCESS, checked_for_real_robot, refusals};
 pub use reserves::{Reserve, ReserveOf};
 pub use servo_gain::{GainMargin, ServoLoop, gain_margin};
@@ -90,6 +91,24 @@ pub fn diagnostics_with(extensions: &Extensions, experiment: &Experiment) -> Vec
 #[must_use]
 pub fn start_diagnostics(extensions: &Extensions, experiment: &Experiment) -> Vec<Finding> {
     check::start_diagnostics(experiment, extensions.all())
+}
+
+/// Computes the diagnostics that `opspace check` lists of a task: [`diagnostics_with`], and those that simulate nudges of the
+/// arm.
+#[must_use]
+pub fn problems(extensions: &Extensions, experiment: &Experiment) -> Vec<Finding> {
+    let mut found = diagnostics_with(extensions, experiment);
+    found.extend(gain_margin(experiment).and_then(|margin| margin.finding(experiment)));
+    // Gears that are declared rigid have none of these problems.
+    if experiment.robot().gears() != Gears::Rigid {
+        found.extend(gear_margin(experiment).and_then(|margin| margin.finding(experiment)));
+        let impedances = impedances(experiment).unwrap_or_default();
+        found.extend(JointImpedance::finding(&impedances, experiment));
+    }
+    let used = experiment.transformer_name().filter(|_| margins::is_varied(experiment));
+    let margins = used.and_then(|name| margins_with(experiment, &name));
+    found.extend(margins.and_then(|margins| margins.finding(experiment)));
+    found
 }
 
 /// Counts, for each task of at most six rows, the sampled postures in which it is nearly singular.

@@ -1,5 +1,13 @@
 //! Numbers as text.
 
+/// Largest number that is only rounding, in an SI unit: no result has such digits.
+pub(crate) const NOISE: f64 = 1e-9;
+
+/// Returns a number in an SI unit, or zero in place of rounding.
+pub(crate) fn without_noise(number: f64) -> f64 {
+    if number.abs() < NOISE { 0.0 } else { number }
+}
+
 /// Formats a number with four significant digits: `0.01234`, `12.34`, `1.234e-7`.
 #[must_use]
 pub fn format_number(number: f64) -> String {

@@ -7,7 +7,7 @@ use crate::console::{Console, Exit, Outcome, report};
 use crate::output::pretty;
 use crate::outputs::check_outputs;
 use opspace_experiment::codes::AllowedRefusal;
-use opspace_experiment::evaluate::notes::assumed_text;
+use opspace_experiment::evaluate::notes::{assumed_count, assumed_text};
 use opspace_experiment::files::collision::capsule_warning_texts;
 use opspace_experiment::files::joint_layers::urdf_values_text;
 use opspace_experiment::files::origin::Kind;
@@ -66,6 +66,8 @@ struct Checked {
     is_task: bool,
     /// Values of a robot that its file does not state, and those that are assumed.
     values: String,
+    /// The same, with the number of those that are assumed.
+    short_values: String,
     /// Gain margin of a task whose torques pass through a transformer.
     margin: Option<GainMargin>,
     /// Frequencies of the joints whose gear stiffness is declared.
@@ -121,6 +123,7 @@ impl Checked {
         Self {
             is_task: true,
             values: values_text(experiment.robot()),
+            short_values: short_values_text(experiment.robot()),
             gears: gear_resonances(experiment),
             forces: detectable_forces(experiment),
             thresholds: collision_thresholds(experiment),
@@ -144,7 +147,8 @@ impl Checked {
 
     /// Describes the file and its problems.
     fn text(&self, path: &Path, console: Console) -> String {
-        let mut text = format!("{}: {}\n{}", path.display(), self.what, self.values);
+        let values = if console.verbose { &self.values } else { &self.short_values };
+        let mut text = format!("{}: {}\n{values}", path.display(), self.what);
         text.extend(self.margin.iter().map(line));
         text.extend(self.gears.iter().map(line));
         text.extend(self.forces.iter().map(line));
@@ -335,10 +339,10 @@ fn check_one(
         Experiment::check_simulated(&robot)?;
         let mut warnings = model_warnings_of(robot.urdf.name(), &robot.warnings, &robot.model);
         warnings.extend(capsule_warnings_of(&robot));
-        let values = values_text(&robot);
+        let (values, short_values) = (values_text(&robot), short_values_text(&robot));
         robot.defaults().iter().for_each(|default| console.detail(&format!("  {default}")));
         let what = format!("a robot of {} joints", robot.model.n());
-        Ok(Checked { what, values, warnings, ..Checked::default() })
+        Ok(Checked { what, values, short_values, warnings, ..Checked::default() })
     };
     match Kind::of(source.text()) {
         Some(Kind::Suite) => {
@@ -382,12 +386,26 @@ fn check_one(
 
 /// Lists the values of a robot that are those of the URDF, and those that are assumed.
 pub(super) fn values_text(robot: &RobotDefinition) -> String {
+    let assumed = &robot.file.assumed;
+    let mut text = known_values_text(robot);
+    if !assumed.is_empty() {
+        text += &format!("  assumed, results rest on them: {}\n", assumed_text(assumed));
+    }
+    text
+}
+
+/// Lists the values of a robot that are those of the URDF, and counts those that are assumed.
+fn short_values_text(robot: &RobotDefinition) -> String {
+    let assumed = &robot.file.assumed;
+    let count = if assumed.is_empty() { String::new() } else { line(&assumed_count(assumed)) };
+    known_values_text(robot) + &count
+}
+
+/// Lists the values of a robot that are those of the URDF.
+fn known_values_text(robot: &RobotDefinition) -> String {
     let mount = robot.file.mount.as_ref();
     let mut text = mount.map_or_else(String::new, |mount| format!("  {}\n", mount.description()));
     text += &urdf_values_text(&robot.urdf_values);
-    if !robot.file.assumed.is_empty() {
-        text += &format!("  assumed, results rest on them: {}\n", assumed_text(&robot.file.assumed));
-    }
     text
 }
 

@@ -2,7 +2,7 @@
 
 use crate::cli::ReplayArgs;
 use crate::commands::run_on_log::{Changes, experiment_on_log, record_on_log, say_files};
-use crate::console::{Console, Exit, Failure, Outcome};
+use crate::console::{Console, Exit, Failure, Outcome, note};
 use crate::output::{Format, log_path, logs_of_experiment, open_log, pretty, read_log, write_named};
 use crate::outputs::check_outputs;
 use opspace_backend::signal_names::TICK_CHANNEL;
@@ -201,7 +201,7 @@ fn what_if_text(
     if let Some(replay) = &summary.replay {
         text += &format!("{}\n", replay.text());
     }
-    summary.findings.iter().for_each(|finding| text += &format!("NOTE {finding}\n"));
+    summary.findings.iter().for_each(|finding| text += &note(finding));
     let tick = recording.channel(TICK_CHANNEL);
     for (signal, elements) in &replayed.rms {
         let units = tick.and_then(|tick| tick.signal(signal)).map_or(&[][..], |column| column.units());

@@ -11,7 +11,7 @@ use crate::result_folder::{MOVE_TO_START, prepare};
 use crate::run_progress::{exit_code, exit_code_of_robot, with_bar};
 use opspace_experiment::files::origin::Kind;
 use opspace_experiment::metrics::columns::default_columns;
-use opspace_experiment::preflight::start_diagnostics;
+use opspace_experiment::preflight::{coupling_diagnostics, problems};
 use opspace_experiment::report::coupling_table::coupling_table;
 use opspace_experiment::run::result_files::{LOG, REPORT, SUMMARY};
 use opspace_experiment::{
@@ -48,7 +48,7 @@ pub fn run(args: &RunArgs, extensions: &Extensions, console: Console) -> Outcome
     scenario.single().into_iter().for_each(|experiment| say_details(experiment, console));
     let scenario = if real.is_some() { scenario.checked_for_real_robots()? } else { scenario };
     scenario.allowed().iter().for_each(|refusal| console.note(&format!("warning: {refusal}")));
-    scenario.single().into_iter().for_each(|experiment| note_problems(experiment, extensions, console));
+    note_problems(&scenario, args, extensions, console);
     let default = default_folder(&scenario, &args.plant);
     let results = prepare(&args.output, &default, &file_names(&scenario), &scenario.input_paths(), console)?;
     let folder = results.path();
@@ -210,25 +210,34 @@ fn text(summary: &RunSummary, columns: &[Metric], console: Console) -> String {
     }
 }
 
-/// Prints the codes of the problems at the start, unless quiet. Problems of the references would take longer to find.
-fn note_problems(experiment: &Experiment, extensions: &Extensions, console: Console) {
+/// Prints the problems that `opspace check` finds, a line each, unless quiet.
+fn note_problems(scenario: &Scenario, args: &RunArgs, extensions: &Extensions, console: Console) {
     if console.quiet {
         return;
     }
-    let mut codes: Vec<String> = Vec::new();
-    let found = start_diagnostics(extensions, experiment);
-    for diagnostic in &found {
-        let code = format!("[{}]", diagnostic.code);
-        if !codes.contains(&code) {
-            codes.push(code);
+    let of_robots = scenario.experiments().flat_map(|experiment| problems(extensions, experiment));
+    let mut lines: Vec<String> = Vec::new();
+    for finding in of_robots.chain(coupling_diagnostics(scenario)) {
+        let line = format!("note: [{}] {finding}", finding.code);
+        if !lines.contains(&line) {
+            lines.push(line);
         }
     }
-    let problems = match found.len() {
-        0 => return,
-        1 => "1 problem".to_owned(),
-        number => format!("{number} problems"),
-    };
-    console.note(&format!("note: `opspace check` finds {problems} at the start: {}", codes.join(", ")));
+    lines.iter().for_each(|line| console.note(line));
+    if !lines.is_empty() {
+        let options = if has_options_of_check(args) { " with the same options" } else { "" };
+        let what = if lines.len() == 1 { "this problem" } else { "these problems" };
+        console.note(&format!("note: `opspace check {}`{options} explains {what}", args.task.display()));
+    }
+}
+
+/// True if `opspace check` needs options to examine the same run.
+fn has_options_of_check(args: &RunArgs) -> bool {
+    args.robot.is_some()
+        || args.backend.is_some()
+        || args.controller != ControllerKind::Osc
+        || args.transformer.is_some()
+        || !args.set.is_empty()
 }
 
 /// Says that a complete run met its expectations; those that it missed are in the results.

@@ -4,6 +4,7 @@
 //! `ignored_compliance` have those of some codes in forms of their own, which older scripts read.
 
 use crate::codes::{Code, Effect};
+use crate::evaluate::remedies::remedy;
 use crate::finding::{Causes, Finding, errors};
 use serde::ser::SerializeMap;
 use serde::{Deserialize, Serialize, Serializer};
@@ -17,9 +18,13 @@ pub struct Findings {
 }
 
 impl Findings {
-    /// Adds findings.
+    /// Adds findings, with a remedy for those that have none.
     pub fn extend(&mut self, findings: impl IntoIterator<Item = Finding>) {
-        self.findings.extend(findings);
+        let with_help = |finding: Finding| match finding.help.as_str() {
+            "" => Finding { help: remedy(&finding).to_owned(), ..finding },
+            _ => finding,
+        };
+        self.findings.extend(findings.into_iter().map(with_help));
     }
 
     /// All findings.

@@ -3,9 +3,11 @@
 use crate::codes::Code;
 use crate::evaluate::results::{error_of_desired, group, has_value, task_table};
 use crate::evaluate::summary::Summary;
+use crate::files::controller_kind::ControllerKind;
 use crate::files::source::KeyPath;
 use crate::metrics::metric::Metric;
 use crate::metrics::metric_tables::{JointMetrics, PoseErrors, TaskMetrics};
+use opspace_backend::CommandKind;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Note under tables of simulated runs.
@@ -51,6 +53,55 @@ pub fn assumed_notes<'a>(summaries: impl IntoIterator<Item = &'a Summary>) -> Ve
         format!("all results of robot '{robot}' rest on assumed values (`assumed` in its robot.toml): {keys}")
     };
     robots.into_iter().map(note).collect()
+}
+
+/// Longest list of kinds in a count of assumed values, in characters.
+const KINDS_WIDTH: usize = 56;
+
+/// Counts the values of each robot that are assumed, in one line; [`assumed_notes`] lists them.
+#[must_use]
+pub fn assumed_counts<'a>(summaries: impl IntoIterator<Item = &'a Summary>) -> Vec<String> {
+    let robots: BTreeMap<&str, &[String]> = summaries
+        .into_iter()
+        .filter(|summary| !summary.assumed.is_empty())
+        .map(|summary| (summary.robot.as_str(), summary.assumed.as_slice()))
+        .collect();
+    robots.into_iter().map(|(robot, keys)| format!("robot '{robot}' has {}", assumed_count(keys))).collect()
+}
+
+/// Counts assumed keys by their kinds, as far as they fit into a line.
+#[must_use]
+pub fn assumed_count(keys: &[String]) -> String {
+    let mut kinds: Vec<(String, &str, usize)> = Vec::new();
+    for key in keys {
+        let words = key.as_str().segments();
+        let (kind, noun) = match words.as_slice() {
+            [first, _, rest @ ..] if ["joint", "group"].contains(&first.as_str()) && !rest.is_empty() => {
+                (rest.join("."), if first == "joint" { "joint" } else { "group" })
+            }
+            _ => (key.clone(), ""),
+        };
+        match kinds.iter_mut().find(|(known, of, _)| *known == kind && *of == noun) {
+            Some((_, _, count)) => *count += 1,
+            None => kinds.push((kind, noun, 1)),
+        }
+    }
+    let text = |(kind, noun, count): &(String, &str, usize)| match (*noun, count) {
+        ("", _) => kind.clone(),
+        (noun, 1) => format!("{kind} of 1 {noun}"),
+        (noun, count) => format!("{kind} of {count} {noun}s"),
+    };
+    let (mut list, mut shown) = (String::new(), 0);
+    for text in kinds.iter().map(text) {
+        if shown > 0 && list.chars().count() + text.chars().count() > KINDS_WIDTH {
+            break;
+        }
+        list += &format!("{}{text}", if shown > 0 { ", " } else { "" });
+        shown += 1;
+    }
+    let rest = if shown < kinds.len() { ", …" } else { "" };
+    let values = if keys.len() == 1 { "1 assumed value" } else { &format!("{} assumed values", keys.len()) };
+    format!("{values}: {list}{rest}; `-v` lists them")
 }
 
 /// Notes above tables of results: refusals that the user has allowed, each once.
@@ -99,11 +150,7 @@ pub fn notes(summaries: &[Summary], metrics: &[Metric]) -> Vec<String> {
     add(groups.iter().any(|group| group.runs.len() > 1), OF_SEEDS);
     let times = shows_one(&["tick_ns_median", "realtime_factor"]);
     add(times, OF_TIMES);
-    for summary in summaries {
-        if let (Some(replay), Some(plant)) = (&summary.replay, &summary.plant) {
-            add(true, &format!("'{}' on {plant}: {}", summary.task, replay.text()));
-        }
-    }
+    replay_notes(summaries).iter().for_each(|note| add(true, note));
     let simulated = summaries.iter().any(|summary| summary.simulated);
     add(simulated, &format!("{} {OF_SIMULATION}", if times { "All other" } else { "All" }));
     add(simulated && groups.len() > 1, OF_ONE_PLANT);
@@ -114,6 +161,16 @@ pub fn notes(summaries: &[Summary], metrics: &[Metric]) -> Vec<String> {
     let torque_errors = ["torque_error_servo", "torque_error_interval", "torque_error_tick"];
     add(shows_one(&torque_errors), OF_TORQUE_ERRORS);
     notes
+}
+
+/// Notes of runs on logs: whether their commands are those of the log.
+#[must_use]
+pub fn replay_notes(summaries: &[Summary]) -> Vec<String> {
+    let note = |summary: &Summary| {
+        let (replay, plant) = (summary.replay.as_ref()?, summary.plant.as_ref()?);
+        Some(format!("'{}' on {plant}: {}", summary.task, replay.text()))
+    };
+    summaries.iter().filter_map(note).collect()
 }
 
 /// Explains the names of controllers and the ratios of rates in a table.
@@ -153,7 +210,7 @@ fn judged_task(summary: &Summary) -> Option<String> {
 }
 
 /// Largest errors at the end of a run of a task that has reached its goal, m and rad.
-const REACHED: [f64; 2] = [5e-3, 20e-3];
+pub(crate) const REACHED: [f64; 2] = [5e-3, 20e-3];
 
 /// Largest final error of the force of a task that has reached its target, N.
 const FORCE_REACHED_N: f64 = 1.0;
@@ -164,6 +221,11 @@ fn force_away(name: &str, task: &TaskMetrics) -> Option<String> {
     // Without any contact the run has failed, and says so.
     (task.contact.in_contact_fraction != Some(0.0)).then(|| {
         let tared = tared_in_contact(task);
+        let tared = if tared.is_empty() {
+            "; run longer (`--duration-s`) if it still approaches it, or raise `force.integral_per_s`"
+        } else {
+            tared
+        };
         format!("task '{name}': the true force is {error_n:.1} N (rms) away from its target in the last half second{tared}")
     })
 }
@@ -175,7 +237,7 @@ const FROM_THE_START_S: f64 = 2e-3;
 fn tared_in_contact(task: &TaskMetrics) -> &'static str {
     match task.contact.contact_begin_s {
         Some(begin_s) if begin_s <= FROM_THE_START_S => {
-            "; the frame touched something already at the start: a sensor that is tared then takes this force as its zero"
+            "; the frame touched something already at the start: a sensor that is tared then takes this force as its zero; start away from it (`start_rad`)"
         }
         _ => "",
     }
@@ -190,7 +252,7 @@ fn false_losses(name: &str, task: &TaskMetrics) -> Option<String> {
     (sensed > lost + FALSE_LOSSES).then(|| {
         format!(
             "task '{name}': it took its contact as lost {sensed} times, because of the sensed force, and approached anew; the frame \
-             lost contact {lost} times"
+             lost contact {lost} times; raise `force.contact.lost_after_s`, or lower `lost_below_n`"
         )
     })
 }
@@ -203,9 +265,53 @@ fn early_stop(summary: &Summary) -> Option<String> {
     let time_s = summary.fault_time_s.filter(|time_s| summary.simulated && *time_s < EARLY_STOP_S)?;
     Some(format!(
         "stopped {:.1} ms after the start: an arm hardly moves in this time, so the cause is probably the simulation \
-         ([simulated], masses, rotors and servo gains of the robot), not the task",
+         ([simulated], masses, rotors and servo gains of the robot), not the task: `opspace check ROBOT` examines them",
         1e3 * time_s
     ))
+}
+
+/// Least share of the error of a task with inverse kinematics that is sag, if the arm rests with this sag at the end.
+const SAGGED: f64 = 0.5;
+
+/// Note of a task of inverse kinematics on a position robot whose servos sag under the weight of the arm, and lag behind a moving
+/// reference.
+fn sag(summary: &Summary, name: &str, task: &TaskMetrics) -> Option<String> {
+    if summary.controller != ControllerKind::Ik.name() || summary.backend != CommandKind::Position.name() {
+        return None;
+    }
+    let rms_m = task.pose.position_rms_m.filter(|rms_m| *rms_m > REACHED[0])?;
+    let lead = "`--controller ik-lead` compensates both, and is the fair baseline";
+    let mm = |error_m: f64| format!("{:.1} mm", 1e3 * error_m);
+    let Some(sag_m) = task.pose.position_final_m else {
+        return Some(format!(
+            "task '{name}': {} rms from its moving reference: lag of the servos behind the motion, and sag under the weight of the \
+             arm, which has no integral against it; {lead}",
+            mm(rms_m)
+        ));
+    };
+    if sag_m < SAGGED * rms_m {
+        return None;
+    }
+    // Of errors that are not correlated, the squares add up.
+    let lag_m = (rms_m.powi(2) - sag_m.powi(2)).max(0.0).sqrt();
+    Some(format!(
+        "task '{name}': {} from its resting reference at the end: sag, as servos without an integral yield to the weight of the arm; \
+         of the error of {} rms, lag in motion is about {}; {lead}",
+        mm(sag_m),
+        mm(rms_m),
+        mm(lag_m)
+    ))
+}
+
+/// Causes of an error at rest that no finding explains, with what to try.
+fn away_causes(summary: &Summary) -> &'static str {
+    match summary.controller == ControllerKind::Osc.name() {
+        true => {
+            "a load that the model lacks (`environment`, `tool`), friction (`friction_compensation.gain`) or a contact holds it, or \
+             it still moves (`--duration-s`); higher `gains` bring it closer"
+        }
+        false => "the servos sag or still move (`--duration-s`); `--controller ik-lead` compensates the sag",
+    }
 }
 
 /// Notes above the tables of a run: a stop that the simulation probably caused; tasks that are away from their references at
@@ -217,11 +323,16 @@ pub fn final_notes(summary: &Summary) -> Vec<String> {
         return early_stop(summary).into_iter().collect();
     }
     let is_explained = |name: &str| {
-        let mut goals = summary.findings.of(Code::GoalNotReached);
-        goals.any(|goal| goal.task() == Some(name) && goal.number("end_s").is_none())
+        let goals =
+            summary.findings.of(Code::GoalNotReached).chain(summary.findings.of(Code::SpringDeflected));
+        let mut to_the_end = goals.filter(|goal| goal.number("end_s").is_none());
+        to_the_end.any(|goal| goal.task() == Some(name))
     };
-    let tasks = summary.tasks.iter().filter(|(name, _)| !is_explained(name));
+    let tasks = summary.ordered_tasks().filter(|(name, _)| !is_explained(name));
     let note = |(name, task): (&String, &TaskMetrics)| {
+        if let Some(note) = sag(summary, name, task) {
+            return Some(note);
+        }
         let errors = [task.pose.position_final_m, task.pose.orientation_final_rad];
         let is_away = errors.iter().zip(REACHED).any(|(error, most)| error.is_some_and(|error| error > most));
         let units = errors.iter().zip(["mm", "mrad"]);
@@ -234,11 +345,12 @@ pub fn final_notes(summary: &Summary) -> Vec<String> {
         });
         is_away.then(|| {
             let texts = texts.join(" and ");
-            format!("task '{name}': goal not reached, {texts} away at the end of the run{moving}")
+            let causes = away_causes(summary);
+            format!("task '{name}': goal not reached, {texts} away at the end of the run{moving}; {causes}")
         })
     };
     let forces =
-        summary.tasks.iter().flat_map(|(name, task)| [force_away(name, task), false_losses(name, task)]);
+        summary.ordered_tasks().flat_map(|(name, task)| [force_away(name, task), false_losses(name, task)]);
     tasks.filter_map(note).chain(forces.flatten()).collect()
 }
 
@@ -284,10 +396,11 @@ pub fn joint_notes(summary: &Summary) -> Vec<String> {
 
 #[cfg(test)]
 mod tests {
-    use super::{final_notes, joint_notes, notes, task_notes};
+    use super::{assumed_count, final_notes, joint_notes, notes, task_notes};
     use crate::codes::Code;
     use crate::evaluate::results::tests::summary;
     use crate::evaluate::results::{joint_table, task_table};
+    use crate::evaluate::summary::Summary;
     use crate::extensions::Entry;
     use crate::finding::{Finding, Place};
     use crate::metrics::metric::Metric;
@@ -362,19 +475,56 @@ mod tests {
             Place::Task("known".to_owned()),
             String::new(),
         )]);
-        assert_eq!(final_notes(&run), ["task 'far': goal not reached, 12.0 mm away at the end of the run"]);
+        let [note] = &final_notes(&run)[..] else { panic!("one note") };
+        let causes =
+            "task 'far': goal not reached, 12.0 mm away at the end of the run; a load that the model lacks";
+        assert!(note.starts_with(causes) && note.contains("`friction_compensation.gain`"), "{note}");
         run.tasks.retain(|name, _| name == "moving");
         let pose = &mut run.tasks.entry("moving".to_owned()).or_default().pose;
         (pose.position_max_m, pose.orientation_final_rad) = (Some(99e-3), Some(0.03));
-        assert_eq!(
-            final_notes(&run),
-            [
-                "task 'moving': goal not reached, 30.0 mrad away at the end of the run; its position reference moves then, at most \
-              99.0 mm away during the run"
-            ]
-        );
+        let moving = "task 'moving': goal not reached, 30.0 mrad away at the end of the run; its position reference moves then, at \
+                      most 99.0 mm away during the run; ";
+        assert!(final_notes(&run)[0].starts_with(moving), "{:?}", final_notes(&run));
         run.faulted = Some("a fault".to_owned());
         assert!(final_notes(&run).is_empty());
+    }
+
+    /// Checks what inverse kinematics says of an error that rests, of one in motion, and of a small one, and that a torque
+    /// controller says nothing of servos. √(10² − 8²) mm are 6 mm.
+    #[test]
+    fn sag_and_lag_of_servos_are_noted() {
+        let mut run = summary("a", "p", 1, 0.1);
+        run.controller = "ik".to_owned();
+        let noted = |run: &mut Summary, rms_m, final_m| {
+            let pose = &mut run.tasks.entry("hand".to_owned()).or_default().pose;
+            (pose.position_rms_m, pose.position_final_m) = (Some(rms_m), final_m);
+            final_notes(run).join("\n")
+        };
+        let sag = noted(&mut run, 10e-3, Some(8e-3));
+        for words in
+            ["8.0 mm from its resting", "sag", "10.0 mm rms", "about 6.0 mm", "`--controller ik-lead`"]
+        {
+            assert!(sag.contains(words), "{words}: {sag}");
+        }
+        let moving = noted(&mut run, 7.7e-3, None);
+        assert!(moving.contains("7.7 mm rms from its moving") && moving.contains("ik-lead"), "{moving}");
+        assert_eq!(noted(&mut run, 1e-3, Some(1e-3)), "");
+        run.controller = "ik-lead".to_owned();
+        assert_eq!(noted(&mut run, 7.7e-3, None), "");
+    }
+
+    /// Checks that the count of assumed values is one line, and that it says how to list them.
+    #[test]
+    fn assumed_values_are_counted_in_a_line() {
+        let kinds = ["torque_limit_nm", "friction.static_nm", "friction.coulomb_nm", "rotor_inertia_kg_m2"];
+        let of_joints = kinds.iter().flat_map(|kind| ["a", "b"].map(|joint| format!("joint.{joint}.{kind}")));
+        assert!(assumed_count(&["group.wrist.rotor".to_owned()]).contains(": rotor of 1 group;"));
+        let keys: Vec<String> = of_joints.collect();
+        assert_eq!(assumed_count(&keys[..1]), "1 assumed value: torque_limit_nm of 1 joint; `-v` lists them");
+        let count = assumed_count(&keys);
+        let begin = "8 assumed values: torque_limit_nm of 2 joints, ";
+        assert!(count.starts_with(begin) && count.ends_with(", …; `-v` lists them"), "{count}");
+        assert!(count.len() < 90, "{count}");
     }
 
     /// Checks forces at 0.9 N and 1.1 N from their targets, a contact from the start, and contacts that only the sensor lost.
@@ -392,7 +542,8 @@ mod tests {
         };
         assert_eq!(noted(0.9, 0.0, 4), "");
         let away = "task 'press': the true force is 1.1 N (rms) away from its target in the last half second";
-        assert_eq!(noted(1.1, 0.5, 4), away);
+        let more = "; run longer (`--duration-s`) if it still approaches it, or raise `force.integral_per_s`";
+        assert_eq!(noted(1.1, 0.5, 4), format!("{away}{more}"));
         assert!(
             noted(1.1, 0.0, 4)
                 .starts_with(&format!("{away}; the frame touched something already at the start"))

@@ -8,6 +8,7 @@ use crate::metrics::metric::{Column, Metric, Needs};
 use crate::metrics::metric_tables::{JointMetrics, PoseErrors};
 use crate::run::experiment::Experiment;
 use crate::run::physics::OWN_PLANT;
+use crate::text::NOISE;
 use opspace_backend::CommandKind;
 use opspace_control::TaskParameters;
 use opspace_sim::EnvironmentObjectParameters;
@@ -160,12 +161,12 @@ pub(crate) fn control(summary: &Summary) -> String {
     }
 }
 
-fn profile(summary: &Summary) -> String {
+pub(crate) fn profile(summary: &Summary) -> String {
     format!("{} 1:{}", summary.profile, summary.ratio)
 }
 
 /// Value of a metric in a summary, in its own unit.
-fn value(summary: &Summary, metric: &Metric) -> Option<f64> {
+pub(crate) fn value(summary: &Summary, metric: &Metric) -> Option<f64> {
     summary.metrics.get(metric.key).or_else(|| summary.timing.value(metric.key))
 }
 
@@ -238,7 +239,7 @@ pub fn task_table(summary: &Summary) -> Table {
     let mut table = Table::new(&titles.map(|title| (title, "")));
     // Millimetres, milliradians and newtons have nothing in common.
     table.decimals_by_row = true;
-    for (name, task) in &summary.tasks {
+    for (name, task) in summary.ordered_tasks() {
         let mut row_with_end = |quantity: &str, unit: &str, values: [Option<f64>; 3]| {
             let (factor, unit) = shown_unit(unit);
             if values.iter().any(Option::is_some) {
@@ -265,7 +266,7 @@ pub fn task_table(summary: &Summary) -> Table {
         row("compliant motion", "m", task.compliance.compliant_motion_rms_m, None);
         let slack = &task.slack;
         // Without limits in force it is a rounding error.
-        let taken = |max: Option<f64>| max.filter(|max| *max > 1e-9);
+        let taken = |max: Option<f64>| max.filter(|max| *max > NOISE);
         if let Some(max) = taken(slack.slack_max_m_per_s2) {
             row("slack (taken by limits)", "m/s²", slack.slack_rms_m_per_s2, Some(max));
         }
@@ -290,7 +291,8 @@ pub(crate) fn error_of_desired(joint: &JointMetrics) -> Option<f64> {
     joint.torque_error_of_desired.filter(|of_desired| !is_small(*of_desired))
 }
 
-/// Table of the torques of each joint of a run.
+/// Table of the torques of each joint of a run, with the columns that say something; without rows if the controller computes no
+/// torques.
 #[must_use]
 pub fn joint_table(summary: &Summary) -> Table {
     let mut table = Table::new(&[
@@ -303,7 +305,9 @@ pub fn joint_table(summary: &Summary) -> Table {
         ("saturated cycles", "%"),
     ]);
     let percent = |fraction: Option<f64>| Cell::from(fraction.map(|fraction| 100.0 * fraction));
-    for (name, joint) in &summary.joints {
+    let saturates = |joint: &JointMetrics| joint.torque_saturated_fraction.is_some_and(|share| share > 0.0);
+    let any_saturates = summary.joints.values().any(saturates);
+    for (name, joint) in summary.ordered_joints() {
         table.push(vec![
             name.as_str().into(),
             joint.torque_error_rms_nm.into(),
@@ -311,8 +315,12 @@ pub fn joint_table(summary: &Summary) -> Table {
             percent(error_of_desired(joint)),
             joint.torque_chatter_rms_nm.into(),
             joint.torque_chatter_hz.into(),
-            percent(joint.torque_saturated_fraction),
+            percent(joint.torque_saturated_fraction.filter(|_| any_saturates)),
         ]);
+    }
+    drop_empty_columns(&mut table);
+    if table.columns.len() == 1 {
+        table.rows.clear();
     }
     table
 }
@@ -342,9 +350,11 @@ fn drop_empty_columns(table: &mut Table) {
 
 #[cfg(test)]
 pub(crate) mod tests {
-    use super::{group, group_rows, table};
+    use super::{group, group_rows, joint_table, table, task_table};
     use crate::evaluate::summary::Summary;
+    use crate::evaluate::table::Table;
     use crate::metrics::columns::default_columns;
+    use crate::metrics::metric_tables::{JointMetrics, TaskMetrics};
     use crate::run::physics::OWN_PLANT;
     use serde_json::json;
 
@@ -377,6 +387,8 @@ pub(crate) mod tests {
             findings: Default::default(),
             tasks: Default::default(),
             joints: Default::default(),
+            task_order: Vec::new(),
+            joint_order: Vec::new(),
             missed_cycles: 0,
             stale_target_cycles: 0,
             resumed: 0,
@@ -385,6 +397,28 @@ pub(crate) mod tests {
         };
         summary.metrics.pose.position_rms_m = Some(position);
         summary
+    }
+
+    /// Checks the orders of rows against those of robot and priority, and that a run without torques has no table of them.
+    #[test]
+    fn rows_are_in_the_order_of_robot_and_priority() {
+        let mut run = summary("a", "p", 1, 0.1);
+        for name in ["elbow", "shoulder", "wrist"] {
+            let joint = JointMetrics { torque_saturated_fraction: Some(0.0), ..JointMetrics::default() };
+            run.joints.insert(name.to_owned(), joint);
+        }
+        run.joint_order = ["shoulder", "elbow", "wrist"].map(str::to_owned).into();
+        assert!(joint_table(&run).rows.is_empty(), "only torques that are never cut off");
+        run.joints.values_mut().for_each(|joint| joint.torque_error_rms_nm = Some(0.1));
+        let names = |table: Table| table.texts().into_iter().map(|row| row[0].clone()).collect::<Vec<_>>();
+        assert_eq!(names(joint_table(&run)), run.joint_order);
+        for name in ["hand", "elbow"] {
+            let mut task = TaskMetrics::default();
+            task.pose.position_rms_m = Some(0.1);
+            run.tasks.insert(name.to_owned(), task);
+        }
+        run.task_order = ["hand", "elbow"].map(str::to_owned).into();
+        assert_eq!(names(task_table(&run)), run.task_order);
     }
 
     #[test]

@@ -89,6 +89,12 @@ pub struct Summary {
     pub tasks: BTreeMap<String, TaskMetrics>,
     /// Metrics of the joints, by name.
     pub joints: BTreeMap<String, JointMetrics>,
+    /// Names of the tasks by priority at the start; empty in files of earlier versions.
+    #[serde(default)]
+    pub task_order: Vec<String>,
+    /// Names of the joints as in the robot; empty in files of earlier versions.
+    #[serde(default)]
+    pub joint_order: Vec<String>,
     /// Computing times of the run; they are not reproducible.
     pub timing: Timing,
 }
@@ -117,6 +123,16 @@ impl Replay {
 }
 
 impl Summary {
+    /// Tasks by priority, with their metrics.
+    pub fn ordered_tasks(&self) -> impl Iterator<Item = (&String, &TaskMetrics)> {
+        in_order(&self.tasks, &self.task_order)
+    }
+
+    /// Joints as in the robot, with their metrics.
+    pub fn ordered_joints(&self) -> impl Iterator<Item = (&String, &JointMetrics)> {
+        in_order(&self.joints, &self.joint_order)
+    }
+
     /// True if a fault stopped the run, an expectation was missed, or a finding makes it a failure.
     #[must_use]
     pub fn has_failed(&self) -> bool {
@@ -124,6 +140,16 @@ impl Summary {
             || !self.missed_expectations.is_empty()
             || self.findings.failures().next().is_some()
     }
+}
+
+/// Entries in an order of their names; those without a place come last.
+fn in_order<'a, T>(
+    entries: &'a BTreeMap<String, T>,
+    order: &[String],
+) -> impl Iterator<Item = (&'a String, &'a T)> {
+    let mut entries: Vec<_> = entries.iter().collect();
+    entries.sort_by_key(|(name, _)| order.iter().position(|other| other == *name).unwrap_or(order.len()));
+    entries.into_iter()
 }
 
 impl From<ReplayedCommands> for Replay {
@@ -192,6 +218,7 @@ impl Experiment {
         let Evaluated { evaluation, mut findings, interruptions, times } = evaluated;
         findings.extend(self.ignored_compliance());
         findings.extend(self.damped_by_servos());
+        findings.extend(self.deflected_springs(&evaluation.tasks, outcome));
         Summary {
             task: self.task().name(),
             robot: self.robot().name(),
@@ -224,6 +251,8 @@ impl Experiment {
             metrics: evaluation.metrics,
             tasks: evaluation.tasks,
             joints: evaluation.joints,
+            task_order: self.task().tasks_of_the_run().into_iter().map(|(name, _)| name.to_owned()).collect(),
+            joint_order: self.robot().model.joints().iter().map(|joint| joint.name.clone()).collect(),
             timing: times.timing(realtime_factor),
         }
     }

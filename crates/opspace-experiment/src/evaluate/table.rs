@@ -1,6 +1,6 @@
 //! Table of results as data; the terminal and the report render it differently.
 
-use crate::text::format_number;
+use crate::text::{NOISE, format_number};
 
 /// Table: column heads and rows.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -48,12 +48,13 @@ impl Table {
         Self { columns: columns.iter().map(column).collect(), ..Self::default() }
     }
 
-    /// Texts of all cells; the numbers of a column, or of a row, have the same number of decimals.
+    /// Texts of all cells; numbers below the noise of their unit are zero, and the numbers of a column, or of a row, have the same number of decimals.
     #[must_use]
     pub fn texts(&self) -> Vec<Vec<String>> {
-        let width = self.rows.iter().map(Vec::len).max().unwrap_or(0);
+        let rows: Vec<Vec<Cell>> = self.rows.iter().map(|row| self.without_noise(row)).collect();
+        let width = rows.iter().map(Vec::len).max().unwrap_or(0);
         let columns: Vec<Option<usize>> =
-            (0..width).map(|place| decimals(self.rows.iter().filter_map(|row| row.get(place)))).collect();
+            (0..width).map(|place| decimals(rows.iter().filter_map(|row| row.get(place)))).collect();
         let text = |cell: &Cell, decimals: Option<usize>| match (cell, decimals) {
             (Cell::Number(number), Some(decimals)) if number.is_finite() => {
                 format!("{:.decimals$}", number + 0.0)
@@ -65,7 +66,25 @@ impl Table {
             let decimals = |place: usize| if self.decimals_by_row { by_row } else { columns[place] };
             row.iter().enumerate().map(|(place, cell)| text(cell, decimals(place))).collect()
         };
-        self.rows.iter().map(texts).collect()
+        rows.iter().map(texts).collect()
+    }
+
+    /// Returns the cells of a row with zeros in place of noise.
+    fn without_noise(&self, row: &[Cell]) -> Vec<Cell> {
+        // A table of several quantities has their units in its last column.
+        let of_row = match row.last() {
+            Some(Cell::Text(unit)) if self.decimals_by_row => unit.as_str(),
+            _ => "",
+        };
+        let unit = |place: usize| {
+            let column = self.columns.get(place).map_or("", |column| column.unit.as_str());
+            if column.is_empty() { of_row } else { column }
+        };
+        let cell = |(place, cell): (usize, &Cell)| match cell {
+            Cell::Number(number) if number.abs() < noise(unit(place)) => Cell::Number(0.0),
+            other => other.clone(),
+        };
+        row.iter().enumerate().map(cell).collect()
     }
 
     /// Adds a row at the bottom.
@@ -150,11 +169,42 @@ impl<T: Into<Cell>> From<Option<T>> for Cell {
     }
 }
 
+/// Largest number that is only rounding, in a unit as printed.
+fn noise(unit: &str) -> f64 {
+    match unit {
+        "mm" | "mrad" => 1e3 * NOISE,
+        "%" => 1e2 * NOISE,
+        "µs" => 1e6 * NOISE,
+        // Links of a gram have such inertias.
+        "kg·m²" | "kg m²" => 1e-3 * NOISE,
+        _ => NOISE,
+    }
+}
+
 /// Factor from a unit to the one that is shown in a report, and its name: millimetres and milliradians.
 pub(crate) fn shown_unit(unit: &str) -> (f64, &str) {
     match unit {
         "m" => (1e3, "mm"),
         "rad" => (1e3, "mrad"),
         other => (1.0, other),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Cell, Table};
+
+    /// Checks numbers below and above the noise, whose unit is in the head of the column or at the end of the row.
+    #[test]
+    fn noise_is_zero() {
+        let mut table = Table::new(&[("joint", ""), ("torque", "N·m"), ("error", "mm")]);
+        table.push(vec!["a".into(), 1.7e-12.into(), 3e-14.into()]);
+        table.push(vec!["b".into(), 2.5.into(), 2e-6.into()]);
+        assert_eq!(table.texts(), [["a", "0.000", "0"], ["b", "2.500", "2.000e-6"]]);
+        let mut table = Table::new(&[("task", ""), ("rms", ""), ("unit", "")]);
+        table.decimals_by_row = true;
+        table.push(vec!["hand".into(), 5e-7.into(), "mm".into()]);
+        table.push(vec!["hand".into(), Cell::Number(5e-7), "N".into()]);
+        assert_eq!(table.texts(), [["hand", "0", "mm"], ["hand", "5.000e-7", "N"]]);
     }
 }

@@ -110,6 +110,14 @@ impl Margins {
     }
 }
 
+/// True if a value of the simulated robot that a [`Margins::finding`] may be about is not the nominal one.
+pub(super) fn is_varied(experiment: &Experiment) -> bool {
+    experiment.robot().file.simulated.as_ref().is_some_and(|simulated| {
+        let scale = &simulated.true_over_nominal;
+        [scale.kp, scale.kv, scale.inertia].iter().any(|factor| factor.get() != 1.0)
+    })
+}
+
 /// Computes the margins of an experiment with its transformer, and also without and with correction by current, if
 /// current is measured. The transformer in use is the first. Empty if commands pass without a transformer.
 #[must_use]

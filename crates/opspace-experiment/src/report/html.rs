@@ -45,10 +45,11 @@ impl Page {
         self.block(&format!("<p>{}</p>", escape(text)))
     }
 
-    /// Adds a highlighted warning, for example about a failed run or lost data.
+    /// Adds a highlighted warning, for example about a failed run or lost data; a text that begins with `Note: ` is a note.
     pub fn warning(self, text: &str) -> Self {
+        let (kind, text) = text.strip_prefix("Note: ").map_or(("Warning", text), |text| ("Note", text));
         self.block(&format!(
-            "<p class=\"warning\" role=\"note\"><strong>Warning.</strong> {}</p>",
+            "<p class=\"warning\" role=\"note\"><strong>{kind}.</strong> {}</p>",
             escape(text)
         ))
     }

@@ -2,7 +2,7 @@
 
 use crate::files::source::FileError;
 use crate::run::experiment::Experiment;
-use crate::text::format_short;
+use crate::text::{format_short, without_noise};
 use opspace_control::TaskParameters;
 use opspace_model::{Data, frame_placement, kinematics};
 
@@ -17,8 +17,9 @@ impl Experiment {
         kinematics(model, &mut data, &q, &vec![0.0; model.n()]);
         let units = model.joint_units().position;
         let joints = model.joints().iter().zip(&q).zip(&units);
-        let joints: Vec<String> =
-            joints.map(|((joint, q), unit)| format!("{} {} {unit}", joint.name, format_short(*q))).collect();
+        let joints: Vec<String> = joints
+            .map(|((joint, q), unit)| format!("{} {} {unit}", joint.name, format_short(without_noise(*q))))
+            .collect();
         let mut text = format!("starts at {}", joints.join(", "));
         let file = &self.task().file;
         let mut named: Vec<&str> = Vec::new();
@@ -28,7 +29,7 @@ impl Experiment {
             if !named.contains(&name) {
                 named.push(name);
                 let [x, y, z]: [f64; 3] = frame_placement(model, &data, frame).translation.into();
-                let [x, y, z] = [x, y, z].map(format_short);
+                let [x, y, z] = [x, y, z].map(|place_m| format_short(without_noise(place_m)));
                 text += &format!("; '{name}' is at ({x}, {y}, {z}) m");
             }
         }

@@ -1,0 +1,175 @@
+//! Result of a run in one or two lines of plain words, from its summary.
+
+use crate::evaluate::summary::Summary;
+use crate::metrics::metric_tables::{PoseErrors, TaskMetrics};
+use crate::text::{format_short, without_noise};
+
+/// Longest line, in characters.
+const WIDTH: usize = 100;
+
+/// Number of lines from which on words are left out.
+const LINES: usize = 2;
+
+/// States what became of a run, with the main numbers of its tasks: force, motion of an operator, error of motion, torques.
+#[must_use]
+pub fn headline(summary: &Summary) -> Vec<String> {
+    let mut parts = vec![end(summary)];
+    parts.extend(force(summary));
+    parts.extend(operator(summary).or_else(|| compliant_motion(summary)));
+    parts.extend(pose_error(summary).or_else(|| joint_error(summary)).or_else(|| element_error(summary)));
+    let torque_error = summary.metrics.torque_error_interval;
+    let torque_error = torque_error.map(|error| format!("torque error {} %", number(error, 1e2)));
+    let with = |more: &str| {
+        let last = torque_error.iter().map(|text| format!("{text}{more}"));
+        lines(&parts.iter().cloned().chain(last).collect::<Vec<_>>())
+    };
+    let full = with(" of the desired torque");
+    if full.len() > LINES { with("") } else { full }
+}
+
+/// States how the run ended; ends with the character that the numbers follow.
+fn end(summary: &Summary) -> String {
+    let planned = format!("{} s", format_short(summary.duration_s));
+    let after = |time_s: Option<f64>| format!("{} s of {planned}", format_short(time_s.unwrap_or(f64::NAN)));
+    if summary.faulted.is_some() {
+        format!("stopped after {}:", after(summary.fault_time_s))
+    } else if summary.interrupted {
+        format!("interrupted after {}:", after(summary.interrupted_time_s))
+    } else if summary.has_failed() {
+        format!("completed {planned}, but failed:")
+    } else {
+        format!("completed {planned}:")
+    }
+}
+
+/// Number in an SI unit as text in a unit `factor` times smaller, without noise.
+fn number(value: f64, factor: f64) -> String {
+    format_short(factor * without_noise(value))
+}
+
+fn mm(value_m: f64) -> String {
+    format!("{} mm", number(value_m, 1e3))
+}
+
+fn mrad(value_rad: f64) -> String {
+    format!("{} mrad", number(value_rad, 1e3))
+}
+
+fn newtons(value_n: f64) -> String {
+    format!("{} N", number(value_n, 1.0))
+}
+
+/// First task by priority with a value.
+fn first<T>(summary: &Summary, value: impl Fn(&TaskMetrics) -> Option<T>) -> Option<(&str, T)> {
+    summary.ordered_tasks().find_map(|(name, task)| Some((name.as_str(), value(task)?)))
+}
+
+fn force(summary: &Summary) -> Option<String> {
+    let (_, contact) = first(summary, |task| task.contact.force_rms_n.map(|_| task.contact))?;
+    let peak = contact.contact_peak_n.map(|peak| format!("peak {} at contact", newtons(peak)));
+    let share = contact.in_contact_fraction.filter(|share| *share < 0.999);
+    let share = share.map(|share| format!("in contact {:.0} % of the time", 1e2 * share));
+    let more: Vec<String> = peak.into_iter().chain(share).collect();
+    let more = if more.is_empty() { String::new() } else { format!(" ({})", more.join(", ")) };
+    Some(format!("force error {} rms{more}", newtons(contact.force_rms_n?)))
+}
+
+fn operator(summary: &Summary) -> Option<String> {
+    let metrics = &summary.metrics;
+    let (motion_m, force_n) = (metrics.hand_motion_rms_m?, metrics.hand_force_rms_n?);
+    Some(format!("the operator moves the arm by {} rms with {} rms", mm(motion_m), newtons(force_n)))
+}
+
+fn compliant_motion(summary: &Summary) -> Option<String> {
+    let (name, motion_m) = first(summary, |task| task.compliance.compliant_motion_rms_m)?;
+    Some(format!("{name} yields by {} rms", mm(motion_m)))
+}
+
+fn pose_error(summary: &Summary) -> Option<String> {
+    let (name, pose) = first(summary, |task| Some(task.pose).filter(|pose| *pose != PoseErrors::default()))?;
+    let of_unit = |unit: fn(f64) -> String, [rms, max, end]: [Option<f64>; 3]| {
+        let max = max.map(|max| format!("max {}", unit(max)));
+        let end = end.map(|end| format!("{} at the end", unit(end)));
+        let more: Vec<String> = max.into_iter().chain(end).collect();
+        rms.map(|rms| format!("{} rms of its reference ({})", unit(rms), more.join(", ")))
+    };
+    let position = of_unit(mm, [pose.position_rms_m, pose.position_max_m, pose.position_final_m]);
+    let orientation =
+        || of_unit(mrad, [pose.orientation_rms_rad, pose.orientation_max_rad, pose.orientation_final_rad]);
+    Some(format!("{name} within {}", position.or_else(orientation)?))
+}
+
+fn joint_error(summary: &Summary) -> Option<String> {
+    let (name, error) = first(summary, |task| task.joint_rms_rad)?;
+    Some(format!("{name} within {} rms of its reference", mrad(error)))
+}
+
+fn element_error(summary: &Summary) -> Option<String> {
+    let (_, element) = first(summary, |task| task.elements.first().cloned())?;
+    let (rms, max) = (number(element.rms, 1.0), number(element.max, 1.0));
+    Some(format!("{} within {rms} {} rms of its reference (max {max})", element.name, element.unit))
+}
+
+/// Joins parts with commas into lines; the first part ends with a colon of its own.
+fn lines(parts: &[String]) -> Vec<String> {
+    let [end, numbers @ ..] = parts else { return Vec::new() };
+    let Some(last) = numbers.len().checked_sub(1) else { return vec![end.trim_end_matches(':').to_owned()] };
+    let mut lines = vec![end.clone()];
+    for (place, part) in numbers.iter().enumerate() {
+        let part = format!("{part}{}", if place == last { "" } else { "," });
+        let line = lines.len() - 1;
+        let is_full = lines[line].chars().count() + 1 + part.chars().count() > WIDTH;
+        if place > 0 && is_full {
+            lines.push(format!("  {part}"));
+        } else {
+            lines[line] += &format!(" {part}");
+        }
+    }
+    lines
+}
+
+#[cfg(test)]
+mod tests {
+    use super::headline;
+    use crate::evaluate::results::tests::summary;
+    use crate::metrics::metric_tables::TaskMetrics;
+
+    fn task(fill: impl Fn(&mut TaskMetrics)) -> TaskMetrics {
+        let mut task = TaskMetrics::default();
+        fill(&mut task);
+        task
+    }
+
+    /// Checks the sentences of a motion, of a stop, of a force task and of an operator, and that noise is zero.
+    #[test]
+    fn result_is_a_sentence() {
+        let mut run = summary("a", "p", 1, 0.1);
+        assert_eq!(headline(&run), ["completed 1 s"]);
+        let hand = task(|task| {
+            (task.pose.position_rms_m, task.pose.position_max_m) = (Some(5.606e-3), Some(9.843e-3));
+            task.pose.position_final_m = Some(3e-17);
+        });
+        run.tasks.insert("hand".to_owned(), hand);
+        run.metrics.torque_error_interval = Some(0.02547);
+        let motion = [
+            "completed 1 s: hand within 5.61 mm rms of its reference (max 9.84 mm, 0 mm at the end),",
+            "  torque error 2.55 % of the desired torque",
+        ];
+        assert_eq!(headline(&run), motion);
+        let press = task(|task| {
+            (task.contact.force_rms_n, task.contact.contact_peak_n) = (Some(0.3784), Some(11.53));
+            task.contact.in_contact_fraction = Some(0.9);
+        });
+        run.tasks.insert("press".to_owned(), press);
+        let force =
+            "completed 1 s: force error 0.378 N rms (peak 11.5 N at contact, in contact 90 % of the time),";
+        assert_eq!(headline(&run)[0], force);
+        run.tasks.clear();
+        (run.metrics.hand_motion_rms_m, run.metrics.hand_force_rms_n) = (Some(0.0225), Some(1.57));
+        run.metrics.torque_error_interval = None;
+        let moved = "the operator moves the arm by 22.5 mm rms with 1.57 N rms";
+        assert_eq!(headline(&run), [format!("completed 1 s: {moved}")]);
+        (run.faulted, run.fault_time_s) = (Some("joint 'a': too fast".to_owned()), Some(0.25));
+        assert_eq!(headline(&run), [format!("stopped after 0.25 s of 1 s: {moved}")]);
+    }
+}

@@ -1,0 +1,86 @@
+//! Remedies of findings of a run: the key or the command to try.
+
+use crate::codes::Code;
+use crate::finding::Finding;
+
+/// Remedy of a finding of a run; empty for one that has its own.
+pub(crate) fn remedy(finding: &Finding) -> &'static str {
+    match finding.code {
+        Code::NeverTouched => {
+            "start closer to the surface or approach it for longer; `opspace check TASK` names a wrong sign of `force.target_n` and \
+             objects out of reach"
+        }
+        Code::ContactLost => {
+            "approach more slowly, or raise `force.damping_per_s`; a smaller `settle_s` shows the contact that there was"
+        }
+        Code::CyclesMissed | Code::ControlInterrupted => {
+            "`missed_cycles` in the log shows when (`opspace log export`); in simulation, `simulated.bus` of the robot loses them"
+        }
+        Code::JointsHeld => {
+            "release the brake, raise the gains, or compensate the friction: `opspace identify ROBOT` measures it for \
+             `friction_compensation.gain`"
+        }
+        Code::StaleTargets => "send targets more often, or raise `stale_after_s`",
+        Code::SetpointsClamped => {
+            "look for steps in the measured positions; without any, `opspace identify ROBOT` measures the gains of the servos"
+        }
+        Code::SetpointsLimited => {
+            "declare the limits of the drives in robot.toml, so that the loop keeps to them: `setpoint_limits` of the profile"
+        }
+        Code::GoalNotReached | Code::ReferenceLimited => of_causes(finding),
+        Code::EscapedSingularity => {
+            "unless this motion is acceptable, start elsewhere (`start_rad`): `opspace check TASK` counts singular postures"
+        }
+        Code::DampedDirection => {
+            "start elsewhere (`start_rad`), or make the axis `free`: `opspace check TASK` counts singular postures"
+        }
+        Code::CompliantAxesMoved => {
+            "hold the axis: `motion` in place of `compliant`, with an `impedance` if it shall yield"
+        }
+        Code::TorquesSaturated => {
+            "make the motion slower, the gains smaller or the load lighter; `torque_limit_nm` of the joint, if the robot has more"
+        }
+        Code::IgnoredCompliance => "`--controller osc` has it",
+        _ => "",
+    }
+}
+
+/// Remedy for the first cause that keeps a task from its reference.
+fn of_causes(finding: &Finding) -> &'static str {
+    let causes = &finding.causes;
+    if finding.number("torque_ramp_s").is_some() {
+        "let the reference rest during the ramp, or shorten `safety.torque_ramp_s`"
+    } else if causes.singular_along.is_some() {
+        "move the goal closer, free this axis, or start elsewhere: `opspace model ROBOT --at` finds `start_rad`"
+    } else if !causes.position_limits.is_empty() {
+        "move the goal, or start elsewhere: `opspace model ROBOT --at` finds `start_rad`"
+    } else if !causes.kept_distances.is_empty() {
+        "move the goal or the obstacle, or keep less distance: `collision.margin_m`"
+    } else if !causes.torque_limits.is_empty() {
+        "make the motion slower or the load lighter; `torque_limit_nm` of the joint, if the robot has more"
+    } else if !causes.speed_limits.is_empty() {
+        "make the motion longer or smaller, or raise `limits.velocity_fraction`: `opspace check TASK` states by how much"
+    } else {
+        "reorder `priority`, or make an axis of the task above `free`"
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::codes::{Code, Effect};
+    use crate::evaluate::findings::Findings;
+    use crate::finding::{Finding, Place};
+
+    /// Checks that each finding of a run names a key or a command.
+    #[test]
+    fn findings_name_a_key_or_a_command() {
+        let of_run = |code: &&Code| matches!(code.effect(), Effect::Noted | Effect::Failed);
+        // It computes its own from the spring.
+        for code in Code::ALL.iter().filter(of_run).filter(|code| **code != Code::SpringDeflected) {
+            let mut findings = Findings::default();
+            findings.extend([Finding::of(*code, Place::Run(()), String::new())]);
+            let help = &findings.of(*code).next().expect("the finding").help;
+            assert!(help.contains('`'), "{code}: {help}");
+        }
+    }
+}
