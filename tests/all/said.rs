@@ -132,6 +132,10 @@ cases! {
         "task.flange.cartesian.axes.z=\"compliant\"",
         "environment={ load = { mass = { frame = \"flange\", mass_kg = 2.0, put_on_s = 0.5 } } }",
     ],
+    SpringDeflected spring_deflected 0 "panda-impedance" [] [
+        "friction_compensation.gain=0.0",
+        "task.flange.cartesian.impedance.stiffness_n_per_m=60.0",
+    ],
     TorquesSaturated torques_saturated 0 "joint-tracking" ["--duration-s", "2", "--backend", "torque"]
         ["robot.joint.elbow.torque_limit_nm=1.0"],
     IgnoredCompliance ignored_compliance 0 "compliant-x" ["--duration-s", "2", "--controller", "ik"] [],
@@ -222,6 +226,8 @@ const IDENTITY: &[&str] = &[
     "metrics",
     "tasks",
     "joints",
+    "task_order",
+    "joint_order",
     "timing",
 ];
 
@@ -299,7 +305,7 @@ fn each_key_is_said_or_a_quantity() {
 fn the_choice_of_the_transformer_is_said() {
     let case = Case {
         task: "joint-tracking",
-        options: &["--duration-s", "1"],
+        options: &["--duration-s", "1", "-v"],
         settings: &["settle_s=0.2"],
         exit: 0,
     };
@@ -340,7 +346,7 @@ fn a_missed_expectation_is_said() {
 fn assumed_values_are_said() {
     let case = Case {
         task: "joint-tracking",
-        options: &["--duration-s", "1"],
+        options: &["--duration-s", "1", "-v"],
         settings: &["settle_s=0.2", "robot.assumed=[\"joint.elbow.torque_limit_nm\"]"],
         exit: 0,
     };
