@@ -411,6 +411,20 @@ impl IdentificationResults {
         table
     }
 
+    /// States in a line how many joints were identified.
+    #[must_use]
+    pub fn verdict(&self) -> String {
+        let refused = self.joints.iter().filter(|joint| joint.no_torque_mode.is_some()).count();
+        let is_doubtful =
+            |joint: &&JointIdentification| joint.no_torque_mode.is_none() && !joint.found.doubts.is_empty();
+        let doubtful = self.joints.iter().filter(is_doubtful).count();
+        let (all, known) = (self.joints.len(), self.joints.len() - refused);
+        format!(
+            "{known} of {all} joints identified: {} accepted, {doubtful} doubtful, {refused} refused",
+            known - doubtful
+        )
+    }
+
     /// All results in the format of `identification.json`.
     #[must_use]
     pub fn json(&self) -> impl Serialize + '_ {

@@ -49,7 +49,8 @@ pub fn identify(args: &IdentifyArgs, console: Console) -> Outcome {
         other => Failure::Other(other.to_string(), Exit::Failed),
     })?;
     let written = write_results(folder, &identified)?;
-    args.output.json.print(|| pretty(&identified.json()), || render(&identified.table()))?;
+    let text = || format!("{}\n{}", identified.verdict(), render(&identified.table()));
+    args.output.json.print(|| pretty(&identified.json()), text)?;
     for joint in &identified.joints {
         if let Some(reason) = &joint.no_torque_mode {
             console.note(&format!("{}: torque control refused: {reason}", joint.name));

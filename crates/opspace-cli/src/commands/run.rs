@@ -3,12 +3,14 @@
 use crate::cli::{BackendChoice, RunArgs};
 use crate::commands::check::large_log;
 use crate::commands::run_on_log::{run_on_log, say_fault, say_written};
-use crate::console::{Console, Exit, Failure, Outcome, render, report, results as table};
+use crate::console::{Console, Exit, Failure, Outcome, note, render, report, results as table};
 use crate::interrupt;
 use crate::output::pretty;
 use crate::plant::PlantChoice;
 use crate::result_folder::{MOVE_TO_START, prepare};
 use crate::run_progress::{exit_code, exit_code_of_robot, with_bar};
+use opspace_experiment::evaluate::headline::headline;
+use opspace_experiment::evaluate::notes::final_notes;
 use opspace_experiment::files::origin::Kind;
 use opspace_experiment::metrics::columns::default_columns;
 use opspace_experiment::preflight::{coupling_diagnostics, problems};
@@ -206,7 +208,13 @@ fn move_to_start(
 fn text(summary: &RunSummary, columns: &[Metric], console: Console) -> String {
     match summary.single() {
         Some(robot) => table(console, std::slice::from_ref(robot), columns),
-        None => render(&coupling_table(std::slice::from_ref(summary))),
+        None => {
+            let of_robot = |(name, robot): (&String, &Summary)| {
+                headline(robot).iter().map(|line| format!("{name}: {line}\n")).collect::<String>()
+            };
+            let ends: String = summary.robots.iter().map(of_robot).collect();
+            format!("{ends}\n{}", render(&coupling_table(std::slice::from_ref(summary))))
+        }
     }
 }
 
@@ -261,7 +269,9 @@ fn say_other_transformer(scenario: &Scenario, summary: &Summary, progress: &Prog
         Ok(None) => {}
         Ok(Some(other)) => console.note(&format!("NOTE {other}")),
         Err(error) => {
-            console.note(&format!("NOTE the torque error is large, but no other transformer suits: {error}"))
+            let check = format!("`opspace check {}` lists what its parts leave", scenario.source.name());
+            let text = "NOTE the torque error is large, but no other transformer suits";
+            console.note(&format!("{text}: {error}; {check}"));
         }
     }
 }
@@ -274,8 +284,12 @@ fn say_end_of_robots(summary: &RunSummary, folder: &Path, console: Console) {
     for failure in summary.failures() {
         console.note(&failure);
     }
-    for note in summary.notes() {
-        console.note(&format!("NOTE {note}"));
+    for (name, robot) in &summary.robots {
+        let findings = robot.findings.notes().map(note);
+        let finals = final_notes(robot).into_iter().map(|text| format!("NOTE {text}"));
+        for text in findings.chain(finals) {
+            console.note(text.trim_end().replacen("NOTE ", &format!("NOTE {name}: "), 1).as_str());
+        }
     }
     if summary.not_saved.is_empty() {
         console.note(&format!("wrote {}, and a folder for each robot", folder.join(REPORT).display()));

@@ -592,6 +592,13 @@ fn sample_page(samples: usize) -> Page {
 }
 
 #[test]
+fn note_is_not_called_a_warning() {
+    let html = Page::new("a run").warning("Note: 5 mm away.").warning("The log is damaged.").render();
+    let kinds = ["<strong>Note.</strong> 5 mm away.", "<strong>Warning.</strong> The log is damaged."];
+    assert!(kinds.iter().all(|kind| html.contains(kind)), "{html}");
+}
+
+#[test]
 fn page_is_self_contained() {
     let html = sample_page(40_000).render();
     let document = xml(&html);
