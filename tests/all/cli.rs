@@ -246,7 +246,9 @@ fn result_of_a_run_comes_first() {
         place("\n shoulder_pitch ") < place("\n shoulder_roll ")
             && place("\n shoulder_yaw ") < place("\n elbow ")
     );
-    assert!(said.lines().all(|line| line.chars().count() <= 100), "{said}");
+    // Notes are lines of their own, however long.
+    let mut tables = said.lines().filter(|line| !line.starts_with("NOTE "));
+    assert!(tables.all(|line| line.chars().count() <= 100), "{said}");
     let explained = run(&["-v"]);
     assert!(
         explained.contains("osc: operational-space control.") && !explained.contains("`-v`"),
@@ -279,7 +281,7 @@ fn run_lists_the_problems_of_check() {
             .iter()
             .map(|finding| finding["code"].as_str().unwrap().to_owned())
             .collect();
-        let run = ["run", &task, "--duration-s", "1.6", "--force", "--out", "out"];
+        let run = ["run", &task, "--force", "--out", "out"];
         let said = opspace(folder.path(), &[&run, &settings[..]].concat()).stderr;
         let code = |line: &str| Some(line.strip_prefix("note: [")?.split_once(']')?.0.to_owned());
         let mut listed: Vec<String> = said.lines().filter_map(code).collect();
@@ -421,7 +423,8 @@ fn suite_table_is_independent_of_job_count() {
     let longest = ran.stdout.lines().map(|line| line.chars().count()).max().unwrap();
     assert!(longest <= 100, "{longest} columns:\n{}", ran.stdout);
     let titles: Vec<&str> = ran.stdout.lines().filter(|line| line.ends_with("-x")).collect();
-    assert_eq!(titles, [" compliant-x"], "a task's rows stand together");
+    let blocks = ran.stdout.lines().filter(|line| line.starts_with("─")).count();
+    assert_eq!(titles, vec![" compliant-x"; blocks], "a task's rows stand together");
     let json = read_json(folder.path().join("rows.json"));
     assert_eq!(json["schema"], "opspace.bench/1");
     assert_eq!(json, read_json(folder.path().join("runs/bench-short/bench.json")));

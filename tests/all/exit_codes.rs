@@ -33,7 +33,7 @@ fn exits(task: &str, options: &[&str], code: i32) -> String {
 
 fn done() {
     let text = exits("compliant-x", &["--duration-s", "2", "--set", DROPOUT], 0);
-    assert!(text.starts_with("NOTE "), "{text}");
+    assert!(text.starts_with("completed 2 s: ") && text.contains("\nNOTE "), "{text}");
 }
 
 /// A dropout in a simulated bus after which the robot is held.

@@ -273,7 +273,7 @@ fn removed_entry_is_no_longer_assumed() {
     let text = read(&path);
     assert!(text.contains("\"joint.j0.rotor\", "), "{text}");
     fs::write(&path, text.replace("\"joint.j0.rotor\", ", "")).unwrap();
-    let checked = opspace(folder.path(), &["check", "mine"]).exits(0).stdout;
+    let checked = opspace(folder.path(), &["check", "mine", "-v"]).exits(0).stdout;
     assert!(!checked.contains("rotor of j0") && checked.contains("friction of j0"), "{checked}");
     fs::write(&path, text.replace("\"joint.j0.rotor\"", "\"joint.j0.rotr\"")).unwrap();
     opspace(folder.path(), &["check", "mine"]).exits(2).says(&[

@@ -66,7 +66,7 @@ struct Checked {
     is_task: bool,
     /// Values of a robot that its file does not state, and those that are assumed.
     values: String,
-    /// The same, with the number of those that are assumed.
+    /// Text of the values with the number of those that are assumed, in place of their list.
     short_values: String,
     /// Gain margin of a task whose torques pass through a transformer.
     margin: Option<GainMargin>,
