@@ -1,8 +1,9 @@
 //! Result of a run in one or two lines of plain words, from its summary.
 
 use crate::evaluate::summary::Summary;
-use crate::metrics::metric_tables::{PoseErrors, TaskMetrics};
+use crate::metrics::metric_tables::{PoseErrors, TaskMetrics, response_names};
 use crate::text::{format_short, without_noise};
+use opspace_control::AXIS_NAMES;
 
 /// Longest line, in characters.
 const WIDTH: usize = 100;
@@ -15,7 +16,7 @@ const LINES: usize = 2;
 pub fn headline(summary: &Summary) -> Vec<String> {
     let mut parts = vec![end(summary)];
     parts.extend(force(summary));
-    parts.extend(operator(summary).or_else(|| compliant_motion(summary)));
+    parts.extend(operator(summary).or_else(|| response(summary)).or_else(|| compliant_motion(summary)));
     parts.extend(pose_error(summary).or_else(|| joint_error(summary)).or_else(|| element_error(summary)));
     let torque_error = summary.metrics.torque_error_interval;
     let torque_error = torque_error.map(|error| format!("torque error {} %", number(error, 1e2)));
@@ -80,6 +81,20 @@ fn operator(summary: &Summary) -> Option<String> {
     Some(format!("the operator moves the arm by {} rms with {} rms", mm(motion_m), newtons(force_n)))
 }
 
+/// Deflection of the axis with a stiffness on which the largest force acts.
+fn response(summary: &Summary) -> Option<String> {
+    let (name, (axis, force_n, moved_m, stiffness)) = first(summary, |task| {
+        let of_axis = |axis: usize| {
+            let [force, moved, stiffness, ..] =
+                response_names(axis).map(|name| task.axes.get(&name).copied());
+            Some((axis, force?, moved?, stiffness?))
+        };
+        (0..3).filter_map(of_axis).max_by(|a, b| a.1.total_cmp(&b.1))
+    })?;
+    let (moved, axis, force) = (mm(moved_m), AXIS_NAMES[axis], newtons(force_n));
+    Some(format!("{name} yields by {moved} along {axis} under {force} ({} N/m)", number(stiffness, 1.0)))
+}
+
 fn compliant_motion(summary: &Summary) -> Option<String> {
     let (name, motion_m) = first(summary, |task| task.compliance.compliant_motion_rms_m)?;
     Some(format!("{name} yields by {} rms", mm(motion_m)))
@@ -132,7 +147,7 @@ fn lines(parts: &[String]) -> Vec<String> {
 mod tests {
     use super::headline;
     use crate::evaluate::results::tests::summary;
-    use crate::metrics::metric_tables::TaskMetrics;
+    use crate::metrics::metric_tables::{TaskMetrics, response_names};
 
     fn task(fill: impl Fn(&mut TaskMetrics)) -> TaskMetrics {
         let mut task = TaskMetrics::default();
@@ -164,6 +179,15 @@ mod tests {
         let force =
             "completed 1 s: force error 0.378 N rms (peak 11.5 N at contact, in contact 90 % of the time),";
         assert_eq!(headline(&run)[0], force);
+        run.tasks.clear();
+        let pushed = task(|task| {
+            for (name, value) in response_names(2).into_iter().zip([20.0, 0.0476, 417.26, 0.009, 0.001]) {
+                task.axes.insert(name, value);
+            }
+        });
+        run.tasks.insert("flange".to_owned(), pushed);
+        let yields = "flange yields by 47.6 mm along z under 20 N (417 N/m)";
+        assert!(headline(&run)[0].ends_with(yields), "{:?}", headline(&run));
         run.tasks.clear();
         (run.metrics.hand_motion_rms_m, run.metrics.hand_force_rms_n) = (Some(0.0225), Some(1.57));
         run.metrics.torque_error_interval = None;

@@ -14,7 +14,7 @@ const BACK_M: f64 = 0.1e-3;
 /// Describes for each task by how much external forces moved its frame; empty if none acted.
 #[must_use]
 pub fn response_sentences(summary: &Summary) -> Vec<String> {
-    summary.tasks.iter().filter_map(|(name, task)| sentences(name, task)).collect()
+    summary.ordered_tasks().filter_map(|(name, task)| sentences(name, task)).collect()
 }
 
 fn sentences(name: &str, task: &TaskMetrics) -> Option<String> {

@@ -94,7 +94,6 @@ impl TaskResponse<'_> {
             columns: Some(panels.len()),
             panels,
             overlays: true,
-            ..Figure::default()
         })
     }
 

@@ -1,5 +1,6 @@
 //! Section of a page about one run.
 
+use crate::evaluate::headline::headline;
 use crate::evaluate::notes::final_notes;
 use crate::evaluate::response_sentences::response_sentences;
 use crate::evaluate::summary::Summary;
@@ -22,7 +23,7 @@ pub struct RunSection {
     pub title: String,
     /// Title of a page about this run alone: a sentence.
     pub sentence: String,
-    /// What happened, in a few sentences; empty if no sentence suits the run.
+    /// What happened, in a few sentences.
     pub story: Vec<String>,
     /// Summary of the run.
     pub summary: Summary,
@@ -104,7 +105,7 @@ impl RunSection {
         Self {
             title: title(&summary),
             sentence: sentence(&summary),
-            story: response_sentences(&summary),
+            story: story(&summary),
             settle_s: experiment.task().file.settle_s.get(),
             order: tasks.chain(joints).collect(),
             operator_axes: operator_axes(experiment),
@@ -151,6 +152,16 @@ fn operator_axes(experiment: &Experiment) -> String {
     };
     operator
         .map_or_else(String::new, |spring| spring.report.iter().map(name).collect::<Vec<&str>>().join(", "))
+}
+
+/// What happened: the response to forces if there was one, otherwise the first lines of the terminal.
+fn story(summary: &Summary) -> Vec<String> {
+    let response = response_sentences(summary);
+    if !response.is_empty() {
+        return response;
+    }
+    let lines = headline(summary).join(" ").replace("  ", " ");
+    vec![format!("{}.", capitalised(&lines))]
 }
 
 fn sentence(summary: &Summary) -> String {
