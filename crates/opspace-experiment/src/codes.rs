@@ -101,6 +101,7 @@ codes! {
     WeightAboveLimit "weight-above-limit" Effect::Reported,
     WeightAboveRate "weight-above-rate" Effect::Reported,
     UnreachableSpeed "unreachable-speed" Effect::Reported,
+    WeakJoint "weak-joint" Effect::Reported,
     // Collisions and contact.
     StartInCollision "start-in-collision" Effect::Reported,
     ReferenceInCollision "reference-in-collision" Effect::Reported,

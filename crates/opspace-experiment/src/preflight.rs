@@ -50,6 +50,7 @@ mod surfaces;
 mod times;
 mod torque_floor;
 mod variation;
+mod weak_joints;
 
 use crate::extensions::Extensions;
 use crate::files::controller_kind::ControllerKind;
@@ -71,6 +72,7 @@ pub use servo_gain::{GainMargin, ServoLoop, gain_margin};
 pub use times::PathDuration;
 pub use torque_floor::{JointFloor, TORQUE_HZ, floors};
 pub use variation::Variation;
+pub use weak_joints::weak_joints;
 
 /// Computes all diagnostics that need no simulation; most tasks have none. [`GainMargin::finding`] gives the
 /// diagnostic about the gain margin.

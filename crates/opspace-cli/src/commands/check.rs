@@ -15,7 +15,7 @@ use opspace_experiment::files::robot::load_urdf;
 use opspace_experiment::preflight::{
     DetectableForce, GainMargin, GearResonance, PathDuration, Reserve, ReserveOf, ServoLoop,
     SingularPostures, collision_thresholds, coupling_diagnostics, detectable_forces, diagnostics_with,
-    gain_margin, gear_resonances, not_checked, path_durations, reserves, singular_postures,
+    gain_margin, gear_resonances, not_checked, path_durations, reserves, singular_postures, weak_joints,
 };
 use opspace_experiment::run::collision::KeptDistances;
 use opspace_experiment::transformers::check_robot;
@@ -342,7 +342,9 @@ fn check_one(
         let (values, short_values) = (values_text(&robot), short_values_text(&robot));
         robot.defaults().iter().for_each(|default| console.detail(&format!("  {default}")));
         let what = format!("a robot of {} joints", robot.model.n());
-        Ok(Checked { what, values, short_values, warnings, ..Checked::default() })
+        let place = |finding: Finding| Found { place: finding.placed_in(&robot.source), finding };
+        let found = weak_joints(&robot).into_iter().map(place).collect();
+        Ok(Checked { what, values, short_values, warnings, found, ..Checked::default() })
     };
     match Kind::of(source.text()) {
         Some(Kind::Suite) => {
@@ -406,6 +408,11 @@ fn known_values_text(robot: &RobotDefinition) -> String {
     let mount = robot.file.mount.as_ref();
     let mut text = mount.map_or_else(String::new, |mount| format!("  {}\n", mount.description()));
     text += &urdf_values_text(&robot.urdf_values);
+    for (link, file) in robot.absent_meshes() {
+        text += &format!(
+            "  mesh {file} of link '{link}' does not exist: the link has its capsules of robot.toml\n"
+        );
+    }
     text
 }
 

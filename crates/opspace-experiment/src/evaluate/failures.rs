@@ -19,22 +19,24 @@ const MIN_CHANGE: f64 = 0.01;
 /// Smallest ratio of the motion of a joint to that of its reference: below it the joint is held.
 const MIN_MOTION: f64 = 0.1;
 
-/// Describes the failures of a run. Joints of the tasks in `unreached` are not held by friction.
-pub(super) fn failures(evaluation: &Evaluation, held: &HeldJoints, unreached: &[Finding]) -> Vec<Finding> {
+/// Describes the failures of a run. Tasks in `untouched` were to press on something and never touched anything; joints of the tasks in
+/// `unreached` are not held by friction.
+pub(super) fn failures(
+    evaluation: &Evaluation,
+    untouched: Vec<String>,
+    held: &HeldJoints,
+    unreached: &[Finding],
+) -> Vec<Finding> {
     let mut failures = Vec::new();
+    for name in untouched {
+        let message = format!("task '{name}' never touched anything, although it controls a force");
+        failures.push(Finding::of(Code::NeverTouched, Place::Task(name), message));
+    }
     for (name, task) in &evaluation.tasks {
-        if task.contact.in_contact_fraction == Some(0.0) {
-            let (code, message) = match task.contact.contact_begin_s {
-                None => {
-                    let text = format!("task '{name}' never touched anything, although it controls a force");
-                    (Code::NeverTouched, text)
-                }
-                Some(_) => {
-                    let text = format!("task '{name}' lost contact before settle_s, and never touched again");
-                    (Code::ContactLost, text)
-                }
-            };
-            failures.push(Finding::of(code, Place::Task(name.clone()), message));
+        let contact = &task.contact;
+        if contact.in_contact_fraction == Some(0.0) && contact.contact_begin_s.is_some() {
+            let message = format!("task '{name}' lost contact before settle_s, and never touched again");
+            failures.push(Finding::of(Code::ContactLost, Place::Task(name.clone()), message));
         }
     }
     if let Some(missed) = evaluation.metrics.missed_fraction.filter(|missed| *missed > MAX_MISSED) {

@@ -162,6 +162,7 @@ impl<'a> Evaluator<'a> {
     /// Returns the metrics; none of them has a value if the log has no control cycle.
     pub(crate) fn finish(mut self) -> Evaluated {
         let mut evaluation = Evaluation::default();
+        let untouched = self.tasks.untouched();
         let drifts = self.tasks.drifts(self.experiment);
         if self.control.start_s.is_some() {
             let Evaluation { metrics, tasks, joints } = &mut evaluation;
@@ -181,7 +182,7 @@ impl<'a> Evaluator<'a> {
             metrics.added = added.collect();
         }
         let unreached = self.unreached.finish();
-        let failures = failures(&evaluation, &self.held_joints, &unreached);
+        let failures = failures(&evaluation, untouched, &self.held_joints, &unreached);
         // A task that rests while a slow reference moves is already listed as one that does not reach its goal.
         let is_listed = |limited: &Finding| {
             let covers = |goal: &Finding| {

@@ -171,6 +171,8 @@ pub(crate) struct RobotCapsules {
     pub(crate) generated: Vec<LinkCapsule>,
     /// Warnings about generated capsules that are in use.
     pub(crate) warnings: Vec<CapsuleWarning>,
+    /// Links with capsules of robot.toml and the meshes of these links that were not found.
+    pub(crate) absent_meshes: Vec<(String, String)>,
 }
 
 /// Generates the capsules of a URDF.
@@ -229,6 +231,13 @@ pub(crate) fn robot_capsules(
     let is_listed = |link: &str| file.capsule.iter().any(|capsule| capsule.link == link);
     let mut capsules: Vec<LinkCapsule> =
         generated.iter().filter(|capsule| !is_listed(&capsule.link)).cloned().collect();
+    let absent = warnings.iter().filter_map(|warning| match warning {
+        CapsuleWarning::MeshNotFound { link, file, .. } if is_listed(link) => {
+            Some((link.clone(), file.clone()))
+        }
+        _ => None,
+    });
+    let absent_meshes = absent.collect();
     warnings.retain(|warning| !is_listed(warning.link()));
     let mut counts: BTreeMap<&str, usize> = BTreeMap::new();
     for (number, capsule) in file.capsule.iter().enumerate() {
@@ -257,7 +266,7 @@ pub(crate) fn robot_capsules(
             FileError::at_key(source, key, error.to_string(), None)
         })?;
     }
-    let capsules = RobotCapsules { capsules, generated, warnings };
+    let capsules = RobotCapsules { capsules, generated, warnings, absent_meshes };
     geometry(source, model, file, &capsules.capsules)?;
     Ok(capsules)
 }

@@ -477,6 +477,17 @@ impl RobotDefinition {
         }
     }
 
+    /// Links with capsules of the robot file and those of their meshes that do not exist: they are not needed.
+    #[must_use]
+    pub fn absent_meshes(&self) -> &[(String, String)] {
+        self.capsules.as_ref().map_or(&[], |capsules| &capsules.absent_meshes)
+    }
+
+    /// True if the robot file states a value of a joint, for the joint itself or in a group or the defaults.
+    pub(crate) fn states(&self, joint: &str, key: &str) -> bool {
+        states(&self.source, joint, key)
+    }
+
     fn in_order<T: Clone>(&self, by_name: &BTreeMap<String, T>) -> Vec<T> {
         self.model.joints().iter().filter_map(|j| by_name.get(&j.name).cloned()).collect()
     }

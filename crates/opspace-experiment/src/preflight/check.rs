@@ -4,7 +4,7 @@ use super::case::PreflightCase;
 use super::{
     accelerations, admittance, approach, collisions, contact, freedom, goals, half_turns, ignored_compliance,
     jumps, limits, loads, objects, position_limits, ramp, reserves, sensor_loads, setpoint_filters, speeds,
-    stability, times, torque_floor,
+    stability, times, torque_floor, weak_joints,
 };
 use crate::codes::Code;
 use crate::extensions::Entry;
@@ -117,6 +117,12 @@ static BUILT_IN: &[Check] = &[
         "limits that contradict each other, the start posture or the arm's weight",
         Condition::Always,
         limits::of_start,
+    ),
+    Check::start(
+        "weak-joints",
+        "torque limits that do not fit friction, rotors or the arm's weight",
+        Condition::Always,
+        |case| weak_joints::weak_joints(case.experiment.robot()),
     ),
     Check::start(
         "objects",

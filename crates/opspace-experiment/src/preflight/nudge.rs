@@ -40,6 +40,10 @@ const ACCURATE_STEPS: f64 = 3.0;
 /// Largest number of steps in place of one. Faster vibrations are damped by the simulation: they are not what a nudge looks for.
 const MAX_STEPS: f64 = 20.0;
 
+/// Needed number of steps in place of one above which none are added: vibrations so fast are damped with any number that takes
+/// little time, and each step of such an arm takes long, too.
+const HOPELESS_STEPS: f64 = 200.0;
+
 /// Outcome of a nudge.
 pub(super) enum Nudge {
     DiesOut,
@@ -215,17 +219,20 @@ impl Motion {
     }
 }
 
-/// Simulated arm, at a physics rate at which its gears are accurate.
+/// Simulated arm, at a physics rate at which its gears are accurate, if that takes little time.
 fn simulated(config: &ArmConfig) -> Option<SimulatedArm> {
     let physics_hz = config.simulated.physics_hz.get();
-    let needed_hz = config.explicit_gear_hz().unwrap_or(0.0);
-    if needed_hz <= physics_hz {
-        return SimulatedArm::new(config.clone()).ok();
-    }
-    let steps = (ACCURATE_STEPS * needed_hz / physics_hz).ceil().min(MAX_STEPS);
+    let steps = steps_in_place_of_one(config.explicit_gear_hz().unwrap_or(0.0) / physics_hz);
     let mut faster = config.clone();
     faster.simulated.physics_hz = Positive::try_from(steps * physics_hz).ok()?;
     SimulatedArm::new(faster).ok()
+}
+
+/// Number of physics steps in place of one, if explicit steps of the gears need this multiple of the physics rate.
+fn steps_in_place_of_one(needed: f64) -> f64 {
+    let steps = (ACCURATE_STEPS * needed).ceil();
+    let is_hopeless = steps.is_nan() || steps > HOPELESS_STEPS;
+    if needed <= 1.0 || is_hopeless { 1.0 } else { steps.min(MAX_STEPS) }
 }
 
 /// Damping of the tasks' control law at the start, D = −∂τ/∂q̇, Nms/rad (n × n).
@@ -324,4 +331,26 @@ fn bare(experiment: &Experiment, transformer: &TransformerName) -> Option<Experi
     task.file.environment.clear();
     let options = RunOptions { transformer: Some(transformer.clone()), ..experiment.options().clone() };
     experiment.with_parts(robot, task, options).ok()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::steps_in_place_of_one;
+
+    /// Compared: the number of steps and its bounds. Gears that are too stiff by orders of magnitude are not simulated with more steps.
+    #[test]
+    fn number_of_steps_is_bounded() {
+        for (needed, steps) in [
+            (0.0, 1.0),
+            (1.0, 1.0),
+            (2.0, 6.0),
+            (6.5, 20.0),
+            (60.0, 20.0),
+            (70.0, 1.0),
+            (1e6, 1.0),
+            (f64::NAN, 1.0),
+        ] {
+            assert_eq!(steps_in_place_of_one(needed), steps, "{needed}");
+        }
+    }
 }

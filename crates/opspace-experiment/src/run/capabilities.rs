@@ -55,7 +55,7 @@ impl Experiment {
         self.compare_device_limits(&declared.joint_limits)
     }
 
-    /// Checks that no limit of robot.toml is above one that the device keeps by itself.
+    /// Checks that no limit of robot.toml or the URDF is above one that the device keeps by itself.
     fn compare_device_limits(&self, device: &[DeviceLimits]) -> Result<(), FileError> {
         let joints = self.robot().model.joints();
         if device.is_empty() {
@@ -104,24 +104,28 @@ impl Experiment {
                 // False for NaN.
                 let is_within = reported > 0.0 && stated <= reported * (1.0 + SAME_LIMIT);
                 if !is_within {
-                    return Err(self.above_device(what, name, &key, [stated, reported]));
+                    let own = self.statement(name, &key, stated);
+                    return Err(self.above_device(what, name, &key, &own, reported));
                 }
             }
         }
         Ok(())
     }
 
-    fn above_device(
-        &self,
-        what: &str,
-        joint: &str,
-        key: &[String],
-        [stated, reported]: [f64; 2],
-    ) -> FileError {
-        let own = if stated.is_finite() { stated.to_string() } else { "none".to_owned() };
-        let message = format!(
-            "{what} limit of joint '{joint}': robot.toml has {own}, the robot itself keeps to {reported}"
-        );
+    /// Words about the file that states a limit of a joint, and the limit: those of torque and speed may be from the URDF.
+    fn statement(&self, joint: &str, key: &[String], stated: f64) -> String {
+        let robot = self.robot();
+        let is_of_urdf = match key {
+            [table, _, limit] if table == "joint" => stated.is_finite() && !robot.states(joint, limit),
+            _ => false,
+        };
+        let file = if is_of_urdf { "the URDF" } else { "robot.toml" };
+        let stated = if stated.is_finite() { stated.to_string() } else { "none".to_owned() };
+        format!("{file} has {stated}")
+    }
+
+    fn above_device(&self, what: &str, joint: &str, key: &[String], own: &str, reported: f64) -> FileError {
+        let message = format!("{what} limit of joint '{joint}': {own}, the robot itself keeps to {reported}");
         let Some((name, table)) = key.split_last() else {
             return FileError::of_file(self.robot().source.name(), message, None);
         };

@@ -6,7 +6,8 @@ use opspace_experiment::run::replay::replay;
 use opspace_experiment::setup::own_body::OwnBody;
 use opspace_experiment::setup::posture_at::posture_at;
 use opspace_experiment::{
-    Code, Experiment, Extensions, FileError, Files, Finding, Progress, RunOptions, diagnostics,
+    Code, Experiment, Extensions, FileError, Files, Finding, Progress, RobotDefinition, RunOptions,
+    diagnostics,
 };
 use opspace_log::Recording;
 use opspace_model::collision::{CollisionData, collision_distances};
@@ -173,6 +174,17 @@ fn logs_do_not_need_meshes() {
     std::fs::remove_file(at("link.obj")).expect("removed");
     let again = Experiment::of_log(&log).expect("a complete log");
     assert_eq!(again.robot().capsules(), capsules);
+    // A link with capsules of its own does not need the mesh, which is named as missing.
+    let link =
+        urdf[..last].rsplit_once("<link name=\"").expect("a link").1.split('"').next().expect("a name");
+    let capsule = format!(
+        "\n[collision]\n[[collision.capsule]]\nlink = {link:?}\nstart_m = [0.0, 0.0, 0.0]\nend_m = [0.1, 0.0, 0.0]\nradius_m = 0.02\n"
+    );
+    std::fs::write(at("robot.toml"), read("robot.toml") + &capsule).expect("written");
+    let robot = RobotDefinition::load(Files::Disk, folder.path(), &[]).expect("a valid robot");
+    let missing =
+        robot.capsule_warnings().iter().filter(|warning| warning.code() == "mesh-not-found").count();
+    assert_eq!((missing, robot.absent_meshes()), (0, &[(link.to_owned(), "link.obj".to_owned())][..]));
     assert!(capsules.iter().any(|c| format!("{:?}", c.source) == "Mesh"), "{capsules:?}");
 }
 

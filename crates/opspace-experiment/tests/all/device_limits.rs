@@ -108,7 +108,7 @@ fn limits_above_those_of_the_device_are_refused() {
         (
             of(|limits| limits.velocity_rad_per_s = Some(0.5)),
             [
-                "the robot itself keeps to 0.5",
+                "speed limit of joint 'shoulder_pitch': the URDF has ",
                 "write velocity_limit_rad_per_s = 0.5 in [joint.shoulder_pitch]",
             ],
         ),

@@ -52,6 +52,7 @@ cases! {
     WeightAboveLimit limits::weight_above_limit,
     WeightAboveRate limits::weight_above_rate,
     UnreachableSpeed limits::unreachable_speed,
+    WeakJoint limits::weak_joint,
     StartInCollision contact::start_in_collision,
     ReferenceInCollision contact::reference_in_collision,
     StartInObject contact::start_in_object,

@@ -159,6 +159,29 @@ fn force_task_without_contact_is_a_failure() {
     }
 }
 
+/// A force task without contact is a failure too if none of its time is in the statistics; one with a target of zero is none.
+#[test]
+fn force_task_without_contact_is_a_failure_without_statistics() {
+    let far = "environment.board.wall.point_m=[0.9, 0.0, 0.0]";
+    let rest = "priority=[\"rest\"]";
+    let late =
+        |time_s: f64| format!("event=[{{ time_s = {time_s:?}, set = ['priority=[\"hand\", \"rest\"]'] }}]");
+    let (begins, too_late) = (late(2.5), late(3.5));
+    for (settings, fails) in [
+        (&[far, "duration_s=4.0", "settle_s=3.0", rest, &begins][..], true),
+        (&[far, "duration_s=4.0", "settle_s=3.0", rest, &too_late], false),
+        (&[far, "duration_s=3.0", "task.hand.cartesian.force.target_n.x=0.0"], false),
+    ] {
+        let (_, summary) = run(&experiment("press-wall", settings));
+        assert_eq!(
+            summary.findings.of(Code::NeverTouched).next().is_some(),
+            fails,
+            "{settings:?}: {:?}",
+            summary.findings
+        );
+    }
+}
+
 /// Compared: displacement and work over the compliant axis, and those of an operator whose force is in the log.
 #[test]
 fn compliant_task_has_displacement_and_work() {

@@ -10,9 +10,6 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use toml::Table;
 
-/// Robots of the repository.
-pub const ROBOTS: [&str; 4] = ["asimo-arm", "panda", "planar-2-link", "ur5e"];
-
 /// Settings for a run of a few cycles.
 pub const SHORT: [&str; 2] = ["duration_s=0.05", "settle_s=0"];
 
@@ -29,6 +26,8 @@ pub struct Inputs {
     pub tree: PathBuf,
     pub tasks: Vec<Seed>,
     pub experiments: Vec<Seed>,
+    /// Names of the folders of the robots, in the order of their files below.
+    pub names: Vec<String>,
     pub robots: Vec<Seed>,
     pub urdfs: Vec<Seed>,
     pub suites: Vec<Seed>,
@@ -101,11 +100,13 @@ impl Inputs {
         // Those with a thousand runs are read for a minute without optimisation.
         let mut suites = toml("tasks/suites")?;
         suites.retain(|suite| suite.text.len() < LONGEST_SUITE);
+        let names = robot_names(&tree.join("robots"))?;
         Ok(Self {
             tasks: [toml("tasks")?, toml("tasks/cookbook")?].concat(),
             experiments: toml("experiments")?,
-            robots: of_robots(&tree, |_| "robot.toml".to_owned())?,
-            urdfs: of_robots(&tree, |robot| format!("{robot}.urdf"))?,
+            robots: of_robots(&tree, &names, |_| "robot.toml".to_owned())?,
+            urdfs: of_robots(&tree, &names, |robot| format!("{robot}.urdf"))?,
+            names,
             suites,
             program,
             tree,
@@ -161,13 +162,27 @@ fn seeds(folder: &Path, ending: &str) -> Result<Vec<Seed>, String> {
     Ok(seeds)
 }
 
-fn of_robots(tree: &Path, name: impl Fn(&str) -> String) -> Result<Vec<Seed>, String> {
+/// Names of the folders of robots, in alphabetical order.
+fn robot_names(folder: &Path) -> Result<Vec<String>, String> {
+    let explain = |error: std::io::Error| format!("{}: {error}", folder.display());
+    let mut names = Vec::new();
+    for entry in fs::read_dir(folder).map_err(explain)? {
+        let entry = entry.map_err(explain)?;
+        if entry.path().join("robot.toml").is_file() {
+            names.push(entry.file_name().to_string_lossy().into_owned());
+        }
+    }
+    names.sort();
+    Ok(names)
+}
+
+fn of_robots(tree: &Path, names: &[String], name: impl Fn(&str) -> String) -> Result<Vec<Seed>, String> {
     let file = |robot: &str| {
         let path = tree.join("robots").join(robot).join(name(robot));
         let text = fs::read_to_string(&path).map_err(|error| format!("{}: {error}", path.display()))?;
         Ok(Seed { path, text })
     };
-    ROBOTS.iter().map(|robot| file(robot)).collect()
+    names.iter().map(|robot| file(robot)).collect()
 }
 
 /// Returns a TOML file after one to three changes of its keys and values, or of its text.

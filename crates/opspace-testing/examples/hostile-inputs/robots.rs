@@ -2,7 +2,7 @@
 //! because of its own file; a task may not suit it any more.
 
 use crate::Outcome;
-use crate::inputs::{Inputs, ROBOTS, Seed, changed_text, changed_toml, text, write};
+use crate::inputs::{Inputs, Seed, changed_text, changed_toml, text, write};
 use crate::library::read;
 use crate::program::tail;
 use crate::tasks::run_and_check;
@@ -15,13 +15,13 @@ const SHARE_OF_ACCEPTED: f64 = 0.8;
 const SHARE_OF_REFUSED: f64 = 0.15;
 
 pub fn robot(inputs: &Inputs, random: &mut Random, folder: &Path) -> Outcome {
-    let seed = random.below(ROBOTS.len());
+    let seed = random.below(inputs.names.len());
     let changed = changed_toml(&inputs.robots, seed, random);
     judge(inputs, seed, &changed, inputs.urdfs[seed].text.as_bytes(), random, folder)
 }
 
 pub fn urdf(inputs: &Inputs, random: &mut Random, folder: &Path) -> Outcome {
-    let seed = random.below(ROBOTS.len());
+    let seed = random.below(inputs.names.len());
     let changed = changed_text(&inputs.urdfs, seed, random);
     judge(inputs, seed, inputs.robots[seed].text.as_bytes(), &changed, random, folder)
 }
@@ -35,7 +35,7 @@ fn judge(
     folder: &Path,
 ) -> Outcome {
     let written = write(&folder.join("robot.toml"), robot)
-        .and_then(|()| write(&folder.join(format!("{}.urdf", ROBOTS[seed])), urdf));
+        .and_then(|()| write(&folder.join(format!("{}.urdf", inputs.names[seed])), urdf));
     written.and_then(|()| try_robot(inputs, seed, random, folder)).unwrap_or_else(Outcome::Failed)
 }
 
@@ -44,7 +44,7 @@ fn try_robot(inputs: &Inputs, seed: usize, random: &mut Random, folder: &Path) -
     if !random.is(if is_accepted { SHARE_OF_ACCEPTED } else { SHARE_OF_REFUSED }) {
         return Ok(if is_accepted { Outcome::Accepted } else { Outcome::Refused });
     }
-    let name = format!("robots/{}\"", ROBOTS[seed]);
+    let name = format!("robots/{}\"", inputs.names[seed]);
     let tasks: Vec<&Seed> = inputs.tasks.iter().filter(|task| task.text.contains(&name)).collect();
     let task = text(&tasks[random.below(tasks.len())].path);
     let robot = text(folder);

@@ -1,11 +1,13 @@
 //! Axes of a Cartesian task at each moment of a run: events and streamed modes change them.
 
 use super::run_log::Run;
+use super::tasks::CONTACT_N;
 use crate::run::experiment::Experiment;
 use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
 use opspace_backend::signal_names::{self, AXES, MODES, TASK_SET};
 use opspace_control::{
-    AxesFrame, AxisMode, CartesianParameters, CartesianReference, ControlledFrame, TaskParameters,
+    AxesFrame, AxisMode, CartesianParameters, CartesianReference, ControlledFrame, ForceProfiles,
+    TaskParameters,
 };
 use opspace_model::{Model, Placement};
 
@@ -19,6 +21,8 @@ pub(crate) struct TaskAxes {
     pub(crate) force: [bool; 3],
     /// Target force, N; `None` for a streamed task, which gets its target from outside.
     pub(crate) target: Option<Vector3<f64>>,
+    /// True if the target is not zero, or unknown: the task is to touch something.
+    pub(crate) presses: bool,
 }
 
 impl TaskAxes {
@@ -28,6 +32,9 @@ impl TaskAxes {
             [x, y, z]
         };
         let is_streamed = matches!(task.reference, CartesianReference::Streamed(_));
+        let target = task.target_force().fixed_rows::<3>(0).into_owned();
+        let follows_profile =
+            task.force.as_ref().is_some_and(|force| force.profile_n != ForceProfiles::default());
         Some(Self {
             directions: task.axes_frame.resolve(model, controlled).ok()?,
             motion: task.motion_axes(),
@@ -37,7 +44,8 @@ impl TaskAxes {
                 [rx, ry, rz]
             },
             force: translation(AxisMode::Force),
-            target: (!is_streamed).then(|| task.target_force().fixed_rows::<3>(0).into_owned()),
+            target: (!is_streamed).then_some(target),
+            presses: is_streamed || follows_profile || target.amax() > CONTACT_N,
         })
     }
 

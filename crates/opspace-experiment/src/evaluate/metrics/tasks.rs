@@ -21,7 +21,10 @@ use opspace_model::FrameId;
 use std::collections::{BTreeMap, VecDeque};
 
 /// Smallest true contact force that counts as contact, N.
-const CONTACT_N: f64 = 0.1;
+pub(super) const CONTACT_N: f64 = 0.1;
+
+/// Time for which a task controls a force before it counts as one that never touched, s, if none of it is in the statistics.
+const LONG_ENOUGH_S: f64 = 1.0;
 
 /// Largest speed of a reference that rests, m/s.
 const RESTING_M_PER_S: f64 = 1e-3;
@@ -97,6 +100,17 @@ impl Tasks {
                 None => {}
             }
         }
+    }
+
+    /// Names of the tasks that are to press on something and never touched anything.
+    pub(super) fn untouched(&self) -> Vec<String> {
+        let is_untouched = |task: &&TaskOfRun| match &task.errors {
+            Some(Errors::Cartesian(errors)) => {
+                errors.contact.as_ref().is_some_and(ContactForce::never_touched)
+            }
+            _ => false,
+        };
+        self.tasks.iter().filter(is_untouched).map(|task| task.name.clone()).collect()
     }
 
     /// Returns the drifts of compliant axes in a run; the tasks have none then.
@@ -290,6 +304,8 @@ impl CartesianErrors {
                     }
                     let since_start_s = run.joints.0[k] - run.start_s;
                     let since_s = *contact.controlled_since_s.get_or_insert(since_start_s);
+                    contact.presses |= axes.presses;
+                    contact.controlled_s = contact.controlled_s.max(since_start_s - since_s);
                     let is_counted = is_counted && since_start_s >= since_s + settle_s;
                     contact.add(&force, &axes.force, target, since_start_s, is_counted, is_resting);
                     contact.reduced_s = passivity
@@ -360,6 +376,10 @@ struct ContactForce {
     moving_n: RmsMax,
     touching: Mean,
     begin_s: Option<f64>,
+    /// True if the task was to press on something at some time.
+    presses: bool,
+    /// Longest time for which the task has controlled a force, s.
+    controlled_s: f64,
     /// Time since which the task has controlled a force, s; `None` while it does not.
     controlled_since_s: Option<f64>,
     /// Time since which the error has been small, s.
@@ -422,6 +442,12 @@ impl ContactForce {
             }
             self.touching.add(f64::from(u8::from(touches)));
         }
+    }
+
+    /// True if the task was to press on something and never touched anything, in the statistics or for long enough.
+    fn never_touched(&self) -> bool {
+        let is_long = self.touching.get().is_some() || self.controlled_s >= LONG_ENOUGH_S;
+        self.presses && self.begin_s.is_none() && is_long
     }
 
     /// Adds whether the task has contact according to its sensor.

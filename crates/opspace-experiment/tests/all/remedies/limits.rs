@@ -1,7 +1,8 @@
 //! Remedies for limits that contradict each other, the start, the references or the weight.
 
 use super::case::{HAND, JOINTS, TIP, TaskCase, number_after, number_before};
-use opspace_experiment::Code;
+use opspace_experiment::preflight::weak_joints;
+use opspace_experiment::{Code, Files, RobotDefinition};
 
 pub fn fraction_above_one(code: Code) {
     for key in ["velocity_fraction", "torque_fraction"] {
@@ -108,4 +109,60 @@ pub fn unreachable_speed(code: Code) {
     };
     let least = number_after(&limit(10.0).only(code).help, "at least ");
     limit(10.0).is_helped(code, &[limit(least)]);
+}
+
+pub fn weak_joint(code: Code) {
+    let shoulder = |values: &str| {
+        let settings = values.split(' ').map(|value| format!("robot.joint.shoulder.{value}"));
+        settings.fold(TaskCase::of(TIP), |case, setting| case.set(setting))
+    };
+    let right = TaskCase::of(TIP);
+    let advice = code.page().split_once("**What to do.**").unwrap().1;
+    for (wrong, words, remedy) in [
+        ("torque_limit_nm=0.06", "Coulomb friction", "check `torque_limit_nm` and `friction.coulomb_nm`"),
+        ("rotor.inertia_kg_m2=0.3", "to bring its rotor alone", "check `rotor.inertia_kg_m2`"),
+        (
+            "torque_limit_nm=0.06 friction.coulomb_nm=0.0 friction.static_nm=0.0 rotor.inertia_kg_m2=1e-8",
+            "of the arm's weight",
+            "check `torque_limit_nm`",
+        ),
+    ] {
+        let weak = shoulder(wrong);
+        let finding = weak.only(code);
+        assert!(
+            finding.message.contains(words) && finding.help.starts_with(remedy),
+            "{finding}: {}",
+            finding.help
+        );
+        weak.is_helped(code, std::slice::from_ref(&right));
+    }
+    assert!(advice.contains("the inertia of the rotor is that of the motor"));
+}
+
+/// No robot of the repository and no template is called weak, with a margin of five: with a fifth of its torque limits.
+#[test]
+fn no_robot_of_the_repository_has_a_weak_joint() {
+    let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
+    let mut count = 0;
+    for folder in ["robots", "crates/opspace-experiment/embedded/robots"] {
+        for entry in std::fs::read_dir(root.join(folder)).unwrap() {
+            let path = entry.unwrap().path();
+            if !path.join("robot.toml").exists() {
+                continue;
+            }
+            let robot = RobotDefinition::load(Files::Disk, &path, &[]).unwrap();
+            let joints = robot.model.joints().iter().zip(robot.torque_limits());
+            let fifth: Vec<String> = joints
+                .map(|(joint, nm)| format!("robot.joint.{}.torque_limit_nm={:?}", joint.name, nm / 5.0))
+                .collect();
+            let weaker = RobotDefinition::load(Files::Disk, &path, &fifth).unwrap();
+            assert_eq!(weak_joints(&weaker), [], "{}", path.display());
+            let thousandth: Vec<String> = fifth.iter().map(|setting| format!("{setting}e-3")).collect();
+            assert!(
+                !weak_joints(&RobotDefinition::load(Files::Disk, &path, &thousandth).unwrap()).is_empty()
+            );
+            count += 1;
+        }
+    }
+    assert!(count >= 4, "{count}");
 }
