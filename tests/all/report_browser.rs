@@ -42,9 +42,16 @@ addEventListener("load", async () => {
       texts: svg ? [...svg.querySelectorAll("text")].map(t => t.textContent.trim()) : [],
     };
   });
+  const clipped = [...document.querySelectorAll("figure:not(.views) svg")].flatMap(svg => {
+    const box = svg.getBoundingClientRect();
+    return [...svg.querySelectorAll("text")].filter(text => {
+      const own = text.getBoundingClientRect();
+      return own.left < box.left - 1 || own.right > box.right + 1 || own.top < box.top - 1 || own.bottom > box.bottom + 1;
+    }).map(text => text.textContent.trim());
+  });
   const probe = document.createElement("pre");
   probe.id = "probe";
-  probe.textContent = JSON.stringify({ errors, figures, files, rows: document.querySelectorAll("table tr").length,
+  probe.textContent = JSON.stringify({ errors, figures, files, clipped, rows: document.querySelectorAll("table tr").length,
     outside: document.documentElement.scrollWidth - document.documentElement.clientWidth });
   document.body.append(probe);
 });
@@ -152,7 +159,45 @@ fn suite_report_is_drawn() {
     opspace(folder.path(), &["bench", "short.toml", "--out", "out"]).exits(0);
     let probe = probed(browser, &folder.path().join("out/report.html"));
     let captions = captions(&probe);
-    for figure in ["Tracking", "Hand force", "Hand motion", "torque", "Joint positions"] {
+    for figure in ["Position error rms", "Operator force rms", "Hand motion rms", "torque", "Joint positions"]
+    {
         assert!(captions.iter().any(|caption| caption.contains(figure)), "{figure}: {captions:?}");
     }
+}
+
+/// Checks the figures of a sweep of two settings: one per listed column and no other, a panel for each value of the second
+/// setting, ticks at the values of the first, and titles of axes that are not cut off.
+#[test]
+#[ignore = "needs a browser: .ci/run browser"]
+fn sweep_is_drawn() {
+    let browser = browser();
+    let folder = scratch();
+    let run = |controller: &str| {
+        format!(
+            "[[run]]\ntasks = [\"{}/press-table.toml\"]\nbackend = \"position\"\ncontroller = \"{controller}\"\n\
+             seeds = [1, 2]\noverride = [\"duration_s=5.0\"]\n",
+            project("tasks")
+        )
+    };
+    let suite = format!(
+        "title = \"Two settings\"\ncolumns = [\"force-hold\", \"contact-peak\"]\n[grid]\n\
+         \"environment.board.wall.stiffness_n_per_m\" = [1000.0, 10000.0, 50000.0]\n\
+         \"robot.simulated.true_over_nominal.kp\" = [0.9, 1.1]\n{}{}",
+        run("osc"),
+        run("ik-lead")
+    );
+    fs::write(folder.path().join("short.toml"), suite).unwrap();
+    opspace(folder.path(), &["bench", "short.toml", "--out", "out"]).exits(0);
+    let probe = probed(browser, &folder.path().join("out/report.html"));
+    let captions = captions(&probe);
+    let swept: Vec<&String> = captions.iter().filter(|caption| caption.contains(" over stiffness")).collect();
+    assert_eq!(swept.len(), 2, "{captions:?}");
+    assert!(captions[0].contains("Force error rms at rest") && captions[1].contains("Contact peak"));
+    let texts = texts(&probe, "at rest over stiffness");
+    for text in
+        ["kp 0.9", "kp 1.1", "1000", "10000", "50000", "stiffness (N/m)", "force error (N)", "ik-lead"]
+    {
+        assert!(texts.contains(&text), "{text}: {texts:?}");
+    }
+    assert_eq!(probe["clipped"], serde_json::json!([]), "titles of axes that are cut off");
 }

@@ -8,6 +8,7 @@ use opspace_experiment::evaluate::headline::headline;
 use opspace_experiment::evaluate::notes::{
     allowed_notes, assumed_counts, assumed_notes, final_notes, joint_notes, notes, replay_notes, task_notes,
 };
+use opspace_experiment::evaluate::position_control::position_control_notes;
 use opspace_experiment::evaluate::results::{failures, joint_table, table, task_table};
 use opspace_experiment::evaluate::run_table::{run_table, run_title};
 use opspace_experiment::evaluate::table::{Cell, Table};
@@ -185,6 +186,7 @@ pub fn results(console: Console, summaries: &[Summary], metrics: &[Metric]) -> S
     }
     let mut text: String = failures(summaries).iter().map(|failure| format!("FAILED {failure}\n")).collect();
     text += &premises(console, summaries);
+    position_control_notes(summaries).iter().for_each(|note| text += &format!("NOTE {note}\n"));
     text += &render(&table(summaries, metrics));
     replay_notes(summaries).iter().for_each(|note| text += &format!("\n{}\n", wrap(note, shown_width())));
     with_notes(console, text, &notes(summaries, metrics))

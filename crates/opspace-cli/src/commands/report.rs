@@ -4,8 +4,9 @@ use crate::cli::ReportArgs;
 use crate::console::{Console, Exit, Failure, Outcome};
 use crate::output::{Format, log_path, logs_of_experiment, open_log, pretty, write_named};
 use crate::outputs::check_outputs;
+use opspace_experiment::evaluate::position_control::position_control_notes;
 use opspace_experiment::metrics::columns::default_columns;
-use opspace_experiment::report::document::{RunSection, page};
+use opspace_experiment::report::document::{RunSection, page, title_of_runs};
 use opspace_experiment::run::membership::Membership;
 use opspace_experiment::run::result_files::REPORT;
 use opspace_experiment::{Experiment, Extensions, RunError, Scenario, Summary};
@@ -54,7 +55,7 @@ pub fn report(args: &ReportArgs, extensions: &Extensions, console: Console) -> O
     }
     let Report { page, json } = match folder {
         Some(folder) => of_experiment(folder, logs, extensions)?,
-        None => of_single_robots(&logs, extensions)?,
+        None => of_single_robots(&logs, extensions, console)?,
     };
     write_named(&out, &page, Format::Html)?;
     args.json.print(|| json, || format!("{}\n", out.display()))?;
@@ -71,7 +72,11 @@ fn summary(experiment: &Experiment, log: &LogFile) -> Result<Summary, RunError> 
 }
 
 /// Report about runs of one robot each.
-fn of_single_robots(logs: &[(PathBuf, LogFile)], extensions: &Extensions) -> Result<Report, Failure> {
+fn of_single_robots(
+    logs: &[(PathBuf, LogFile)],
+    extensions: &Extensions,
+    console: Console,
+) -> Result<Report, Failure> {
     let shown = logs.iter().map(|(path, log)| {
         let section = || {
             let experiment = Experiment::of_log_with(extensions, log.recording())?;
@@ -81,10 +86,8 @@ fn of_single_robots(logs: &[(PathBuf, LogFile)], extensions: &Extensions) -> Res
     });
     let shown = shown.collect::<Result<Vec<_>, _>>()?;
     let summaries: Vec<_> = shown.iter().map(|s| s.summary.clone()).collect();
-    let title = match shown.as_slice() {
-        [one] => one.title.clone(),
-        many => format!("{} runs", many.len()),
-    };
+    position_control_notes(&summaries).iter().for_each(|note| console.note(&format!("NOTE {note}")));
+    let title = title_of_runs(&shown);
     let lead = "Desired and actual behaviour of the robot, from its log.";
     Ok(Report {
         page: page(&title, lead, &summaries, &default_columns(extensions.added()), &shown),

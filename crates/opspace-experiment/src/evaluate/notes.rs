@@ -37,8 +37,9 @@ const OF_TIMES: &str =
     "Cycle time (median) and times real time: of the whole run, measured on the computer on which it ran.";
 
 /// Note under tables of runs that differ in the seed.
-const OF_SEEDS: &str = "Rows are medians over the seeds; the rows below have the interval that contains the median of all seeds with a \
-                        probability of 95 % (order statistics), with fewer than six runs the lowest and the highest value.";
+const OF_SEEDS: &str = "Rows are medians over the seeds. After ± is the distance to the farther end of the interval that contains the median \
+                        of all seeds with a probability of 95 % (order statistics), with fewer than six runs of the lowest and the \
+                        highest value.";
 
 /// Notes above tables of results: values of each robot that are assumed, and on which its results rest.
 #[must_use]

@@ -1,5 +1,6 @@
 //! Comparison of summaries: the table that all commands print.
 
+use crate::evaluate::grid_keys::{GridKey, own_label};
 use crate::evaluate::spread::Spread;
 use crate::evaluate::summary::Summary;
 use crate::evaluate::table::{Cell, Table, shown_unit};
@@ -24,6 +25,11 @@ pub struct Group<'a> {
 }
 
 impl<'a> Group<'a> {
+    /// Creates the group of a single run.
+    pub(crate) fn of(run: &'a Summary) -> Self {
+        Self { runs: vec![run] }
+    }
+
     /// Returns the first run of the group; the others differ from it only in the seed and in the results.
     #[must_use]
     pub fn first(&self) -> &'a Summary {
@@ -33,6 +39,11 @@ impl<'a> Group<'a> {
     /// Median of a number over the runs that have it, with its interval.
     pub fn spread(&self, number: impl Fn(&Summary) -> Option<f64>) -> Option<Spread> {
         Spread::of(self.runs.iter().filter_map(|run| number(run)))
+    }
+
+    /// Median of a metric with its interval, in the unit of its column.
+    pub(crate) fn of_column(&self, metric: &Metric, column: &Column) -> Option<Spread> {
+        self.spread(|run| Some(column.factor * value(run, metric)?))
     }
 
     /// Spread of each metric that a run of the group has, by its key in a summary.
@@ -110,40 +121,38 @@ fn same(a: &Summary, b: &Summary) -> bool {
         && a.label == b.label
 }
 
-/// The table of results: one row per group with medians, below it the ends of their intervals, the name of each task on a
-/// line above its rows, and one column for each of these metrics that has one.
+/// The table of results: one row per group with medians and their intervals, the name of each task on a line above its rows,
+/// one column for each setting of a grid, and one for each of these metrics that has one.
 #[must_use]
 pub fn table(summaries: &[Summary], metrics: &[Metric]) -> Table {
     let columns: Vec<(&Metric, Column)> =
         metrics.iter().filter_map(|metric| Some((metric, metric.column?))).collect();
-    let mut heads = vec![("robot, control", ""), ("profile", ""), ("runs", "")];
+    let groups = group(summaries);
+    let firsts: Vec<&Summary> = groups.iter().map(Group::first).collect();
+    let swept = GridKey::of(firsts.iter().copied());
+    let settings: Vec<Vec<Cell>> = swept.iter().map(|key| key.cells(&firsts)).collect();
+    let mut heads = vec![("robot, control", ""), ("profile", "")];
+    heads.extend(swept.iter().map(|key| (key.name.as_str(), key.unit)));
+    heads.push(("runs", ""));
     heads.extend(columns.iter().map(|(_, column)| (column.title, column.unit)));
     heads.push(("stopped", ""));
     let mut table = Table::new(&heads);
     let mut task = None;
-    for group in group(summaries) {
+    for (place, group) in groups.iter().enumerate() {
         let first = group.first();
         if task.replace((&first.task, &first.robot)) != Some((&first.task, &first.robot)) {
             // Missing cells at the end of a row stay blank.
             table.push(vec![first.task.clone().into()]);
         }
         let runs = group.runs.len();
-        let mut row: Vec<Cell> = vec![
-            format!("  {} {}", first.backend, control(first)).into(),
-            profile(first).into(),
-            if summaries.len() > 1 { (runs as u64).into() } else { Cell::Empty },
-        ];
-        row.extend(columns.iter().map(|column| median(&group, *column)));
-        row.push(stopped(&group));
+        let own = Summary { label: own_label(first), ..first.clone() };
+        let mut row: Vec<Cell> =
+            vec![format!("  {} {}", first.backend, control(&own)).into(), profile(first).into()];
+        row.extend(settings.iter().map(|cells| cells[place].clone()));
+        row.push(if summaries.len() > 1 { (runs as u64).into() } else { Cell::Empty });
+        row.extend(columns.iter().map(|column| median(group, *column)));
+        row.push(stopped(group));
         table.push(row);
-        let ends = [("    from", Spread::low as fn(&Spread) -> f64), ("    to", Spread::high)];
-        for (name, of) in ends {
-            let ends: Vec<Cell> = columns.iter().map(|column| end(&group, *column, of)).collect();
-            // Runs without any random influence have no spread.
-            if ends.iter().any(|cell| *cell != "".into()) {
-                table.push([name.into(), "".into(), "".into()].into_iter().chain(ends).collect());
-            }
-        }
     }
     drop_empty_columns(&mut table);
     table
@@ -197,16 +206,16 @@ pub(crate) fn is_possible(needs: Needs, experiment: &Experiment) -> bool {
     }
 }
 
-/// Median of a metric over runs, in the unit of its column.
+/// Median of a metric over runs with its interval, in the unit of its column; computing times have none.
 fn median(group: &Group<'_>, (metric, column): (&Metric, Column)) -> Cell {
-    Cell::from(group.spread(|run| value(run, metric)).map(|spread| column.factor * spread.median))
-}
-
-/// End of the interval of that median; blank where the interval has no width, and for computing times.
-fn end(group: &Group<'_>, (metric, column): (&Metric, Column), end: fn(&Spread) -> f64) -> Cell {
     let is_reproducible = group.first().timing.value(metric.key).is_none();
-    let spread = group.spread(|run| value(run, metric)).filter(|s| is_reproducible && s.high > s.low);
-    spread.map_or("".into(), |spread| (column.factor * end(&spread)).into())
+    let Some(spread) = group.spread(|run| value(run, metric)) else { return Cell::Empty };
+    let [median, low, high] = [spread.median, spread.low, spread.high].map(|value| column.factor * value);
+    if is_reproducible && spread.high > spread.low {
+        Cell::Spread { median, low, high }
+    } else {
+        median.into()
+    }
 }
 
 /// Failures and missed expectations of runs, each with its run, the first ten.
@@ -466,16 +475,34 @@ pub(crate) mod tests {
         assert!(!titles.contains(&"operator force rms".to_owned()));
     }
 
+    /// Compared: the columns of a grid, and names, units and values by hand. Its values are not in the names of the rows.
+    #[test]
+    fn settings_of_a_grid_have_columns() {
+        let run = |stiffness: &str, kp: &str| Summary {
+            overrides: vec![
+                format!("environment.board.wall.stiffness_n_per_m={stiffness}"),
+                format!("robot.simulated.true_over_nominal.kp={kp}"),
+                "duration_s=2.0".to_owned(),
+            ],
+            label: Some(format!("soft, stiffness_n_per_m={stiffness}, kp={kp}")),
+            ..summary("a", "p", 1, 0.001)
+        };
+        let table = table(&[run("1000.0", "0.9"), run("50000.0", "1.1")], &default_columns(&[]));
+        let titles: Vec<String> = table.columns.iter().map(|column| column.column_title()).collect();
+        assert_eq!(titles[..4], ["robot, control", "profile", "stiffness (N/m)", "kp (true/nominal)"]);
+        let texts = table.texts();
+        assert_eq!(texts[1][..4], ["  position osc + soft", "p 1:5", "1000", "0.9"]);
+        assert_eq!(texts[2][..4], ["  position osc + soft", "p 1:5", "50000", "1.1"]);
+    }
+
     /// Compared: the rows of a table, and rows written by hand: the task is above its rows, the median in its column.
     #[test]
     fn task_heading_precedes_its_rows() {
         let runs = [summary("a", "p", 1, 0.001), summary("a", "p", 2, 0.003), summary("b", "q", 1, 0.005)];
         let texts = table(&runs, &default_columns(&[])).texts();
         let firsts: Vec<&str> = texts.iter().map(|row| row[0].as_str()).collect();
-        assert_eq!(firsts, ["a", "  position osc", "    from", "    to", "b", "  position osc"]);
-        assert_eq!(texts[1][1..4], ["p 1:5", "2", "2.000"]);
-        assert_eq!(texts[2][1..4], ["", "", "1.000"]);
-        assert_eq!(texts[3][1..4], ["", "", "3.000"]);
-        assert_eq!(texts[5][1..4], ["q 1:5", "1", "5.000"]);
+        assert_eq!(firsts, ["a", "  position osc", "b", "  position osc"]);
+        assert_eq!(texts[1][1..4], ["p 1:5", "2", "2.00 ±1.00"]);
+        assert_eq!(texts[3][1..4], ["q 1:5", "1", "5.00      "]);
     }
 }

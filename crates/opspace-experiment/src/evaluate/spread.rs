@@ -39,16 +39,6 @@ impl Spread {
         let outside = rank(runs);
         Some(Self { median, low: sorted[outside], high: sorted[runs - 1 - outside], runs })
     }
-
-    /// Lower end of the interval.
-    pub(crate) fn low(&self) -> f64 {
-        self.low
-    }
-
-    /// Upper end of the interval.
-    pub(crate) fn high(&self) -> f64 {
-        self.high
-    }
 }
 
 /// Number of runs outside the interval at each end: the largest k for which P(Binomial(n, ½) ≤ k) is at most half of

@@ -29,6 +29,15 @@ pub enum Cell {
     Text(String),
     /// A measured or computed value.
     Number(f64),
+    /// A median, and the ends of its interval: `5.61 ±0.43`. The distance is that of the farther end.
+    Spread {
+        /// Median.
+        median: f64,
+        /// Lower end of the interval.
+        low: f64,
+        /// Upper end of the interval.
+        high: f64,
+    },
     /// An integer, shown in full: a seed or a count.
     Count(u64),
     /// A criterion that is met, with a short text.
@@ -48,24 +57,42 @@ impl Table {
         Self { columns: columns.iter().map(column).collect(), ..Self::default() }
     }
 
-    /// Texts of all cells; numbers below the noise of their unit are zero, and the numbers of a column, or of a row, have the same number of decimals.
+    /// Texts of all cells; numbers below the noise of their unit are zero, and the numbers of a column, or of a row, have the same
+    /// number of decimals. Numbers without an interval end in blanks where others of their column have one, so that all decimal
+    /// points are below each other.
     #[must_use]
     pub fn texts(&self) -> Vec<Vec<String>> {
         let rows: Vec<Vec<Cell>> = self.rows.iter().map(|row| self.without_noise(row)).collect();
         let width = rows.iter().map(Vec::len).max().unwrap_or(0);
         let columns: Vec<Option<usize>> =
             (0..width).map(|place| decimals(rows.iter().filter_map(|row| row.get(place)))).collect();
-        let text = |cell: &Cell, decimals: Option<usize>| match (cell, decimals) {
-            (Cell::Number(number), Some(decimals)) if number.is_finite() => {
-                format!("{:.decimals$}", number + 0.0)
+        let decimals_of = |row: &Vec<Cell>, place: usize| match self.decimals_by_row {
+            true => decimals(row.iter()),
+            false => columns[place],
+        };
+        let ends = |place: usize| {
+            let cells = rows.iter().filter_map(move |row| Some((row, row.get(place)?)));
+            cells.map(move |(row, cell)| interval(cell, decimals_of(row, place)).chars().count())
+        };
+        let widest: Vec<usize> = (0..width).map(|place| ends(place).max().unwrap_or(0)).collect();
+        let text = |(place, cell): (usize, &Cell), row: &Vec<Cell>| {
+            let decimals = decimals_of(row, place);
+            let number = match (cell, decimals) {
+                (Cell::Number(number) | Cell::Spread { median: number, .. }, Some(decimals))
+                    if number.is_finite() =>
+                {
+                    format!("{:.decimals$}", number + 0.0)
+                }
+                _ => cell.text(),
+            };
+            match cell {
+                Cell::Number(_) | Cell::Spread { .. } | Cell::Empty => {
+                    format!("{number}{:<1$}", interval(cell, decimals), widest[place])
+                }
+                _ => number,
             }
-            _ => cell.text(),
         };
-        let texts = |row: &Vec<Cell>| {
-            let by_row = decimals(row.iter());
-            let decimals = |place: usize| if self.decimals_by_row { by_row } else { columns[place] };
-            row.iter().enumerate().map(|(place, cell)| text(cell, decimals(place))).collect()
-        };
+        let texts = |row: &Vec<Cell>| row.iter().enumerate().map(|cell| text(cell, row)).collect();
         rows.iter().map(texts).collect()
     }
 
@@ -81,7 +108,11 @@ impl Table {
             if column.is_empty() { of_row } else { column }
         };
         let cell = |(place, cell): (usize, &Cell)| match cell {
-            Cell::Number(number) if number.abs() < noise(unit(place)) => Cell::Number(0.0),
+            Cell::Number(number) | Cell::Spread { median: number, .. }
+                if number.abs() < noise(unit(place)) =>
+            {
+                Cell::Number(0.0)
+            }
             other => other.clone(),
         };
         row.iter().enumerate().map(cell).collect()
@@ -93,18 +124,43 @@ impl Table {
     }
 }
 
-/// Number of decimals that shows four digits of the largest number and two of the smallest; `None` if their ratio is too
-/// large for that.
+/// Interval of a spread as text, ` ±0.43`; empty if it is narrower than the last decimal.
+fn interval(cell: &Cell, decimals: Option<usize>) -> String {
+    let Cell::Spread { median, low, high } = cell else { return String::new() };
+    let distance = (high - median).max(median - low);
+    match decimals {
+        Some(decimals) if distance.is_finite() => {
+            let text = format!("{distance:.decimals$}");
+            let is_zero = text.chars().all(|digit| matches!(digit, '0' | '.'));
+            if is_zero { String::new() } else { format!(" ±{text}") }
+        }
+        _ if distance > 0.0 => format!(" ±{}", format_number(distance)),
+        _ => String::new(),
+    }
+}
+
+/// Number of decimals that shows four digits of the largest number, three beside intervals, and two of the smallest; `None` if
+/// their ratio is too large for that.
 fn decimals<'a>(cells: impl Iterator<Item = &'a Cell>) -> Option<usize> {
-    let numbers = cells.filter_map(|cell| match cell {
-        Cell::Number(number) if number.is_finite() && *number != 0.0 => Some(number.abs()),
-        _ => None,
-    });
-    let (smallest, largest) = numbers.fold((f64::MAX, 0.0), |(low, high), n| (n.min(low), n.max(high)));
+    let mut digits: f64 = 4.0;
+    let numbers: Vec<f64> = cells
+        .filter_map(|cell| match cell {
+            Cell::Spread { median, .. } => {
+                digits = 3.0;
+                Some(median)
+            }
+            Cell::Number(number) => Some(number),
+            _ => None,
+        })
+        .filter(|number| number.is_finite() && **number != 0.0)
+        .map(|number| number.abs())
+        .collect();
+    let (smallest, largest) =
+        numbers.iter().fold((f64::MAX, 0.0), |(low, high), n: &f64| (n.min(low), n.max(high)));
     if largest == 0.0 {
         return Some(0);
     }
-    let decimals = (3.0 - largest.log10().floor()).max(1.0 - smallest.log10().floor()).max(0.0);
+    let decimals = (digits - 1.0 - largest.log10().floor()).max(1.0 - smallest.log10().floor()).max(0.0);
     (decimals <= 7.0 && largest < 1e6).then_some(decimals as usize)
 }
 
@@ -122,7 +178,7 @@ impl Cell {
     pub fn text(&self) -> String {
         match self {
             Self::Text(text) | Self::Pass(text) | Self::Fail(text) => text.clone(),
-            Self::Number(number) => format_number(*number),
+            Self::Number(number) | Self::Spread { median: number, .. } => format_number(*number),
             Self::Count(count) => count.to_string(),
             Self::Empty => "–".to_owned(),
         }
@@ -132,8 +188,12 @@ impl Cell {
     #[must_use]
     pub fn is_numeric(&self) -> bool {
         match self {
-            Self::Number(_) | Self::Count(_) | Self::Empty => true,
-            Self::Text(text) => text.is_empty(),
+            Self::Number(_) | Self::Spread { .. } | Self::Count(_) | Self::Empty => true,
+            // The value of a setting is a number with decimals of its own.
+            Self::Text(text) => {
+                text.is_empty()
+                    || text.starts_with(|c: char| c.is_ascii_digit()) && text.parse::<f64>().is_ok()
+            }
             Self::Pass(_) | Self::Fail(_) => false,
         }
     }

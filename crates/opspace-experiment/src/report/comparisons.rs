@@ -1,153 +1,191 @@
 //! Charts that compare runs: medians of all runs, and runs of one task drawn over each other.
 
-use crate::evaluate::results::{Group, control, group};
-use crate::evaluate::spread::Spread;
+use crate::evaluate::results::{Group, group, value};
 use crate::evaluate::summary::Summary;
+use crate::metrics::columns::default_columns;
+use crate::metrics::metric::{Column, Metric};
+use crate::metrics::metric_tables::Metrics;
+use crate::report::dot_columns::{DotColumn, DotColumns};
 use crate::report::figure::{Comparison, ComparisonRow, Figure, Panel, Scale, Series, Style};
+use crate::report::kinds::{Kinds, rest, run_names, sentence};
 use crate::report::run_section::RunSection;
-use std::collections::{BTreeMap, BTreeSet};
+use crate::report::sweep_figures::sweeps;
+use std::collections::BTreeSet;
 
-/// Creates a chart for each quantity: a row per task and profile, a mark per kind of robot, controller and transformer.
-pub(super) fn comparisons(summaries: &[Summary]) -> Vec<Comparison> {
-    let groups = group(summaries);
-    QUANTITIES
-        .into_iter()
-        .map(|(title, x_label, scale, number)| comparison(&groups, title, x_label, scale, number))
-        // With a single kind of control there is nothing to compare.
-        .filter(|comparison| comparison.series.len() > 1)
-        .collect()
+/// Metrics that a page with the usual columns does not draw: computing times, and torque errors that hardly differ from others.
+const NOT_DRAWN: [&str; 5] =
+    ["tick_ns_median", "realtime_factor", "torque_error_servo", "torque_error_tick", "in_contact_fraction"];
+
+/// Columns of a page that are drawn: all that a suite lists.
+fn drawn(metrics: &[Metric]) -> Vec<(&Metric, Column)> {
+    let is_usual = default_columns(&[]).iter().all(|usual| metrics.contains(usual));
+    let columns = metrics.iter().filter_map(|metric| Some((metric, metric.column?)));
+    columns.filter(|(metric, _)| !is_usual || !NOT_DRAWN.contains(&metric.key)).collect()
 }
 
-fn comparison(
-    groups: &[Group<'_>],
-    title: &str,
-    x_label: &str,
-    scale: Scale,
-    number: fn(&Summary) -> Option<f64>,
-) -> Comparison {
-    let control = |s: &Summary| format!("{} {}", s.backend, control(s));
-    let place = |s: &Summary| format!("{}, {} 1:{}", s.task, s.profile, s.ratio);
-    let mut controls: Vec<String> = Vec::new();
+/// Draws the columns of a suite: over each setting that is swept, and for all other runs a row per task, profile and label, with
+/// a mark per kind of robot and control.
+pub(super) fn columns(summaries: &[Summary], metrics: &[Metric]) -> (Vec<Figure>, Vec<Comparison>) {
+    let groups = group(summaries);
+    let kinds = Kinds::of(groups.iter().map(Group::first));
+    let drawn = drawn(metrics);
+    let (figures, rest) = sweeps(&groups, &kinds, &drawn);
+    let charts = drawn.iter().filter_map(|(metric, column)| comparison(&rest, &kinds, metric, column));
+    (figures, charts.collect())
+}
+
+/// Chart of one column; `None` if there is nothing to compare.
+fn comparison(groups: &[&Group<'_>], kinds: &Kinds, metric: &Metric, column: &Column) -> Option<Comparison> {
+    /// Ratio of the largest to the smallest value from which on the scale is logarithmic.
+    const WIDE: f64 = 20.0;
+    let several = |of: &dyn Fn(&Summary) -> String| {
+        groups.iter().any(|group| of(group.first()) != of(groups[0].first()))
+    };
+    // A profile has one ratio of rates, unless the ratio is a setting.
+    let has_ratios = groups.iter().map(|g| g.first()).any(|run| {
+        groups.iter().map(|g| g.first()).any(|other| other.profile == run.profile && other.ratio != run.ratio)
+    });
+    let profile = |run: &Summary| match has_ratios {
+        true => format!("{} 1:{}", run.profile, run.ratio),
+        false => run.profile.clone(),
+    };
+    let (tasks, profiles) = (several(&|run| run.task.clone()), several(&profile));
+    let place = |run: &Summary| {
+        let parts =
+            [Some(run.task.clone()).filter(|_| tasks), rest(run), Some(profile(run)).filter(|_| profiles)];
+        parts.into_iter().flatten().collect::<Vec<_>>().join(", ")
+    };
     let mut rows: Vec<ComparisonRow> = Vec::new();
     for group in groups {
-        let first = group.first();
-        let Some(value) = group.spread(number) else { continue };
-        let column = controls.iter().position(|c| *c == control(first)).unwrap_or_else(|| {
-            controls.push(control(first));
-            controls.len() - 1
-        });
-        let label = place(first);
-        let at = rows.iter().position(|row| row.label == label).unwrap_or_else(|| {
-            rows.push(ComparisonRow { label, values: Vec::new() });
+        let Some(value) = group.of_column(metric, column) else { continue };
+        let (kind, label) = (kinds.place(group.first()), place(group.first()));
+        let free = rows.iter().position(|row| row.label == label && row.values[kind].is_none());
+        let at = free.unwrap_or_else(|| {
+            rows.push(ComparisonRow { label, values: vec![None; kinds.names.len()] });
             rows.len() - 1
         });
-        let values = &mut rows[at].values;
-        values.resize(values.len().max(column + 1), None);
-        values[column] = Some(value);
+        rows[at].values[kind] = Some(value);
     }
-    rows.iter_mut().for_each(|row| row.values.resize(controls.len(), None));
-    Comparison {
-        title: title.to_owned(),
-        caption: "Medians over the seeds; the lines are the intervals of the table.".to_owned(),
-        x_label: x_label.to_owned(),
-        series: controls,
+    let values: Vec<f64> =
+        rows.iter().flat_map(|row| row.values.iter().flatten()).map(|spread| spread.median).collect();
+    if values.len() < 2 || values.iter().all(|value| *value == 0.0) {
+        return None;
+    }
+    let (low, high) = values.iter().fold((f64::INFINITY, 0.0_f64), |(l, h), v| (l.min(*v), h.max(*v)));
+    let has_intervals = rows.iter().flat_map(|row| row.values.iter().flatten()).any(|s| s.high > s.low);
+    let caption =
+        if has_intervals { "Medians over the seeds; the lines are the intervals of the table." } else { "" };
+    let unit = if column.unit.is_empty() { String::new() } else { format!(" ({})", column.unit) };
+    Some(Comparison {
+        title: sentence(column.title),
+        caption: caption.to_owned(),
+        x_label: format!("{}{unit}", column.title),
+        series: kinds.names.clone(),
         rows,
-        scale,
-    }
-}
-
-/// Quantities of the charts: title, label, scale, and value of a run.
-type Quantity = (&'static str, &'static str, Scale, fn(&Summary) -> Option<f64>);
-
-const QUANTITIES: [Quantity; 5] = [
-    ("Tracking", "position error, rms (mm)", Scale::Log, |s| s.metrics.pose.position_rms_m.map(|v| 1e3 * v)),
-    ("Orientation", "orientation error, rms (mrad)", Scale::Log, |s| {
-        s.metrics.pose.orientation_rms_rad.map(|v| 1e3 * v)
-    }),
-    ("Hand force", "force of the operator's hand, rms (N)", Scale::Linear, |s| s.metrics.hand_force_rms_n),
-    ("Hand motion", "motion of the operator's hand, rms (mm)", Scale::Log, |s| {
-        s.metrics.hand_motion_rms_m.map(|v| 1e3 * v)
-    }),
-    ("Torque error", "torque error, rms of interval means (%)", Scale::Log, |s| {
-        s.metrics.torque_error_interval.map(|v| 1e2 * v)
-    }),
-];
-
-/// Draws the quantities over each setting that has three or more numbers in the runs.
-pub(super) fn sweeps(summaries: &[Summary]) -> Vec<Figure> {
-    let groups = group(summaries);
-    let keys: BTreeSet<&str> =
-        groups.iter().flat_map(|group| numbers(group.first())).map(|(key, _)| key).collect();
-    keys.into_iter().filter_map(|key| sweep(&groups, key)).collect()
-}
-
-/// Settings of a run that are numbers.
-fn numbers(summary: &Summary) -> impl Iterator<Item = (&str, f64)> {
-    summary.overrides.iter().filter_map(|setting| {
-        let (key, value) = setting.split_once('=')?;
-        Some((key.trim(), value.trim().parse().ok()?))
+        scale: if low > 0.0 && high > WIDE * low { Scale::Log } else { Scale::Linear },
     })
 }
 
-fn sweep(groups: &[Group<'_>], key: &str) -> Option<Figure> {
-    let value =
-        |group: &Group<'_>| numbers(group.first()).find(|(own, _)| *own == key).map(|(_, value)| value);
-    let mut values: Vec<f64> = groups.iter().filter_map(value).collect();
-    values.sort_by(f64::total_cmp);
-    values.dedup();
-    if values.len() < 3 {
+/// Quantities of a task, the most important one first: what it is about.
+const SUBJECTS: [&str; 9] = [
+    "force_hold_rms_n",
+    "force_moving_rms_n",
+    "force_rms_n",
+    "hand_force_rms_n",
+    "hand_motion_rms_m",
+    "compliant_motion_rms_m",
+    "position_rms_m",
+    "orientation_rms_rad",
+    "joint_rms_rad",
+];
+const TORQUE_ERROR: &str = "torque_error_interval";
+
+/// Chart of runs of one task side by side, with what the task is about first; `None` if there are several tasks.
+pub(super) fn side_by_side(summaries: &[Summary]) -> Option<DotColumns> {
+    const MOST: usize = 3;
+    let first = summaries.first()?;
+    if summaries.len() < 2 || summaries.iter().any(|run| run.task != first.task) {
         return None;
     }
-    // Runs that differ in nothing but the seed and this setting are one line.
-    let line_of = |group: &Group<'_>| {
+    let runs: Vec<&Summary> = summaries.iter().collect();
+    let groups: Vec<Group<'_>> = runs.iter().map(|run| Group::of(run)).collect();
+    let metrics = Metrics::rows();
+    let has_value = |metric: &&Metric| summaries.iter().any(|run| value(run, metric).is_some());
+    let known = |key: &&str| metrics.iter().find(|metric| metric.key == *key).filter(has_value);
+    let torque = known(&TORQUE_ERROR);
+    let subjects = SUBJECTS.iter().filter_map(known).take(MOST - usize::from(torque.is_some()));
+    let columns = subjects.chain(torque).filter_map(|metric| {
+        let column = metric.column?;
+        let values = groups.iter().map(|group| vec![group.of_column(metric, &column)]).collect();
+        Some(DotColumn { label: format!("{} ({})", column.title, column.unit), values })
+    });
+    let columns: Vec<DotColumn> = columns.collect();
+    (!columns.is_empty()).then(|| DotColumns {
+        title: "Runs compared".to_owned(),
+        caption: "Values of the table. A run without a mark has no such value.".to_owned(),
+        rows: run_names(&runs),
+        marks: vec![String::new()],
+        columns,
+    })
+}
+
+/// Picture of torque error and compliance of each kind of position and torque robot, for suites in which an operator pulls at
+/// both; `None` for others.
+pub(super) fn compliance(summaries: &[Summary], metrics: &[Metric]) -> Option<DotColumns> {
+    const KEYS: [&str; 3] = [TORQUE_ERROR, "hand_force_rms_n", "hand_motion_rms_m"];
+    let shown: Vec<(&Metric, Column)> =
+        drawn(metrics).into_iter().filter(|(metric, _)| KEYS.contains(&metric.key)).collect();
+    let groups = group(summaries);
+    let is_pulled = |group: &&Group<'_>| {
         let run = group.first();
-        let others: Vec<&str> = run
-            .overrides
-            .iter()
-            .filter(|own| !own.starts_with(&format!("{key}=")))
-            .map(String::as_str)
-            .collect();
-        let label = Summary { label: None, ..run.clone() };
-        let mut name = format!("{}, {} {}, {}", run.task, run.backend, control(&label), run.profile);
-        others.iter().for_each(|other| name += &format!(", {other}"));
-        name
+        let robot = ["position", "torque"].contains(&run.backend.as_str());
+        robot && rest(run).is_none() && run.metrics.hand_force_rms_n.is_some()
     };
-    let panels: Vec<Panel> = QUANTITIES
+    // The task that compares torque control with inverse kinematics.
+    let by_ik = groups.iter().filter(is_pulled).find(|group| group.first().controller != "osc")?.first();
+    let mut own: Vec<&Group<'_>> = groups
         .iter()
-        .filter_map(|(title, y_label, y_scale, number)| {
-            let mut lines: BTreeMap<String, Vec<(f64, Spread)>> = BTreeMap::new();
-            for group in groups {
-                if let (Some(value), Some(spread)) = (value(group), group.spread(number)) {
-                    lines.entry(line_of(group)).or_default().push((value, spread));
-                }
-            }
-            let series = lines.into_iter().flat_map(|(name, mut points)| {
-                points.sort_by(|a, b| a.0.total_cmp(&b.0));
-                let x: Vec<f64> = points.iter().map(|point| point.0).collect();
-                let along =
-                    |end: fn(&Spread) -> f64| points.iter().map(|point| end(&point.1)).collect::<Vec<f64>>();
-                let ends = [along(|s| s.low), along(|s| s.high)]
-                    .map(|y| Series::new(format!("{name}: interval"), x.clone(), y).style(Style::Thin));
-                let is_wide = points.iter().any(|point| point.1.high > point.1.low);
-                let median = Series::new(name.clone(), x.clone(), along(|s| s.median));
-                std::iter::once(median).chain(ends.into_iter().filter(move |_| is_wide)).collect::<Vec<_>>()
-            });
-            let series: Vec<Series> = series.collect();
-            (!series.is_empty()).then(|| Panel {
-                title: (*title).to_owned(),
-                x_label: key.to_owned(),
-                y_label: (*y_label).to_owned(),
-                series,
-                y_scale: *y_scale,
-                ..Panel::default()
-            })
-        })
+        .filter(is_pulled)
+        .filter(|g| g.first().task == by_ik.task && g.first().robot == by_ik.robot)
         .collect();
-    (!panels.is_empty()).then(|| Figure {
-        title: format!("Sweep of {key}"),
-        caption: "Medians over the seeds; thin lines are the ends of their intervals.".to_owned(),
-        panels,
-        ..Figure::default()
+    // Few seeds are a supplement of the suite.
+    let most = own.iter().map(|group| group.runs.len()).max()?;
+    own.retain(|group| group.runs.len() == most);
+    if shown.len() < KEYS.len() || !own.iter().any(|group| group.first().backend == "torque") {
+        return None;
+    }
+    let kinds = Kinds::of(own.iter().map(|group| group.first()));
+    let mut profiles: Vec<&str> = own.iter().map(|group| group.first().profile.as_str()).collect();
+    profiles.sort_unstable();
+    profiles.dedup();
+    let mut places: Vec<usize> = (0..kinds.names.len()).collect();
+    // Torque control before inverse kinematics, the most accurate first.
+    let error = |kind: &usize| {
+        let own = own.iter().filter(|group| kinds.place(group.first()) == *kind);
+        own.filter_map(|g| g.spread(|run| run.metrics.torque_error_interval))
+            .map(|s| s.median)
+            .fold(f64::NAN, f64::max)
+    };
+    places.sort_by(|a, b| error(a).total_cmp(&error(b)));
+    let columns = KEYS.iter().filter_map(|key| {
+        let (metric, column) = shown.iter().find(|(metric, _)| metric.key == *key)?;
+        let of = |kind: &usize, profile: &str| {
+            let found =
+                own.iter().find(|g| kinds.place(g.first()) == *kind && g.first().profile == profile)?;
+            found.of_column(metric, column)
+        };
+        let values = places.iter().map(|kind| profiles.iter().map(|profile| of(kind, profile)).collect());
+        Some(DotColumn { label: format!("{} ({})", column.title, column.unit), values: values.collect() })
+    });
+    Some(DotColumns {
+        title: format!("Torque error and compliance in the task {}", by_ik.task),
+        caption: "A simulated operator pulls at the hand. A compliant hand moves far under a small force. Inverse kinematics \
+                  has no torque error, because it desires no torques. Medians over the seeds; the lines are the intervals of \
+                  the table."
+            .to_owned(),
+        rows: places.iter().map(|place| kinds.names[*place].clone()).collect(),
+        marks: profiles.iter().map(|profile| (*profile).to_owned()).collect(),
+        columns: columns.collect(),
     })
 }
 
@@ -167,22 +205,42 @@ pub(super) fn overlays(shown: &[RunSection]) -> Vec<Figure> {
             .filter(|run| (run.summary.task.as_str(), run.summary.robot.as_str()) == key)
             .collect();
         if runs.len() > 1 {
-            figures.extend(
-                first.figures.iter().filter(|figure| figure.overlays).filter_map(|f| overlay(f, &runs)),
-            );
+            let mut own: Vec<&Figure> = first.figures.iter().filter(|figure| figure.overlays).collect();
+            own.sort_by_key(|figure| order(figure, &first.summary));
+            figures.extend(own.into_iter().filter_map(|figure| overlay(figure, &runs)));
         }
     }
     figures
 }
 
+/// Place of a figure on a page: what the task is about comes first, torques and setpoints come last.
+fn order(figure: &Figure, summary: &Summary) -> usize {
+    let is_about_forces = summary.metrics.contact.force_rms_n.is_some();
+    let starts: [&str; 5] = match is_about_forces {
+        true => ["Force", "Error", "Position of", "Orientation", "Joint"],
+        false => ["Position of", "Error", "Orientation", "Force", "Joint"],
+    };
+    starts.iter().position(|start| figure.title.starts_with(start)).unwrap_or(starts.len())
+}
+
 /// Draws one figure of several runs into one; `None` if only one run has it.
 fn overlay(figure: &Figure, runs: &[&RunSection]) -> Option<Figure> {
     let same = |other: &&Figure| other.title == figure.title && other.panels.len() == figure.panels.len();
-    let found: Vec<(String, &Figure)> =
-        runs.iter().filter_map(|run| Some((name(&run.summary), run.figures.iter().find(same)?))).collect();
+    let names = run_names(&runs.iter().map(|run| &run.summary).collect::<Vec<_>>());
+    let found: Vec<(&String, &Figure)> = names
+        .iter()
+        .zip(runs)
+        .filter_map(|(name, run)| Some((name, run.figures.iter().find(same)?)))
+        .collect();
     if found.len() < 2 {
         return None;
     }
+    // A run has one colour on the page, unless it has several measured lines in a panel.
+    let is_measured = |series: &&Series| series.style == Style::Solid;
+    let has_several = figure.panels.iter().any(|panel| panel.series.iter().filter(is_measured).count() > 1);
+    let lines: BTreeSet<&str> =
+        figure.panels.iter().flat_map(|panel| &panel.series).map(|series| series.label.as_str()).collect();
+    let labels = lines.len();
     let panel = |place: usize| {
         let of = |figure: &Figure, label: &str| {
             figure.panels[place].series.iter().find(|series| series.label == label).cloned()
@@ -197,10 +255,13 @@ fn overlay(figure: &Figure, runs: &[&RunSection]) -> Option<Figure> {
         let mut series = Vec::new();
         for (index, (name, figure)) in found.iter().enumerate() {
             for one in &figure.panels[place].series {
+                let is_own = one.style != Style::Desired;
+                let color = if is_own && !has_several { Some(index) } else { one.color };
+                let label = if labels == 1 { (*name).clone() } else { format!("{name}: {}", one.label) };
                 match is_shared(one) {
                     true if index > 0 => {}
                     true => series.push(one.clone()),
-                    false => series.push(Series { label: format!("{name}: {}", one.label), ..one.clone() }),
+                    false => series.push(Series { label, color, ..one.clone() }),
                 }
             }
         }
@@ -224,14 +285,111 @@ fn looks_equal(one: &Series, other: &Series) -> bool {
     one.x == other.x && one.y.len() == other.y.len() && one.y.iter().zip(&other.y).all(near)
 }
 
-/// Name of a run in an overlay.
-fn name(summary: &Summary) -> String {
-    format!(
-        "{} {}, {} 1:{}, seed {}",
-        summary.backend,
-        control(summary),
-        summary.profile,
-        summary.ratio,
-        summary.seed
-    )
+#[cfg(test)]
+mod tests {
+    use super::{columns, compliance, side_by_side};
+    use crate::evaluate::results::tests::summary;
+    use crate::evaluate::summary::Summary;
+    use crate::metrics::columns::{columns_named, default_columns};
+    use crate::report::figure::{Scale, Style};
+
+    /// Run of a grid: pressing on a surface, with a deviation of kp.
+    fn press(controller: &str, stiffness: f64, kp: f64, seed: u64) -> Summary {
+        let mut run = Summary {
+            controller: controller.to_owned(),
+            overrides: vec![
+                format!("environment.board.wall.stiffness_n_per_m={stiffness:.1}"),
+                format!("robot.simulated.true_over_nominal.kp={kp:.1}"),
+                format!("expect.contact_peak_n.at_most={}", 30.0 + stiffness / 1e3),
+            ],
+            label: Some(format!("stiffness_n_per_m={stiffness:.1}, kp={kp:.1}")),
+            ..summary("press", "p", seed, 0.001)
+        };
+        run.metrics.contact.force_moving_rms_n = Some(0.1 * seed as f64);
+        run
+    }
+
+    fn grid() -> Vec<Summary> {
+        let mut runs = Vec::new();
+        for controller in ["osc", "ik-lead"] {
+            for stiffness in [1e3, 1e4, 5e4] {
+                for kp in [0.9, 1.0, 1.1] {
+                    runs.extend([1, 2, 3].map(|seed| press(controller, stiffness, kp, seed)));
+                }
+            }
+        }
+        runs
+    }
+
+    /// Compared: the figure of a sweep of two settings, and axes, panels and lines by hand. Only the listed column is drawn.
+    #[test]
+    fn swept_settings_are_axis_and_panels() {
+        let metrics = columns_named(["force-moving"], &[]).expect("a column");
+        let (figures, charts) = columns(&grid(), &metrics);
+        assert_eq!((figures.len(), charts.len()), (1, 0));
+        let figure = &figures[0];
+        assert_eq!(figure.title, "Force error rms in motion over stiffness");
+        let titles: Vec<&str> = figure.panels.iter().map(|panel| panel.title.as_str()).collect();
+        assert_eq!(titles, ["kp 0.9", "kp 1", "kp 1.1"]);
+        for panel in &figure.panels {
+            assert_eq!((panel.x_label.as_str(), panel.x_scale), ("stiffness (N/m)", Scale::Log));
+            assert_eq!(panel.x_ticks, [1e3, 1e4, 5e4]);
+            let lines: Vec<(&str, Style, Option<usize>)> =
+                panel.series.iter().map(|s| (s.label.as_str(), s.style, s.color)).collect();
+            let of = |label, color| [(label, Style::Band, Some(color)), (label, Style::Marked, Some(color))];
+            assert_eq!(lines, [of("position robot", 0), of("ik-lead", 1)].concat());
+        }
+        let svg = figure.svg();
+        assert!(svg.contains("50000") && svg.contains("<polygon"), "ticks and bands");
+    }
+
+    /// Compared: rows and kinds of runs without a sweep, and names by hand: the label distinguishes rows, the robot colours.
+    #[test]
+    fn labels_are_rows_and_robots_are_colours() {
+        let runs = ["torque", "position"].map(|backend| {
+            ["posture 1", "posture 2"].map(|label| Summary {
+                backend: backend.to_owned(),
+                label: Some(label.to_owned()),
+                ..summary("hold", "p", 1, 0.05)
+            })
+        });
+        let metrics = columns_named(["position-rms", "limited"], &[]).expect("columns");
+        let (figures, charts) = columns(&runs.concat(), &metrics);
+        assert_eq!((figures.len(), charts.len()), (0, 1), "a column without a value has no chart");
+        assert_eq!(charts[0].series, ["torque robot", "position robot"]);
+        let rows: Vec<&str> = charts[0].rows.iter().map(|row| row.label.as_str()).collect();
+        assert_eq!(rows, ["posture 1", "posture 2"]);
+    }
+
+    fn pulled(backend: &str, controller: &str, transformer: Option<&str>, error: Option<f64>) -> Summary {
+        let mut run = Summary {
+            backend: backend.to_owned(),
+            controller: controller.to_owned(),
+            transformer: transformer.map(str::to_owned),
+            ..summary("pull", "p", 1, 0.001)
+        };
+        run.metrics.hand_force_rms_n = Some(1.7);
+        run.metrics.hand_motion_rms_m = Some(0.028);
+        run.metrics.torque_error_interval = error;
+        run
+    }
+
+    /// Compared: rows and quantities of the first picture of the usual suite, and those by hand.
+    #[test]
+    fn first_picture_has_torque_error_and_compliance() {
+        let runs = [
+            pulled("position", "osc", Some("paper"), Some(0.1)),
+            pulled("torque", "osc", None, Some(0.001)),
+            pulled("position", "ik", None, None),
+            pulled("position", "osc", Some("emulation"), Some(0.02)),
+        ];
+        let chart = compliance(&runs, &default_columns(&[])).expect("a picture");
+        assert_eq!(chart.rows, ["torque robot", "emulation", "paper", "ik"]);
+        let labels: Vec<&str> = chart.columns.iter().map(|column| column.label.as_str()).collect();
+        assert_eq!(labels, ["torque error interval (%)", "operator force rms (N)", "hand motion rms (mm)"]);
+        assert!(chart.svg().contains("torque robot"));
+        assert!(compliance(&runs[..2], &default_columns(&[])).is_none(), "nothing to compare with");
+        let side = side_by_side(&runs).expect("runs of one task");
+        assert_eq!(side.columns[0].label, "operator force rms (N)", "what the task is about");
+    }
 }

@@ -1,14 +1,17 @@
 //! Reports: pages with a table of runs, charts that compare them, and the figures of each run.
 
 use crate::evaluate::notes::{allowed_notes, assumed_notes, joint_notes, notes, task_notes};
+use crate::evaluate::position_control::position_control_notes;
 use crate::evaluate::results::{failures, group, joint_table, table, task_table};
 use crate::evaluate::summary::Summary;
 use crate::evaluate::table::Table;
 use crate::metrics::metric::Metric;
-use crate::report::comparisons::{comparisons, overlays, sweeps};
+use crate::report::comparisons::{columns, compliance, overlays, side_by_side};
 pub use crate::report::environment_shapes::{EnvironmentShape, PlacedObject};
 use crate::report::html::Page;
+use crate::report::kinds::run_names;
 pub use crate::report::run_section::{ClosestPair, CollisionMoment, PlacedShape, RunSection};
+use crate::text::listed;
 
 /// Builds a page about runs: one table, then a section for each run in `shown`.
 #[must_use]
@@ -25,39 +28,65 @@ pub fn page(
     {
         all_notes.push(format!("Axes of the operator force and of the hand motion: {}.", run.operator_axes));
     }
-    let results = |page: Page| {
-        page.section("Results").table(
-            &caption(summaries, shown),
-            &table(summaries, metrics),
-            &borrowed(&all_notes),
-        )
+    let with_table = |page: Page| {
+        page.table(&caption(summaries, shown), &table(summaries, metrics), &borrowed(&all_notes))
     };
     // What happened comes first where there is one run.
     if let ([run], [_]) = (shown, summaries) {
         let head = Page::new(&run.sentence).story(&run.story).lead(&format!("{lead} {}.", run.title));
         let head = run_head(with_assumed(head, summaries), run);
-        return run_body(results(head), run).render();
+        return run_body(with_table(head.section("Results")), run).render();
     }
     let mut page = with_assumed(Page::new(title).lead(lead), summaries);
-    // The failures of a single run are in its section.
     if summaries.len() > 1 {
         page = failures(summaries)
             .iter()
             .fold(page, |page, failure| page.warning(&format!("Failed: {failure}.")));
     }
-    page = results(page);
+    let position_control = position_control_notes(summaries);
+    let is_comparison = summaries.len() > 1 && shown.len() == summaries.len();
+    let first = if is_comparison { side_by_side(summaries) } else { compliance(summaries, metrics) };
+    if let Some(chart) = &first {
+        page = page.dot_columns(chart);
+    }
+    page = position_control.iter().fold(page, |page, note| page.paragraph(note));
+    page = page.section("Results");
+    // Figures of a suite come before its table, which may be long.
+    let is_suite = summaries.len() > 1 && !is_comparison;
+    if !is_suite || first.is_some() {
+        page = with_table(page);
+    }
+    if is_suite || (summaries.len() > 1 && first.is_none()) {
+        let (figures, charts) = columns(summaries, metrics);
+        page = figures.iter().fold(page, |page, figure| page.figure(figure));
+        page = charts.iter().fold(page, |page, chart| page.comparison(chart));
+    }
+    if is_suite && first.is_none() {
+        page = with_table(page);
+    }
     if summaries.len() > 1 {
-        for comparison in comparisons(summaries) {
-            page = page.comparison(&comparison);
-        }
-        for figure in sweeps(summaries).into_iter().chain(overlays(shown)) {
-            page = page.figure(&figure);
-        }
+        page = overlays(shown).iter().fold(page, |page, figure| page.figure(figure));
     }
     for run in shown {
         page = run_blocks(page, &run.title, run);
     }
     page.render()
+}
+
+/// Title of a page about these runs: a sentence that names what differs between them.
+#[must_use]
+pub fn title_of_runs(shown: &[RunSection]) -> String {
+    const MOST: usize = 4;
+    let runs: Vec<&Summary> = shown.iter().map(|run| &run.summary).collect();
+    let task = match runs.as_slice() {
+        [] => return "No runs".to_owned(),
+        [_] => return shown[0].title.clone(),
+        [first, ..] if runs.iter().all(|run| run.task == first.task) => format!("of {}", first.task),
+        _ => "of several tasks".to_owned(),
+    };
+    let names = run_names(&runs);
+    let compared = if names.len() > MOST { String::new() } else { format!(": {}", listed(&names)) };
+    format!("{} runs {task} are compared{compared}", runs.len())
 }
 
 /// Adds notes about assumed values, on which results rest, and about refusals that the user has allowed.

@@ -57,6 +57,10 @@ pub struct Panel {
     pub is_from_start: bool,
     /// Limits of the quantity: lines are added where a run comes near them.
     pub limits: Option<Range<f64>>,
+    /// Values of the abscissa that have ticks; none for usual ticks.
+    pub x_ticks: Vec<f64>,
+    /// Range that the ordinate includes, whatever the values; that of the values if `None`.
+    pub y_range: Option<Range<f64>>,
 }
 
 /// A line: `y` over `x`, of equal lengths; a value that is not finite interrupts it.
@@ -70,6 +74,8 @@ pub struct Series {
     pub y: Vec<f64>,
     /// Style of the line.
     pub style: Style,
+    /// Place of its colour in the palette; by the order of first appearance if `None`.
+    pub color: Option<usize>,
 }
 
 /// Style of a line.
@@ -84,6 +90,10 @@ pub enum Style {
     Thin,
     /// Samples without a connecting line: points of a measured frequency response.
     Dots,
+    /// A line with a dot at each sample: few values over a setting.
+    Marked,
+    /// A shaded area with this outline, in the colour of the line of the same label: an interval.
+    Band,
 }
 
 /// Dot chart with one scale: a row for each compared item, a colour for each series.
@@ -136,7 +146,7 @@ impl Scale {
 impl Series {
     /// Creates a solid line.
     pub fn new(label: impl Into<String>, x: Vec<f64>, y: Vec<f64>) -> Self {
-        Self { label: label.into(), x, y, style: Style::Solid }
+        Self { label: label.into(), x, y, style: Style::Solid, color: None }
     }
 
     /// Returns the line with only the samples that differ on a screen of `columns` columns: its memory does not grow with
@@ -162,6 +172,12 @@ impl Series {
         Self { x, y, ..self }
     }
 
+    /// Returns the line with a colour of the palette.
+    #[must_use]
+    pub(super) fn color(self, place: usize) -> Self {
+        Self { color: Some(place), ..self }
+    }
+
     /// Returns the line with another style.
     #[must_use]
     pub fn style(self, style: Style) -> Self {
@@ -185,10 +201,10 @@ pub(crate) const PALETTE: [(RGBColor, &str); 6] = [
 
 /// Canvas units per pixel of the page.
 const FINENESS: i32 = 4;
-const WIDTH: i32 = px(960);
-const LEGEND_ROW: i32 = px(24);
+pub(super) const WIDTH: i32 = px(960);
+pub(super) const LEGEND_ROW: i32 = px(24);
 /// Length of a line in the legend.
-const SAMPLE: i32 = px(28);
+pub(super) const SAMPLE: i32 = px(28);
 /// Height of the label of a mark.
 const LABEL_ROW: i32 = px(15);
 /// Height of the label of a mark, relative to that of the lines in a low panel.
@@ -221,7 +237,10 @@ impl Figure {
             let (strip, grid) = root.split_vertically(top);
             draw_legend(&strip, &labels, |area, place| {
                 let (label, style) = entries[place];
-                if self.is_dotted(label) {
+                if self.has_style(label, Style::Marked) {
+                    area.draw(&Circle::new((SAMPLE / 2, LEGEND_ROW / 2), DOT, style.filled()))?;
+                }
+                if self.has_style(label, Style::Dots) {
                     return area.draw(&Circle::new((SAMPLE / 2, LEGEND_ROW / 2), DOT, style.filled()));
                 }
                 let line = vec![(0, LEGEND_ROW / 2), (SAMPLE, LEGEND_ROW / 2)];
@@ -241,9 +260,9 @@ impl Figure {
         self.panels.iter().flat_map(|panel| &panel.series).any(is_desired)
     }
 
-    fn is_dotted(&self, label: &str) -> bool {
+    fn has_style(&self, label: &str, style: Style) -> bool {
         let mut series = self.panels.iter().flat_map(|panel| &panel.series);
-        series.any(|series| series.label == label && series.style == Style::Dots)
+        series.any(|series| series.label == label && series.style == style)
     }
 
     /// Labels in order of first appearance, with the style that each has in the whole figure.
@@ -255,7 +274,7 @@ impl Figure {
                 continue;
             }
             let (place, width, opacity) = match series.style {
-                Style::Solid | Style::Dots => (&mut others, 10, 1.0),
+                Style::Solid | Style::Dots | Style::Marked | Style::Band => (&mut others, 10, 1.0),
                 Style::Desired => (&mut desired, 5, 1.0),
                 Style::Thin => (&mut others, 5, 0.9),
             };
@@ -263,7 +282,7 @@ impl Figure {
             let color = match (series.style, *place) {
                 (Style::Desired, 0) => INK,
                 (Style::Desired, place) => PALETTE[5 * place % 6].0,
-                (_, place) => PALETTE[place % 6].0,
+                (_, place) => PALETTE[series.color.unwrap_or(place) % 6].0,
             };
             *place += 1;
             legend.push((&series.label, color.mix(opacity).stroke_width(width)));
@@ -279,6 +298,10 @@ impl Panel {
             series: (self.series.iter())
                 .map(|s| Series { x: self.x_scale.of(&s.x), y: self.y_scale.of(&s.y), ..s.clone() })
                 .collect(),
+            y_range: self
+                .y_range
+                .as_ref()
+                .and_then(|y| range(self.y_scale.of(&[y.start, y.end]).into_iter())),
             ..self.clone()
         };
         scaled.draw_scaled(area, legend)
@@ -296,7 +319,8 @@ impl Panel {
             Some(_) => y.start.min(0.0)..y.end.max(0.0),
             None => y,
         };
-        let y = range(shown.map(|(_, y)| *y)).map(with_zero).or_else(|| all.clone());
+        let included = self.y_range.iter().flat_map(|y| [&y.start, &y.end]);
+        let y = range(shown.map(|(_, y)| y).chain(included).copied()).map(with_zero).or_else(|| all.clone());
         let mut remarks = self.remarks();
         if let (Some(all), Some(y), Some(from)) = (&all, &y, self.range_from_x) {
             let largest = |range: &Range<f64>| range.start.abs().max(range.end.abs());
@@ -327,6 +351,8 @@ impl Panel {
             }
             Scale::Log => Axis::decades(x, &self.x_label),
         };
+        let width = area.dim_in_pixel().0 as i32 - left - px(20);
+        let x = if self.x_ticks.is_empty() { x } else { x.at(&self.x_ticks, self.x_scale, width) };
         let drawn = y.range.clone();
         let mut marks: Vec<(f64, &str)> = self
             .marks
@@ -347,9 +373,10 @@ impl Panel {
         }
         let mut series: Vec<&Series> = self.series.iter().collect();
         series.sort_by_key(|series| match series.style {
-            Style::Thin => 0,
-            Style::Solid | Style::Dots => 1,
-            Style::Desired => 2,
+            Style::Band => 0,
+            Style::Thin => 1,
+            Style::Solid | Style::Dots | Style::Marked => 2,
+            Style::Desired => 3,
         });
         for series in series {
             let style = legend.iter().find(|(label, _)| *label == series.label).map(|(_, style)| *style);
@@ -422,6 +449,18 @@ impl Series {
             chart.draw_series(dots.map(|at| Circle::new(at, DOT, style.filled())))?;
             return Ok(());
         }
+        if self.style == Style::Band {
+            let outline: Vec<(f64, f64)> = placed_x.into_iter().zip(placed_y).collect();
+            if outline.iter().all(|(x, y)| x.is_finite() && y.is_finite()) {
+                chart.draw_series([Polygon::new(outline, style.color.mix(0.22).filled())])?;
+            }
+            return Ok(());
+        }
+        if self.style == Style::Marked {
+            let all = placed_x.iter().copied().zip(placed_y.iter().copied());
+            let dots = all.filter(|(x, y)| x.is_finite() && y.is_finite());
+            chart.draw_series(dots.map(|at| Circle::new(at, DOT, style.filled())))?;
+        }
         for stretch in decimate(&placed_x, &placed_y, (x.range.start, x.range.end), columns as usize) {
             // A single sample between two gaps is not part of a line.
             if let [alone] = stretch[..] {
@@ -444,9 +483,10 @@ impl Comparison {
         let ends = spreads().flat_map(|spread| [spread.low, spread.median, spread.high].map(scaled));
         let labels: Vec<&str> = self.series.iter().map(String::as_str).collect();
         let top = legend_height(&labels);
-        // Series have lines of their own within a row.
-        let lines = self.series.len().max(1);
-        let height = px(71 + 30.max(12 * lines as i32 + 12) * self.rows.len() as i32);
+        // Values have lines of their own within a row.
+        let count = |row: &ComparisonRow| row.values.iter().flatten().count();
+        let lines = self.rows.iter().map(count).max().unwrap_or(0).max(1);
+        let height = px(71 + 24.max(12 * lines as i32 + 12) * self.rows.len() as i32);
         canvas(&self.title, &self.caption, (WIDTH, top + height), |root| {
             let (strip, area) = root.split_vertically(top);
             draw_legend(&strip, &labels, |area, place| dot(area, (SAMPLE / 2, LEGEND_ROW / 2), place))?;
@@ -465,11 +505,12 @@ impl Comparison {
             let left = px(24) + y.widest().min(WIDTH * 2 / 5);
             let chart = chart(&area, &note, left, &x, &y)?;
             for (row, line) in self.rows.iter().enumerate() {
-                for (place, value) in line.values.iter().enumerate() {
-                    let Some(spread) = value else { continue };
+                let own =
+                    line.values.iter().enumerate().filter_map(|(place, value)| Some((place, (*value)?)));
+                for (rank, (place, spread)) in own.enumerate() {
                     let at = |value: f64| {
                         let placed = Some(x.place(scaled(value))).filter(|value| value.is_finite());
-                        let line = (place as f64 + 1.0) / (lines as f64 + 1.0) - 0.5;
+                        let line = (rank as f64 + 1.0) / (count(line) as f64 + 1.0) - 0.5;
                         placed.map(|value| chart.backend_coord(&(value, row as f64 + line)))
                     };
                     if let (Some(low), Some(high)) = (at(spread.low), at(spread.high)) {
@@ -548,7 +589,7 @@ fn keep_extremes(run: &mut Vec<(f64, f64)>, kept: &mut Vec<(f64, f64)>) {
 }
 
 /// Range of the finite values; `None` if there are none.
-fn range(values: impl Iterator<Item = f64>) -> Option<Range<f64>> {
+pub(super) fn range(values: impl Iterator<Item = f64>) -> Option<Range<f64>> {
     values.filter(|value| value.is_finite()).fold(None, |range: Option<Range<f64>>, value| {
         let range = range.unwrap_or(value..value);
         Some(range.start.min(value)..range.end.max(value))
@@ -604,7 +645,7 @@ impl<'a> Axis<'a> {
 
     /// Creates a logarithmic axis for a range of decimal logarithms, extended to whole powers of ten, and below if the least
     /// value is one.
-    fn decades(range: Range<f64>, label: &str) -> Self {
+    pub(super) fn decades(range: Range<f64>, label: &str) -> Self {
         const BELOW: f64 = 0.3;
         let low = range.start.floor();
         let high = range.end.ceil().max(low + 1.0);
@@ -623,8 +664,46 @@ impl<'a> Axis<'a> {
         }
     }
 
+    /// Replaces the ticks by these values, as far as their texts have room in `width`, and leaves some space beside them.
+    fn at(self, values: &[f64], scale: Scale, width: i32) -> Axis<'static> {
+        const BESIDE: f64 = 0.06;
+        let places = scale.of(values);
+        let Some(placed) = range(places.iter().copied()) else {
+            return Axis {
+                range: self.range,
+                exponent: 0,
+                label: self.label,
+                ticks: Vec::new(),
+                text: Box::new(|_| String::new()),
+            };
+        };
+        let span = if is_point(&placed) { 1.0 } else { placed.end - placed.start };
+        let range = placed.start - BESIDE * span..placed.end + BESIDE * span;
+        let per_unit = f64::from(width) / (range.end - range.start);
+        let mut named: Vec<(f64, String)> = Vec::new();
+        let mut free = f64::NEG_INFINITY;
+        for (place, value) in places.iter().zip(values) {
+            let text = value.to_string().replace('-', "−");
+            let half = f64::from(text_width(&text)) / 2.0;
+            if place.is_finite() && per_unit * place - half > free {
+                free = per_unit * place + half;
+                named.push((*place, text));
+            }
+        }
+        Axis {
+            range,
+            exponent: 0,
+            label: self.label,
+            ticks: named.iter().map(|(place, _)| *place).collect(),
+            text: Box::new(move |tick| {
+                let nearest = named.iter().min_by(|a, b| (a.0 - tick).abs().total_cmp(&(b.0 - tick).abs()));
+                nearest.map_or_else(String::new, |(_, text)| text.clone())
+            }),
+        }
+    }
+
     /// Creates an axis with one tick per row, top to bottom.
-    fn rows(rows: &'a [ComparisonRow]) -> Self {
+    pub(super) fn rows(rows: &'a [ComparisonRow]) -> Self {
         Self {
             range: rows.len() as f64 - 0.5..-0.5,
             exponent: 0,
@@ -634,8 +713,13 @@ impl<'a> Axis<'a> {
         }
     }
 
+    /// Returns the axis without texts at its ticks.
+    pub(super) fn without_texts(self) -> Self {
+        Self { text: Box::new(|_| String::new()), ..self }
+    }
+
     /// Estimated width of the longest tick text.
-    fn widest(&self) -> i32 {
+    pub(super) fn widest(&self) -> i32 {
         self.ticks.iter().map(|tick| text_width(&(self.text)(tick))).max().unwrap_or(0)
     }
 
@@ -727,7 +811,7 @@ pub(super) fn text<'a>(size: i32, style: FontStyle) -> TextStyle<'a> {
 }
 
 /// Upper estimate of the width of a text; no font metrics are available.
-fn text_width(text: &str) -> i32 {
+pub(super) fn text_width(text: &str) -> i32 {
     text.chars().count() as i32 * px(13) * 56 / 100
 }
 
@@ -745,11 +829,15 @@ fn legend_columns(labels: &[&str]) -> (usize, i32) {
     ((WIDTH / width).max(1) as usize, width)
 }
 
-fn legend_height(labels: &[&str]) -> i32 {
+pub(super) fn legend_height(labels: &[&str]) -> i32 {
     labels.len().div_ceil(legend_columns(labels).0) as i32 * LEGEND_ROW
 }
 
-fn draw_legend(strip: &Area<'_>, labels: &[&str], sample: impl Fn(&Area<'_>, usize) -> Drawn) -> Drawn {
+pub(super) fn draw_legend(
+    strip: &Area<'_>,
+    labels: &[&str],
+    sample: impl Fn(&Area<'_>, usize) -> Drawn,
+) -> Drawn {
     let (columns, width) = legend_columns(labels);
     let style = text(13, FontStyle::Normal).pos(Pos::new(HPos::Left, VPos::Center));
     for (place, label) in labels.iter().enumerate() {

@@ -12,6 +12,7 @@ use plotters::style::RGBColor;
 use crate::evaluate::table::{Cell, Table};
 use crate::report::collision_moments::CollisionMoment;
 use crate::report::collision_views::{caption, title, views};
+use crate::report::dot_columns::DotColumns;
 use crate::report::figure::{Comparison, Figure, INK, PALETTE, escape};
 
 /// Page under construction; blocks appear in the order in which they are added.
@@ -127,6 +128,11 @@ impl Page {
         self.drawing(&comparison.svg(), &comparison.title, &comparison.caption)
     }
 
+    /// Adds runs side by side; they are numbered like a figure.
+    pub(crate) fn dot_columns(self, chart: &DotColumns) -> Self {
+        self.drawing(&chart.svg(), chart.title(), chart.caption())
+    }
+
     /// Adds arm, collision geometry and environment at some moments of a run as one numbered figure; nothing if there are none.
     pub fn collisions(mut self, moments: &[CollisionMoment]) -> Self {
         if moments.is_empty() {
@@ -188,9 +194,24 @@ fn unbroken(text: &str) -> String {
     text.split(' ').map(word).collect::<Vec<String>>().join(" ")
 }
 
+/// Blanks as wide as an interval of so many characters, ` ±0.43`, of which the space and the point are narrower than digits.
+fn wide_blanks(count: usize) -> String {
+    let narrow = match count {
+        0 => 0,
+        1..5 => 1,
+        _ => 2,
+    };
+    ["\u{a0}", "\u{2008}"][..narrow].concat() + &"\u{2007}".repeat(count - narrow)
+}
+
 /// Formats a cell; the first cell of a row is the head of the row.
 fn cell(cell: Option<&Cell>, text: Option<&String>, place: usize) -> String {
-    let text = text.map_or_else(String::new, |text| escape(text));
+    // A browser drops blanks at the end: those of a number are as wide as digits.
+    let blank = |text: &String| {
+        let number = text.trim_end();
+        escape(number) + &wide_blanks(text.len() - number.len())
+    };
+    let text = text.map_or_else(String::new, blank);
     let class = match cell {
         Some(Cell::Pass(_)) => " class=\"pass\"",
         Some(Cell::Fail(_)) => " class=\"fail\"",
