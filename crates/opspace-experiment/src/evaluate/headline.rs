@@ -180,6 +180,7 @@ mod tests {
             "completed 1 s: force error 0.378 N rms (peak 11.5 N at contact, in contact 90 % of the time),";
         assert_eq!(headline(&run)[0], force);
         run.tasks.clear();
+        run.metrics.torque_error_interval = None;
         let pushed = task(|task| {
             for (name, value) in response_names(2).into_iter().zip([20.0, 0.0476, 417.26, 0.009, 0.001]) {
                 task.axes.insert(name, value);

@@ -92,7 +92,7 @@ impl fmt::Debug for FigureKind {
     }
 }
 
-/// What is drawn of a run.
+/// Drawings of a run.
 #[derive(Default)]
 pub(super) struct RunDrawings {
     pub(super) figures: Vec<Figure>,

@@ -23,7 +23,7 @@ pub struct RunSection {
     pub title: String,
     /// Title of a page about this run alone: a sentence.
     pub sentence: String,
-    /// What happened, in a few sentences.
+    /// Sentences about the result of the run.
     pub story: Vec<String>,
     /// Summary of the run.
     pub summary: Summary,
@@ -154,7 +154,7 @@ fn operator_axes(experiment: &Experiment) -> String {
         .map_or_else(String::new, |spring| spring.report.iter().map(name).collect::<Vec<&str>>().join(", "))
 }
 
-/// What happened: the response to forces if there was one, otherwise the first lines of the terminal.
+/// Sentences about the result of a run: the response to forces if there was one, otherwise the first lines of the terminal.
 fn story(summary: &Summary) -> Vec<String> {
     let response = response_sentences(summary);
     if !response.is_empty() {

@@ -114,6 +114,10 @@ const EXCEPTIONS: &[(Code, &str)] = &[
         Code::SetpointsLimited,
         "a simulated drive has the limits that are declared, and the loop keeps to them",
     ),
+    (
+        Code::SpringDeflected,
+        "the advice is another stiffness or friction compensation, which changes how far the spring gives way",
+    ),
     (Code::NoShape, "`logs_do_not_need_meshes` has capsules of robot.toml in place of shapes"),
     (Code::MeshNotFound, "the advice is to supply the file of a mesh"),
     (Code::MeshFormat, "the advice is to convert the file of a mesh"),

@@ -30,6 +30,7 @@ pub struct PushParameters {
     pub duration_s: Positive,
     /// Course of the force in time.
     #[serde(default)]
+    #[cfg_attr(feature = "schema", schemars(extend("x-default" = "`\"half-sine\"`")))]
     pub shape: PushShape,
     /// Peak force in world axes, N.
     #[serde(deserialize_with = "exactly")]

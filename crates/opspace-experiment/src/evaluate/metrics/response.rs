@@ -45,7 +45,7 @@ pub(crate) struct Response {
     first: Option<(Vector3<f64>, [AxisResponse; 3])>,
 }
 
-/// What an axis does under a force.
+/// Response of an axis to a force.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum AxisResponse {
     /// Follows a reference, from which a force deflects it.

@@ -9,6 +9,9 @@ use opspace_loop::Phase;
 use opspace_model::{Data, FrameId, Placement, frame_placement, kinematics};
 use std::ops::Range;
 
+/// Smallest true contact force that counts as contact, N.
+pub(crate) const CONTACT_N: f64 = 0.1;
+
 /// Beginning and end of control, as far as a log was read.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Control {

@@ -1,7 +1,6 @@
 //! Axes of a Cartesian task at each moment of a run: events and streamed modes change them.
 
-use super::run_log::Run;
-use super::tasks::CONTACT_N;
+use super::run_log::{CONTACT_N, Run};
 use crate::run::experiment::Experiment;
 use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
 use opspace_backend::signal_names::{self, AXES, MODES, TASK_SET};

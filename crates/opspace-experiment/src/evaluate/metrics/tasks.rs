@@ -3,7 +3,7 @@
 use super::axis_metrics::AxisMetrics;
 use super::drifts::Drifts;
 use super::response::Response;
-use super::run_log::{Mean, RmsMax, Run, masked_norm};
+use super::run_log::{CONTACT_N, Mean, RmsMax, Run, masked_norm};
 use super::slack::SlackOfTask;
 use super::task_axes::{AxesOfTask, TaskAxes, TaskRow, orientation};
 use crate::finding::Finding;
@@ -19,9 +19,6 @@ use opspace_control::{AxesFrame, ControlledFrame, TaskParameters};
 use opspace_log::Column;
 use opspace_model::FrameId;
 use std::collections::{BTreeMap, VecDeque};
-
-/// Smallest true contact force that counts as contact, N.
-pub(super) const CONTACT_N: f64 = 0.1;
 
 /// Time for which a task controls a force before it counts as one that never touched, s, if none of it is in the statistics.
 const LONG_ENOUGH_S: f64 = 1.0;

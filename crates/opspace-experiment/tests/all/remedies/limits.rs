@@ -139,30 +139,26 @@ pub fn weak_joint(code: Code) {
     assert!(advice.contains("the inertia of the rotor is that of the motor"));
 }
 
-/// No robot of the repository and no template is called weak, with a margin of five: with a fifth of its torque limits.
+/// No robot of the repository is called weak, with a margin of five: with a fifth of its torque limits.
 #[test]
 fn no_robot_of_the_repository_has_a_weak_joint() {
     let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
     let mut count = 0;
-    for folder in ["robots", "crates/opspace-experiment/embedded/robots"] {
-        for entry in std::fs::read_dir(root.join(folder)).unwrap() {
-            let path = entry.unwrap().path();
-            if !path.join("robot.toml").exists() {
-                continue;
-            }
-            let robot = RobotDefinition::load(Files::Disk, &path, &[]).unwrap();
-            let joints = robot.model.joints().iter().zip(robot.torque_limits());
-            let fifth: Vec<String> = joints
-                .map(|(joint, nm)| format!("robot.joint.{}.torque_limit_nm={:?}", joint.name, nm / 5.0))
-                .collect();
-            let weaker = RobotDefinition::load(Files::Disk, &path, &fifth).unwrap();
-            assert_eq!(weak_joints(&weaker), [], "{}", path.display());
-            let thousandth: Vec<String> = fifth.iter().map(|setting| format!("{setting}e-3")).collect();
-            assert!(
-                !weak_joints(&RobotDefinition::load(Files::Disk, &path, &thousandth).unwrap()).is_empty()
-            );
-            count += 1;
+    for entry in std::fs::read_dir(root.join("robots")).unwrap() {
+        let path = entry.unwrap().path();
+        if !path.join("robot.toml").exists() {
+            continue;
         }
+        let robot = RobotDefinition::load(Files::Disk, &path, &[]).unwrap();
+        let joints = robot.model.joints().iter().zip(robot.torque_limits());
+        let fifth: Vec<String> = joints
+            .map(|(joint, nm)| format!("robot.joint.{}.torque_limit_nm={:?}", joint.name, nm / 5.0))
+            .collect();
+        let weaker = RobotDefinition::load(Files::Disk, &path, &fifth).unwrap();
+        assert_eq!(weak_joints(&weaker), [], "{}", path.display());
+        let thousandth: Vec<String> = fifth.iter().map(|setting| format!("{setting}e-3")).collect();
+        assert!(!weak_joints(&RobotDefinition::load(Files::Disk, &path, &thousandth).unwrap()).is_empty());
+        count += 1;
     }
     assert!(count >= 4, "{count}");
 }
