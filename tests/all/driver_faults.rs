@@ -14,7 +14,7 @@ use std::fs;
 use std::path::Path;
 use std::process::{Child, Command, ExitCode, Stdio};
 use std::thread::sleep;
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 /// Arguments of the program in a child process, one a line.
 const ARGUMENTS: &str = "OPSPACE_TEST_ARGUMENTS";
@@ -193,6 +193,77 @@ fn blocked_read_ends_by_signals() {
             ended.says(&["could not be reached"]).logs(folder.path(), Some("could not be reached"));
         }
     }
+}
+
+/// Time since 1970, s.
+fn now_s() -> f64 {
+    SystemTime::now().duration_since(UNIX_EPOCH).unwrap().as_secs_f64()
+}
+
+/// Time of the first of these calls on the computer's clock, since 1970, s.
+#[track_caller]
+fn time_of(folder: &Path, call: &str) -> f64 {
+    let times = read(folder.join("calls.times"));
+    let found = times.lines().find_map(|line| line.strip_prefix(call)?.strip_prefix(' '));
+    found.unwrap_or_else(|| panic!("no {call}:\n{times}")).parse().unwrap()
+}
+
+/// A second signal during a stop whose setpoints come to rest slowly. Compared: the time that the stop takes on the robot's
+/// clock, with one signal and with two.
+#[test]
+fn second_signal_ends_a_slow_stop() {
+    let slow = "robot.profile.default.setpoint_limits={ reaction = \"clamp\", joint = { shoulder = { acceleration_rad_per_s2 = 0.1 } } }";
+    let swing = "task.swing.joint-tracking.reference.sinusoid.joints.shoulder=[{ amplitude_rad = 1.0, frequency_hz = 0.05 }]";
+    let options = ["--duration-s", "2000", "--set", slow, "--set", swing];
+    let stops_in = |signals: u32| {
+        let folder = scratch();
+        let run = start(folder.path(), "remote = false", &options);
+        run.wait_for(is_running);
+        sleep(Duration::from_secs(3));
+        for _ in 0..signals {
+            run.signal("-INT");
+            sleep(Duration::from_millis(100));
+        }
+        let ended = run.end().exits(130).stops(1, 2).says(&["interrupted at", "the log is closed"]);
+        ended.logs(folder.path(), None);
+        let log = Recording::read(folder.path().join("out/run.mcap")).unwrap();
+        let phases = log.channel("tick").unwrap().signal("phase").unwrap();
+        phases.rows().filter(|phase| phase[0] == 5.0).count()
+    };
+    let (one, two) = (stops_in(1), stops_in(2));
+    assert!(two > 0 && 2 * two < one, "{two} cycles of the stop with two signals, {one} with one");
+}
+
+/// Times from a fault to the stop of the robot, by the computer's clock. The contract is 0.1 s and the period, after the longest
+/// tolerated dropout if nothing but silence says that the robot is lost; a loaded computer may take 1 s more.
+#[test]
+fn stops_follow_faults_soon() {
+    const LOADED_S: f64 = 1.0;
+    let within = |folder: &Path, from_s: f64, stop: &str, most_s: f64| {
+        let took_s = time_of(folder, stop) - from_s;
+        assert!((0.0..most_s + LOADED_S).contains(&took_s), "{stop}: {took_s} s, {most_s} s are allowed");
+    };
+    // A dead device.
+    let folder = scratch();
+    let ended = start(folder.path(), "at = 500, dead = true", &[]).end().exits(1).stops(1, 2);
+    ended.logs(folder.path(), Some("the arm does not answer"));
+    within(folder.path(), time_of(folder.path(), "failed"), "stop", 0.101);
+    // A read that blocks.
+    let blocks = "at = 500, blocks_s = 1000.0, remote = true";
+    let dropout_s = |seconds: f64| format!("robot.safety.max_dropout_s={seconds:?}");
+    let folder = scratch();
+    start(folder.path(), blocks, &["--set", &dropout_s(0.3)]).end().exits(1).stops(1, 3);
+    within(folder.path(), time_of(folder.path(), "blocked"), "remote stop", 0.401);
+    within(folder.path(), time_of(folder.path(), "remote stop"), "stop", 0.101);
+    // A read that blocks, and a signal: the dropout is not waited for.
+    let folder = scratch();
+    let run = start(folder.path(), blocks, &["--set", &dropout_s(10.0)]);
+    run.wait_for(is_running);
+    run.wait_for(|folder| read(folder.join("calls")).contains("blocked"));
+    let from_s = now_s();
+    run.signal("-INT");
+    run.end().exits(1).stops(1, 3);
+    within(folder.path(), from_s, "remote stop", 0.101);
 }
 
 /// A read that does not return, without any signal: with a stop of another thread, without one, and one that returns in time.

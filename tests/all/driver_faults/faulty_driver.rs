@@ -7,13 +7,13 @@ use std::fs::File;
 use std::io::Write;
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::thread::sleep;
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 /// Message of the panics that it causes.
 const PANIC: &str = "a panic of the driver";
 
 /// Driver of the arm. Its keys are fields of [`Faults`], and `calls`, the path of a file with a line for each call of `stop`,
-/// of the remote stop, and for the end.
+/// of the remote stop, and for the end. Beside it, `calls.times` has the time of each on the computer's clock.
 pub struct FaultyDriver;
 
 /// Faults, each with the default that is none.
@@ -30,6 +30,8 @@ struct Faults {
     declared_s: f64,
     /// Time for which read `at` blocks, s.
     blocks_s: f64,
+    /// True if read `at` and all later ones fail: the device is dead.
+    dead: bool,
     /// True if another thread can stop the arm and end the block.
     remote: bool,
 }
@@ -50,11 +52,14 @@ impl Driver for FaultyDriver {
             time_s: parsed("time_s"),
             declared_s: parsed("declared_s").unwrap_or(settings.period_s),
             blocks_s: number("blocks_s", 0.0),
+            dead: settings.flag("dead")?,
             remote: settings.flag("remote")?,
         };
         let panic = faults.panic.clone();
         assert!(panic != "open", "{PANIC}");
-        let calls = File::options().append(true).create(true).open(settings.text("calls")?);
+        let calls = settings.text("calls")?;
+        let open = |path: &str| File::options().append(true).create(true).open(path);
+        let calls = open(calls).and_then(|file| Ok(Calls { file, times: open(&format!("{calls}.times"))? }));
         let calls = calls.map_err(|error| DriverError::new(error.to_string()))?;
         let joints = settings.joints.clone();
         let n = joints.len();
@@ -80,7 +85,7 @@ impl Driver for FaultyDriver {
 struct Arm {
     capabilities: Capabilities,
     faults: Faults,
-    calls: File,
+    calls: Calls,
     blocked: Receiver<()>,
     unblock: Sender<()>,
     reads: f64,
@@ -89,8 +94,18 @@ struct Arm {
     stops: u32,
 }
 
-fn note(mut calls: &File, call: &str) {
-    writeln!(calls, "{call}").expect("a file of calls");
+/// File of the calls, and file of their times since 1970, s.
+struct Calls {
+    file: File,
+    times: File,
+}
+
+impl Calls {
+    fn note(&self, call: &str) {
+        let now_s = SystemTime::now().duration_since(UNIX_EPOCH).expect("a clock").as_secs_f64();
+        writeln!(&self.times, "{call} {now_s:.6}").expect("a file of times");
+        writeln!(&self.file, "{call}").expect("a file of calls");
+    }
 }
 
 impl Backend for Arm {
@@ -103,10 +118,14 @@ impl Backend for Arm {
         let is_at = self.reads >= self.faults.at && self.reads < self.faults.at + 1.0;
         assert!(!(is_at && self.faults.panic == "read"), "{PANIC}");
         if is_at && self.faults.blocks_s > 0.0 {
-            note(&self.calls, "blocked");
+            self.calls.note("blocked");
             if self.blocked.recv_timeout(Duration::from_secs_f64(self.faults.blocks_s)).is_ok() {
                 return Err(DeviceFault::new(5, "the arm was stopped from another thread"));
             }
+        }
+        if self.faults.dead && self.reads >= self.faults.at {
+            self.calls.note("failed");
+            return Err(DeviceFault::new(6, "the arm does not answer"));
         }
         let due = Duration::from_secs_f64(self.reads / 1000.0);
         sleep(due.saturating_sub(self.began.elapsed()));
@@ -125,7 +144,7 @@ impl Backend for Arm {
     }
 
     fn stop(&mut self) {
-        note(&self.calls, "stop");
+        self.calls.note("stop");
         self.stops += 1;
         let panics = match self.faults.panic.as_str() {
             "stop" => self.stops == 1,
@@ -136,11 +155,12 @@ impl Backend for Arm {
     }
 
     fn remote_stop(&self) -> Option<RemoteStop> {
-        let calls = self.calls.try_clone().expect("a file of calls");
+        let copy = |file: &File| file.try_clone().expect("a file of calls");
+        let calls = Calls { file: copy(&self.calls.file), times: copy(&self.calls.times) };
         let unblock = self.unblock.clone();
         self.faults.remote.then(|| -> RemoteStop {
             Box::new(move || {
-                note(&calls, "remote stop");
+                calls.note("remote stop");
                 unblock.send(()).expect("the arm is open");
             })
         })
@@ -149,6 +169,6 @@ impl Backend for Arm {
 
 impl Drop for Arm {
     fn drop(&mut self) {
-        note(&self.calls, "closed");
+        self.calls.note("closed");
     }
 }
