@@ -31,11 +31,43 @@ use nalgebra::{DMatrix, DVector};
 use opspace_model::files::read_file;
 use opspace_sim::{PhysicsEngine, Plant, PlantArm, PlantConfig, PlantError, Scene};
 use std::io;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 /// Largest size of the file of a scene, bytes: its meshes are files of their own.
 const MAX_SCENE_BYTES: u64 = 16 << 20;
+
+/// Largest number of files that a scene includes, those of included files among them.
+const MAX_INCLUDED: usize = 100;
+
+/// Reads the file of a scene, or one that it includes.
+fn read_scene(path: &Path) -> Result<String, MujocoError> {
+    read_file(path, MAX_SCENE_BYTES)
+        .and_then(|bytes| String::from_utf8(bytes).map_err(io::Error::other))
+        .map_err(|source| MujocoError::Scene { path: path.to_owned(), source })
+}
+
+/// Checks that the files which a scene includes can be read, also those that they include: MuJoCo opens them itself, and would wait
+/// for the writer of a pipe. Their paths are relative to the folder of the scene. What MuJoCo refuses with its own words is not
+/// checked: files that are missing, and text that is not XML. Meshes, height fields and textures are not checked either.
+fn check_included(scene: &Path, text: &str) -> Result<(), MujocoError> {
+    let mut seen: Vec<PathBuf> = Vec::new();
+    let mut open = mjcf::included(text);
+    while let Some(file) = open.pop() {
+        let path = scene.with_file_name(file);
+        // MuJoCo refuses a file that is included twice.
+        if seen.contains(&path) || !path.exists() {
+            continue;
+        }
+        if seen.len() == MAX_INCLUDED {
+            let source = io::Error::other(format!("it includes more than {MAX_INCLUDED} files"));
+            return Err(MujocoError::Scene { path: scene.to_owned(), source });
+        }
+        open.extend(mjcf::included(&read_scene(&path)?));
+        seen.push(path);
+    }
+    Ok(())
+}
 
 /// MuJoCo, with or without a scene.
 #[derive(Clone, Debug)]
@@ -49,8 +81,8 @@ impl Mujoco {
     /// simulated with the arms.
     ///
     /// # Errors
-    /// No library, a version that is too old, or a scene that cannot be read. What is wrong within a scene is found when
-    /// a plant is built.
+    /// No library, a version that is too old, or a scene that cannot be read, or that includes a file that cannot be read.
+    /// What else is wrong within a scene is found when a plant is built.
     pub fn find(scene: Option<&Path>) -> Result<Self, MujocoError> {
         Self::open(&find_library()?, scene)
     }
@@ -62,9 +94,8 @@ impl Mujoco {
     pub fn open(library: &Path, scene: Option<&Path>) -> Result<Self, MujocoError> {
         let error = |reason| MujocoError::Library { path: library.to_owned(), reason };
         let read = |path: &Path| {
-            let text = read_file(path, MAX_SCENE_BYTES)
-                .and_then(|bytes| String::from_utf8(bytes).map_err(io::Error::other))
-                .map_err(|source| MujocoError::Scene { path: path.to_owned(), source })?;
+            let text = read_scene(path)?;
+            check_included(path, &text)?;
             Ok(Scene { path: path.to_owned(), text })
         };
         let scene = scene.map(read).transpose()?;

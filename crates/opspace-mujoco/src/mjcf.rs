@@ -217,6 +217,13 @@ fn escaped(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('"', "&quot;")
 }
 
+/// Returns the files that a scene includes, as it names them; none if it is not XML.
+pub fn included(scene: &str) -> Vec<String> {
+    let Ok(document) = roxmltree::Document::parse(scene) else { return Vec::new() };
+    let elements = document.descendants().filter(|node| node.has_tag_name("include"));
+    elements.filter_map(|node| node.attribute("file")).map(str::to_owned).collect()
+}
+
 /// Returns the text between the tags of a scene's `<mujoco>` element; `None` if it has no such element.
 pub fn contents(scene: &str) -> Option<&str> {
     let document = roxmltree::Document::parse(scene).ok()?;

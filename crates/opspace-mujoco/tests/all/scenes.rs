@@ -238,3 +238,32 @@ fn scene_that_is_no_file_is_refused() {
         assert!(error.contains(&format!("this is {kind}, not a regular file")), "{error}");
     }
 }
+
+/// Checks that a file which a scene includes, directly or by another file, is refused if it is no file, with and without MuJoCo;
+/// files that include one another, and a missing one, are left to MuJoCo.
+#[cfg(unix)]
+#[test]
+fn included_file_that_is_no_file_is_refused() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let at = |name: &str| folder.path().join(name);
+    assert!(std::process::Command::new("mkfifo").arg(at("pipe.xml")).status().expect("mkfifo").success());
+    let write = |name: &str, included: &str| {
+        let text = format!("<mujoco><worldbody/><include file=\"{included}\"/></mujoco>");
+        std::fs::write(at(name), text).expect("a file");
+    };
+    write("middle.xml", "pipe.xml");
+    write("one.xml", "other.xml");
+    write("other.xml", "one.xml");
+    for (included, refused) in [
+        ("pipe.xml", Some("pipe.xml: the scene cannot be read: this is a pipe, not a regular file")),
+        ("middle.xml", Some("pipe.xml: the scene cannot be read: this is a pipe, not a regular file")),
+        ("/dev/zero", Some("/dev/zero: the scene cannot be read: this is a device, not a regular file")),
+        ("one.xml", None),
+        ("missing.xml", None),
+    ] {
+        write("scene.xml", included);
+        let error = Mujoco::open("libmissing.so".as_ref(), Some(&at("scene.xml"))).expect_err("no library");
+        let expected = refused.unwrap_or("MuJoCo cannot be opened");
+        assert!(error.to_string().contains(expected), "{included}: {error}");
+    }
+}
