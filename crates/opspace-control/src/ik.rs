@@ -87,7 +87,7 @@ impl InverseKinematicsController {
         context: &ControlContext,
         lead: Option<ServoLead>,
     ) -> Result<Self, ControlError> {
-        let tasks = TaskSet::from_parameters(model, parameters, context)?;
+        let tasks = TaskSet::from_parameters(model, parameters, context, None)?;
         Self::build(model, tasks, &parameters.limits, context, lead)
     }
 

@@ -108,7 +108,7 @@ pub use references::goal::{OrientationGoal, PositionGoal};
 pub use references::joint_reference::JointReference;
 pub use references::online::{MotionLimits, OnlineGoal};
 pub use references::path_bounds::{PartBounds, PathBounds, PathPlace};
-pub use references::path_motion::PathSummary;
+pub use references::path_motion::{PathSummary, TimedReference};
 pub use references::path_reference::{
     PathArc, PathCircle, PathLine, PathReference, PathSegment, PathSpline, PathStart, Triple,
 };

@@ -71,7 +71,7 @@ impl OperationalSpaceController {
         context: &ControlContext,
     ) -> Result<Self, ControlError> {
         parameters.limits.check(context.period_s)?;
-        let tasks = TaskSet::from_parameters(model, parameters, context)?;
+        let tasks = TaskSet::from_parameters(model, parameters, context, None)?;
         Ok(Self::from_tasks(model, tasks, context, parameters.compensation, &parameters.limits))
     }
 

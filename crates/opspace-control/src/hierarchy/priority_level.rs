@@ -76,8 +76,14 @@ pub(crate) enum Group {
 }
 
 impl PriorityLevel {
-    /// Creates the level of `task` below the levels `above`.
-    pub(crate) fn new(task: Box<dyn Task>, model: &Model, context: &ControlContext, above: &[Self]) -> Self {
+    /// Creates the level of `task`, of this typical mobility, below `above` levels.
+    pub(crate) fn new(
+        task: Box<dyn Task>,
+        typical: TypicalMobility,
+        model: &Model,
+        context: &ControlContext,
+        above: usize,
+    ) -> Self {
         let n = model.n();
         let bounded = task.inertia_floor_kg_m2().map(|floor| BoundedInertia {
             floor,
@@ -89,9 +95,9 @@ impl PriorityLevel {
         Self {
             weights: task.weights(),
             when_limited: task.when_limited(),
-            held_back: HeldBack::new(&*task, model, context, above.len()),
+            held_back: HeldBack::new(&*task, model, context, above),
             slack: vec![0.0; task.slack_signal().len()],
-            typical: TypicalMobility::new(model, above.iter().map(|level| &*level.task), &*task),
+            typical,
             task,
             projected: ProjectedTask::new(n),
             bounded,

@@ -37,6 +37,27 @@ pub fn sampled_rank(model: &Model, tasks: &[&dyn Task]) -> usize {
     best
 }
 
+/// Returns true if two lists of tasks have the same rows in all configurations in which rank and typical mobility are sampled:
+/// then these are the same too. This takes a tenth of the time of computing them.
+pub(crate) fn have_same_rows(model: &Model, tasks: &[&dyn Task], others: &[&dyn Task]) -> bool {
+    let pairs = || tasks.iter().zip(others);
+    if tasks.len() != others.len() || pairs().any(|(task, other)| task.rows() != other.rows()) {
+        return false;
+    }
+    let (mut data, rest) = (Data::new(model), vec![0.0; model.n()]);
+    let (mut rows, mut other_rows) = (Matrix6xX::zeros(model.n()), Matrix6xX::zeros(model.n()));
+    let postures = Postures::new(model, 1.0);
+    (0..SAMPLES).all(|sample| {
+        // As for the typical mobility, a posture without dynamics does not count.
+        !update(model, &mut data, &postures.posture(sample), &rest)
+            || pairs().all(|(task, other)| {
+                task.sampled_jacobian(model, &data, &mut rows);
+                other.sampled_jacobian(model, &data, &mut other_rows);
+                rows.rows(0, task.rows()) == other_rows.rows(0, task.rows())
+            })
+    })
+}
+
 /// Typical mobility of a task: the median, over many postures, of the smallest eigenvalue of Λ⁻¹ = J_p M⁻¹ J_pᵀ, with
 /// J_p = J N in the null space of the tasks above. A direction with a much lower mobility is close to singular; this
 /// holds for any masses of the arm and units of the task.

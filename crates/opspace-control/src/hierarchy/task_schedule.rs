@@ -92,10 +92,12 @@ impl TaskSchedule {
         new
     }
 
-    /// Determines the recorded signals and the layout of the streamed inputs.
+    /// Adds the recorded signals of the last set, and determines the layout of the streamed inputs.
     fn lay_out(&mut self) {
         if !self.started {
-            self.slots = slots(self.recorded, self.sets.iter().map(|set| &set.0));
+            if let Some(last) = self.sets.last() {
+                add_slots(&mut self.slots, self.recorded, &last.0);
+            }
             self.targets = targets(&self.sets, self.numbered);
         }
         self.sets.iter_mut().for_each(|set| set.0.bind(&self.targets));
@@ -108,14 +110,18 @@ impl TaskSchedule {
         parameters: &TaskSetParameters<'_>,
         context: &ControlContext,
     ) -> Result<TaskSet, ControlError> {
-        let prepared = TaskSet::from_parameters(model, parameters, context)?;
+        // The rows of tasks that have started may be others than at the time of their typical mobility.
+        let before = self.sets.last().filter(|_| !self.started);
+        let prepared = TaskSet::from_parameters(model, parameters, context, before)?;
         self.check(&prepared)?;
         Ok(prepared)
     }
 
     /// Checks that tasks keep their kind and their signals in another task set.
     pub(crate) fn check(&self, other: &TaskSet) -> Result<(), ControlError> {
-        for new in slots(self.recorded, [&other.0]) {
+        let mut slots = Vec::new();
+        add_slots(&mut slots, self.recorded, &other.0);
+        for new in slots {
             let changed = |old: &&Slot| {
                 let is_other = old.group != new.group || old.of_all_joints != new.of_all_joints;
                 let same_signals = is_other || old.signals == new.signals;
@@ -277,13 +283,9 @@ impl Slot {
     }
 }
 
-/// Slots of all tasks of some hierarchies, without duplicates.
-fn slots<'a>(
-    recorded: RecordedSignals,
-    hierarchies: impl IntoIterator<Item = &'a TaskHierarchy>,
-) -> Vec<Slot> {
-    let mut slots: Vec<Slot> = Vec::new();
-    let mut add = |name: &str, kind: &'static str, of_all_joints, group: Group, hierarchy: &TaskHierarchy| {
+/// Adds the slots of the tasks of a hierarchy, without duplicates.
+fn add_slots(slots: &mut Vec<Slot>, recorded: RecordedSignals, hierarchy: &TaskHierarchy) {
+    let mut add = |name: &str, kind: &'static str, of_all_joints, group: Group| {
         let is_same = |slot: &Slot| {
             slot.of_all_joints == of_all_joints
                 && slot.name == name
@@ -299,34 +301,31 @@ fn slots<'a>(
             slots.push(slot);
         }
     };
-    for hierarchy in hierarchies {
-        for level in &hierarchy.levels {
-            let groups: &[Group] = match recorded {
-                RecordedSignals::Motion => &[Group::Motion, Group::Sensed, Group::Target],
-                RecordedSignals::Forces => &[
-                    Group::Motion,
-                    Group::Force,
-                    Group::Slack,
-                    Group::Escape,
-                    Group::Gains,
-                    Group::Sensed,
-                    Group::Target,
-                ],
-            };
-            groups.iter().for_each(|&group| add(level.name(), level.task.kind(), false, group, hierarchy));
-        }
-        if let Some(task) = &hierarchy.joint {
-            let groups: &[Group] = match recorded {
-                RecordedSignals::Motion => &[Group::Motion, Group::Target],
-                RecordedSignals::Forces => &[Group::Motion, Group::Slack, Group::Target],
-            };
-            for &group in groups {
-                let kind = if group == Group::Slack { ALL_JOINTS } else { task.kind() };
-                add(task.name(), kind, true, group, hierarchy);
-            }
+    for level in &hierarchy.levels {
+        let groups: &[Group] = match recorded {
+            RecordedSignals::Motion => &[Group::Motion, Group::Sensed, Group::Target],
+            RecordedSignals::Forces => &[
+                Group::Motion,
+                Group::Force,
+                Group::Slack,
+                Group::Escape,
+                Group::Gains,
+                Group::Sensed,
+                Group::Target,
+            ],
+        };
+        groups.iter().for_each(|&group| add(level.name(), level.task.kind(), false, group));
+    }
+    if let Some(task) = &hierarchy.joint {
+        let groups: &[Group] = match recorded {
+            RecordedSignals::Motion => &[Group::Motion, Group::Target],
+            RecordedSignals::Forces => &[Group::Motion, Group::Slack, Group::Target],
+        };
+        for &group in groups {
+            let kind = if group == Group::Slack { ALL_JOINTS } else { task.kind() };
+            add(task.name(), kind, true, group);
         }
     }
-    slots
 }
 
 /// Targets of all tasks, without duplicates; all values "as configured".

@@ -3,7 +3,7 @@
 use crate::context::ControlContext;
 use crate::error::{ControlError, Reason};
 use crate::hierarchy::priority_level::PriorityLevel;
-use crate::hierarchy::rank::{TypicalMobility, sampled_rank};
+use crate::hierarchy::rank::{TypicalMobility, have_same_rows, sampled_rank};
 use crate::hierarchy::task_hierarchy::TaskHierarchy;
 use crate::hierarchy::task_parameters::{TaskParameters, TaskSetParameters, largest_unused_damping_per_s};
 use crate::nullspace::Nullspace;
@@ -22,16 +22,19 @@ pub struct TaskSetBuilder<'a> {
     model: &'a Model,
     context: &'a ControlContext,
     hierarchy: TaskHierarchy,
+    /// Task set of the same robot: rank and typical mobility of the same rows are not computed again.
+    before: Option<&'a TaskSet>,
 }
 
 impl TaskSet {
     /// Returns a builder without tasks; tasks are added in order of priority.
     #[must_use]
     pub fn builder<'a>(model: &'a Model, context: &'a ControlContext) -> TaskSetBuilder<'a> {
-        TaskSetBuilder { model, context, hierarchy: TaskHierarchy::new(model) }
+        TaskSetBuilder { model, context, hierarchy: TaskHierarchy::new(model), before: None }
     }
 
-    /// Builds the task set of a task file.
+    /// Builds the task set of a task file. With a task set `before` it for the same robot, what both have in common is
+    /// computed faster, with the same result.
     ///
     /// # Errors
     /// Unknown names, axes that the robot cannot move, missing gains: see [`Reason`].
@@ -39,9 +42,11 @@ impl TaskSet {
         model: &Model,
         parameters: &TaskSetParameters<'_>,
         context: &ControlContext,
+        before: Option<&Self>,
     ) -> Result<Self, ControlError> {
         check_names(parameters)?;
-        let mut builder = Self::builder(model, context).unused_damping(parameters.unused_damping_per_s)?;
+        let builder = TaskSetBuilder { before, ..Self::builder(model, context) };
+        let mut builder = builder.unused_damping(parameters.unused_damping_per_s)?;
         for name in parameters.priority {
             builder = builder.from_parameters(name, &parameters.task[name])?;
         }
@@ -80,10 +85,23 @@ impl TaskSetBuilder<'_> {
     /// with the rows of the tasks above; a task of all joints above it.
     pub fn task(mut self, task: Box<dyn Task>) -> Result<Self, ControlError> {
         self.check_name(task.name())?;
-        let level = PriorityLevel::new(task, self.model, self.context, &self.hierarchy.levels);
-        self.hierarchy.levels.push(level);
-        check_rank(self.model, &self.hierarchy)?;
+        let (model, above) = (self.model, self.hierarchy.levels.len());
+        let known = self.known_mobility(&*task);
+        let typical = known.unwrap_or_else(|| TypicalMobility::new(model, self.hierarchy.tasks(), &*task));
+        self.hierarchy.levels.push(PriorityLevel::new(task, typical, model, self.context, above));
+        if known.is_none() {
+            check_rank(model, &self.hierarchy)?;
+        }
         Ok(self)
+    }
+
+    /// Typical mobility of a task below the tasks added so far, if the task set before has the same rows up to there.
+    fn known_mobility(&self, task: &dyn Task) -> Option<TypicalMobility> {
+        let before = self.before?;
+        let tasks: Vec<&dyn Task> = self.hierarchy.tasks().chain([task]).collect();
+        let others: Vec<&dyn Task> = before.tasks().take(tasks.len()).collect();
+        let typical = before.0.levels.get(tasks.len() - 1)?.typical;
+        have_same_rows(self.model, &tasks, &others).then_some(typical)
     }
 
     /// Adds the task of all joints, which must be the last one.

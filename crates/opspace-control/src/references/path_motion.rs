@@ -12,8 +12,10 @@ use crate::references::timing_law::{PathLimits, TimingLaw};
 use nalgebra::{Matrix3, Vector3};
 use opspace_backend::quantity::Positive;
 use opspace_model::Placement;
-use std::collections::VecDeque;
-use std::sync::{Arc, Mutex, PoisonError};
+use serde::Deserialize;
+use std::fmt;
+use std::ops::Deref;
+use std::sync::{Arc, OnceLock};
 
 /// Length, duration and largest values of a path, without the approach of a path in world coordinates.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -30,17 +32,56 @@ pub struct PathSummary {
     pub angular_speed_rad_per_s: f64,
 }
 
-/// Number of paths that are kept, so that the controllers of a run and of its checks compute them once.
-const KEPT_PATHS: usize = 8;
-
 /// Longest duration of a path, s.
 const MAX_DURATION_S: f64 = 1e6;
 
 /// Instants at which a path is evaluated for its summary.
 const INSTANTS: u32 = 2000;
 
-impl PathReference {
-    /// Computes the motion along the path, and summarises it.
+/// A path, and the motion along it once it is computed. Clones share both, so that all controllers and checks of a task
+/// compute the motion once. The path cannot be changed; a changed one is a new `TimedReference`.
+#[derive(Clone, Deserialize)]
+#[serde(from = "PathReference")]
+pub struct TimedReference(Arc<(PathReference, OnceLock<Arc<TimedPath>>)>);
+
+impl From<PathReference> for TimedReference {
+    fn from(path: PathReference) -> Self {
+        Self(Arc::new((path, OnceLock::new())))
+    }
+}
+
+impl Deref for TimedReference {
+    type Target = PathReference;
+
+    fn deref(&self) -> &PathReference {
+        &self.0.0
+    }
+}
+
+impl PartialEq for TimedReference {
+    fn eq(&self, other: &Self) -> bool {
+        Arc::ptr_eq(&self.0, &other.0) || **self == **other
+    }
+}
+
+impl fmt::Debug for TimedReference {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        (**self).fmt(f)
+    }
+}
+
+impl TimedReference {
+    /// Geometry and timing law; computed by the first call.
+    fn timed(&self, key: &str) -> Result<&Arc<TimedPath>, ControlError> {
+        let (path, timed) = &*self.0;
+        if let Some(timed) = timed.get() {
+            return Ok(timed);
+        }
+        let computed = Arc::new(TimedPath::compute(path, key)?);
+        Ok(timed.get_or_init(|| computed))
+    }
+
+    /// Summarises the motion along the path.
     ///
     /// # Errors
     /// A path that is not valid, with the key in the reference.
@@ -83,20 +124,6 @@ struct TimedPath {
 }
 
 impl TimedPath {
-    /// Returns the path of a reference, which is computed unless it is one of the last ones.
-    fn of(path: &PathReference, key: &str) -> Result<Arc<Self>, ControlError> {
-        static RECENT: Mutex<VecDeque<(PathReference, Arc<TimedPath>)>> = Mutex::new(VecDeque::new());
-        let recent = || RECENT.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some((_, known)) = recent().iter().find(|(reference, _)| reference == path) {
-            return Ok(Arc::clone(known));
-        }
-        let timed = Arc::new(Self::compute(path, key)?);
-        let mut recent = recent();
-        recent.push_front((path.clone(), Arc::clone(&timed)));
-        recent.truncate(KEPT_PATHS);
-        Ok(timed)
-    }
-
     fn compute(path: &PathReference, key: &str) -> Result<Self, ControlError> {
         let shape = PathShape::new(path, key)?;
         let limits =
@@ -139,8 +166,8 @@ pub(crate) struct PathMotion {
 
 impl PathMotion {
     /// Creates the motion; `key` is the path of the reference in the file.
-    pub(crate) fn new(path: &PathReference, key: &str) -> Result<Self, ControlError> {
-        let timed = TimedPath::of(path, key)?;
+    pub(crate) fn new(path: &TimedReference, key: &str) -> Result<Self, ControlError> {
+        let timed = Arc::clone(path.timed(key)?);
         let angular = |limit: Option<Positive>| limit.map_or(f64::INFINITY, Positive::get);
         let still = Vector3::zeros();
         let approach = Approach { duration_s: 0.0, from: Placement::identity(), line: still, turn: still };
@@ -218,5 +245,24 @@ impl PathMotion {
     fn along(&self, time_s: f64) -> Target {
         let (turn, shift, own) = &self.displacement;
         laid(&self.path.shape.at(self.path.law.at(time_s)), turn, shift, own)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Compared: the motions of a path, of its clone, and of an equal path that was read again.
+    #[test]
+    fn clones_share_the_motion() {
+        let text = "segments = [{ line = { to_m = [0.1, 0.0, 0.0] } }]\nspeed_m_per_s = 0.2\n\
+                    acceleration_m_per_s2 = 1.0\njerk_m_per_s3 = 20.0\n";
+        let read = || toml::from_str::<TimedReference>(text).expect("a path");
+        let path = read();
+        let again = read();
+        let motion = |path: &TimedReference| Arc::clone(path.timed("path").expect("a motion"));
+        let first = motion(&path);
+        assert!(Arc::ptr_eq(&first, &motion(&path.clone())));
+        assert!(path == again && !Arc::ptr_eq(&first, &motion(&again)));
     }
 }

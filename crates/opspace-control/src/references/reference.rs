@@ -9,7 +9,8 @@ use crate::references::blend::{Joining, moved};
 use crate::references::goal::{OrientationGoal, PositionGoal, position, rotation};
 use crate::references::online::{OnlineGoal, OnlineVector};
 use crate::references::path_bounds::PathPlace;
-use crate::references::path_motion::PathMotion;
+use crate::references::path_motion::{PathMotion, TimedReference};
+#[cfg(feature = "schema")]
 use crate::references::path_reference::PathReference;
 use crate::references::ramp::{minimum_jerk, product};
 use crate::references::recorded::{RecordedMotion, RecordedPath};
@@ -40,7 +41,7 @@ pub enum CartesianReference {
     /// Moves to one pose as fast as its limits allow, from any state of motion.
     Goal(OnlineGoal),
     /// Follows lines, arcs, circles and splines with rounded corners.
-    Path(Box<PathReference>),
+    Path(#[cfg_attr(feature = "schema", schemars(with = "PathReference"))] TimedReference),
     /// Follows a recorded path.
     Recorded(RecordedPath),
     /// Follows streamed targets.

@@ -2,7 +2,7 @@
 //! accelerations and jerks with the limits; the path with its waypoints; durations with closed forms.
 
 use nalgebra::{Matrix3, Rotation3, Vector3};
-use opspace_control::{CartesianReference, PathReference, Target, Trajectory};
+use opspace_control::{CartesianReference, Target, TimedReference, Trajectory};
 use opspace_model::Placement;
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
@@ -23,18 +23,18 @@ fn axes() -> Matrix3<f64> {
 }
 
 /// Reads a path; `text` has its keys.
-fn read(text: &str) -> PathReference {
+fn read(text: &str) -> TimedReference {
     let file: Only =
         toml::from_str(&format!("[reference.path]\n{text}")).unwrap_or_else(|e| panic!("{e}: {text}"));
     match file.reference {
-        CartesianReference::Path(path) => *path,
+        CartesianReference::Path(path) => path,
         other => panic!("{other:?}"),
     }
 }
 
 /// A started path.
 fn path(text: &str) -> Trajectory {
-    let mut trajectory = Trajectory::new(&CartesianReference::Path(Box::new(read(text))));
+    let mut trajectory = Trajectory::new(&CartesianReference::Path(read(text)));
     trajectory.start(&start(), &Target::at_rest(start()), &axes());
     trajectory
 }

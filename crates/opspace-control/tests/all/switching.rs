@@ -442,3 +442,20 @@ fn log_layout_is_fixed_and_inactive_tasks_are_nan() {
     let of = |name: &str| values.iter().find(|(other, _)| other == name).expect("a signal").1[0];
     assert!(of("hand.position").is_finite() && of("elbow.error").is_nan());
 }
+
+/// Task sets after one another. Compared: the typical mobilities of each, computed alone and with those of the set before, which
+/// has the same rows, fewer, or others.
+#[test]
+fn typical_mobilities_do_not_depend_on_the_set_before() {
+    let model = seven_joints();
+    let context = robot(&model, f64::INFINITY);
+    let sets = task_sets();
+    for (before, text) in sets.iter().zip(sets.iter().chain(&sets).skip(1)).chain(sets.iter().zip(&sets)) {
+        let build = |text: &str, before: Option<&TaskSet>| {
+            TaskSet::from_parameters(&model, &File::read(text).task_set(), &context, before)
+                .expect("a good set")
+        };
+        let (alone, after) = (build(text, None), build(text, Some(&build(before, None))));
+        assert!(alone.typical_mobilities().eq(after.typical_mobilities()), "{before}\n{text}");
+    }
+}

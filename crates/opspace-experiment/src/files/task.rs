@@ -13,7 +13,7 @@ use opspace_backend::quantity::{NonNegative, Positive};
 use opspace_control::hierarchy::task_parameters::UNUSED_DAMPING_PER_S;
 use opspace_control::{
     AxisMode, CartesianReference, Compensation, ContactCondition, LimitParameters, RecordedReason,
-    TaskParameters, recorded,
+    TaskParameters, TimedReference, recorded,
 };
 use opspace_sim::EnvironmentObjectParameters;
 use opspace_transformer::FrictionCompensationParameters;
@@ -246,6 +246,7 @@ impl TaskDefinition {
         let mut events = after_events(&source, &file, extensions)?;
         keep_used_tasks(&mut file, &mut events);
         let mut recordings = BTreeMap::new();
+        let mut paths: Vec<TimedReference> = Vec::new();
         let stacks = events.iter_mut().map(|stack| &mut stack.task);
         for (task, parameters) in std::iter::once(&mut file.task).chain(stacks).flatten() {
             let (kind, reference) = match parameters {
@@ -253,6 +254,13 @@ impl TaskDefinition {
                 TaskParameters::CenterOfMass(task) => ("center-of-mass", &mut task.reference),
                 _ => continue,
             };
+            if let CartesianReference::Path(path) = reference {
+                // Each event reads the task again: equal paths are one, whose motion is computed once.
+                match paths.iter().find(|known| *known == path) {
+                    Some(known) => *path = known.clone(),
+                    None => paths.push(path.clone()),
+                }
+            }
             let CartesianReference::Recorded(recorded) = reference else { continue };
             if !recordings.contains_key(&recorded.file) {
                 let key = ["task", task, kind, "reference", "recorded", "file"];

@@ -40,14 +40,19 @@ impl<'a> PreflightCase<'a> {
         }
         let first = (0.0, task.file.priority.as_slice(), &task.file.task);
         let later = task.events.iter().map(|event| (event.time_s, event.priority.as_slice(), &event.task));
-        let stacks = std::iter::once(first)
-            .chain(later.filter(|(from_s, ..)| *from_s < experiment.duration_s()))
-            .map(|(from_s, priority, task)| {
-                let tasks = experiment.task_set(priority, task)?;
-                Some(ActiveTasks { from_s, priority, task, tasks, motions: motions(priority, task, model) })
-            })
-            .collect::<Option<_>>()?;
-        Some(Self { experiment, model, start, data, task_sets: stacks })
+        let in_time = later.filter(|(from_s, ..)| *from_s < experiment.duration_s());
+        let mut task_sets: Vec<ActiveTasks<'_>> = Vec::new();
+        for (from_s, priority, task) in std::iter::once(first).chain(in_time) {
+            let tasks = experiment.task_set(priority, task, task_sets.last().map(|set| &set.tasks))?;
+            task_sets.push(ActiveTasks {
+                from_s,
+                priority,
+                task,
+                tasks,
+                motions: motions(priority, task, model),
+            });
+        }
+        Some(Self { experiment, model, start, data, task_sets })
     }
 
     /// Run whose references are rolled out.

@@ -26,7 +26,8 @@ use opspace_backend::{Capabilities, CommandKind, GravityCompensation, MissedCycl
 use opspace_control::hierarchy::task_parameters::largest_unused_damping_per_s;
 use opspace_control::{
     ControlContext, ControlError, Controller, InverseKinematicsController, LimitParameters,
-    OperationalSpaceController, Reason, ServoLead, TaskParameters, TaskSet, TaskSetParameters, ViableSpeeds,
+    OperationalSpaceController, PathReference, Reason, ServoLead, TaskParameters, TaskSet, TaskSetParameters,
+    ViableSpeeds,
 };
 use opspace_loop::{
     CollisionDetector, ControlLoop, EstimatedForce, LoopConfig, LoopError, SensorCompensation,
@@ -485,14 +486,14 @@ impl Experiment {
             }
             for (path, bounds) in paths.iter_mut().zip(found) {
                 let Some(bounds) = bounds else { continue };
+                path.path = PathReference { bounds, ..(*path.path).clone() }.into();
                 for (set, tasks) in self.task.task_sets_mut().enumerate() {
                     if path.sets.contains(&set)
-                        && let Some(path) = tasks.get_mut(&path.task).and_then(path_of)
+                        && let Some(of_task) = tasks.get_mut(&path.task).and_then(path_of)
                     {
-                        path.bounds = bounds.clone();
+                        *of_task = path.path.clone();
                     }
                 }
-                path.path.bounds = bounds;
             }
         }
         Ok(())
@@ -526,14 +527,15 @@ impl Experiment {
         context
     }
 
-    /// Builds the tasks of a file or an event for the robot; `None` if they are incompatible with it.
+    /// Builds the tasks of a file or an event for the robot, after the set `before`; `None` if they are incompatible with it.
     pub(crate) fn task_set(
         &self,
         priority: &[String],
         task: &BTreeMap<String, TaskParameters>,
+        before: Option<&TaskSet>,
     ) -> Option<TaskSet> {
         let context = self.control_context(self.profile.period_s());
-        TaskSet::from_parameters(&self.robot.model, &self.stack(priority, task), &context).ok()
+        TaskSet::from_parameters(&self.robot.model, &self.stack(priority, task), &context, before).ok()
     }
 
     fn stack<'a>(

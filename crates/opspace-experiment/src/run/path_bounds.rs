@@ -22,7 +22,7 @@
 use crate::run::path_dynamics::{JointBounds, MotionInstant};
 use crate::run::rollout::{Instant, Rollout};
 use opspace_control::{
-    AccelerationBound, CartesianReference, PartBounds, PathBounds, PathPlace, PathReference, TaskParameters,
+    AccelerationBound, CartesianReference, PartBounds, PathBounds, PathPlace, TaskParameters, TimedReference,
 };
 use std::collections::BTreeMap;
 
@@ -49,7 +49,7 @@ const SLOW: f64 = 1e-3;
 #[derive(Clone, Debug)]
 pub(crate) struct TaskPath {
     pub task: String,
-    pub path: PathReference,
+    pub path: TimedReference,
     /// Numbers of the task sets in which the task follows the path.
     pub sets: Vec<usize>,
 }
@@ -72,7 +72,7 @@ pub(crate) fn time_optimal_paths<'a>(
 }
 
 /// Time-optimal path in the parameters of a task, if it has one.
-pub(crate) fn path_of(parameters: &mut TaskParameters) -> Option<&mut PathReference> {
+pub(crate) fn path_of(parameters: &mut TaskParameters) -> Option<&mut TimedReference> {
     let reference = match parameters {
         TaskParameters::Cartesian(parameters) => &mut parameters.reference,
         TaskParameters::CenterOfMass(parameters) => &mut parameters.reference,

@@ -7,9 +7,10 @@ use super::path_following::follow;
 use super::random_arms::RandomArm;
 use super::random_servos::{Random, load};
 use nalgebra::DVector;
-use opspace_control::{CartesianReference, PathPlace, TaskParameters};
+use opspace_control::{CartesianReference, PathPlace, PathReference, TaskParameters};
 use opspace_experiment::{Code, Experiment, diagnostics};
 use std::fs;
+use std::path::{Path, PathBuf};
 
 const STEP_S: f64 = 1e-4;
 
@@ -19,14 +20,19 @@ const FRACTION: f64 = 0.9;
 /// Experiment of a path with the given limits and segments, on an arm whose joints have the speed limit `velocity`.
 fn experiment(arm: &RandomArm, velocity: f64, path: &str) -> Experiment {
     let folder = tempfile::TempDir::new().unwrap();
-    let robot = folder.path().join("robot");
+    load(&task_file(folder.path(), arm, velocity, path), &[])
+}
+
+/// Writes the task of that experiment, and its robot, to a folder.
+fn task_file(folder: &Path, arm: &RandomArm, velocity: f64, path: &str) -> PathBuf {
+    let robot = folder.join("robot");
     fs::create_dir(&robot).unwrap();
     let urdf = arm.urdf().replace("velocity=\"6\"", &format!("velocity=\"{velocity:?}\""));
     fs::write(robot.join("arm.urdf"), urdf).unwrap();
     fs::write(robot.join("robot.toml"), arm.robot()).unwrap();
     let start: Vec<String> =
         arm.start.iter().enumerate().map(|(i, q)| format!("j{} = {q:?}", i + 1)).collect();
-    let task = folder.path().join("task.toml");
+    let task = folder.join("task.toml");
     let text = format!(
         "robot = \"robot\"\nduration_s = 3.0\npriority = [\"tip\", \"rest\"]\nstart_rad = {{ {} }}\n\
          [task.tip.cartesian]\nframe = \"tip\"\naxes = {{ x = \"motion\", y = \"motion\", z = \"motion\" }}\n\
@@ -36,7 +42,7 @@ fn experiment(arm: &RandomArm, velocity: f64, path: &str) -> Experiment {
         start.join(", ")
     );
     fs::write(&task, text).unwrap();
-    load(&task, &[])
+    task
 }
 
 fn reference(experiment: &Experiment) -> &CartesianReference {
@@ -147,4 +153,33 @@ fn slow_paths_are_unchanged() {
     );
     let CartesianReference::Path(path) = reference(&experiment(&arm, 6.0, &path)).clone() else { panic!() };
     assert_eq!(path.bounds, opspace_control::PathBounds::default());
+}
+
+/// The path of a task in each of its task sets. Compared: the places in memory, since one path has one motion, however many events
+/// read it again.
+#[test]
+fn events_share_a_path() {
+    let arm = RandomArm::new(&mut Random(5));
+    let path = "speed_m_per_s = 2.0\nacceleration_m_per_s2 = 5.0\njerk_m_per_s3 = 100.0\n\
+                segments = [{ line = { to_m = [0.05, 0.02, 0.0] } }]";
+    for time_optimal in [true, false] {
+        let folder = tempfile::TempDir::new().unwrap();
+        let task = task_file(folder.path(), &arm, 3.0, path);
+        let events = "[[event]]\ntime_s = 1.0\nset = [\"task.rest.joint-posture.damping_ratio=0.9\"]\n\
+                      [[event]]\ntime_s = 2.0\nset = [\"task.tip.cartesian.gains.damping_ratio=0.9\"]\n";
+        let text = fs::read_to_string(&task).unwrap() + events;
+        fs::write(&task, text.replace("time_optimal = true", &format!("time_optimal = {time_optimal}")))
+            .unwrap();
+        let experiment = load(&task, &[]);
+        let sets = experiment.task().events.iter().map(|event| &event.task["tip"]);
+        for other in sets {
+            let (CartesianReference::Path(first), TaskParameters::Cartesian(other)) =
+                (reference(&experiment), other)
+            else {
+                panic!("{other:?}")
+            };
+            let CartesianReference::Path(other) = &other.reference else { panic!("{other:?}") };
+            assert!(std::ptr::eq::<PathReference>(&**first, &**other));
+        }
+    }
 }

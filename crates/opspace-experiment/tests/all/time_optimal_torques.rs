@@ -109,7 +109,7 @@ fn reference(experiment: &Experiment) -> CartesianReference {
 
 fn bounds(experiment: &Experiment) -> PathBounds {
     match reference(experiment) {
-        CartesianReference::Path(path) => path.bounds,
+        CartesianReference::Path(path) => path.bounds.clone(),
         other => panic!("{other:?}"),
     }
 }

@@ -276,7 +276,13 @@ pub(super) fn task_sets(experiment: &Experiment) -> Vec<Option<TaskSet>> {
     let file = &experiment.task().file;
     let events = experiment.task().events.iter().map(|event| (&event.priority, &event.task));
     let sets = std::iter::once((&file.priority, &file.task)).chain(events);
-    sets.map(|(priority, tasks)| experiment.task_set(priority, tasks)).collect()
+    let mut found: Vec<Option<TaskSet>> = Vec::new();
+    for (priority, tasks) in sets {
+        let before = found.last().and_then(Option::as_ref);
+        let set = experiment.task_set(priority, tasks, before);
+        found.push(set);
+    }
+    found
 }
 
 /// Errors of the rows of a task that follow a reference.
