@@ -116,7 +116,7 @@ const EXCEPTIONS: &[(Code, &str)] = &[
     ),
     (
         Code::SpringDeflected,
-        "the advice is another stiffness or friction compensation, which changes how far the spring gives way",
+        "the advice is another stiffness or friction compensation, which changes by how much the spring is deflected",
     ),
     (Code::NoShape, "`logs_do_not_need_meshes` has capsules of robot.toml in place of shapes"),
     (Code::MeshNotFound, "the advice is to supply the file of a mesh"),

@@ -354,7 +354,7 @@ fn runs_of_one_task_are_drawn_over_each_other() {
     let summaries: Vec<Summary> = sections.iter().map(|section| section.summary.clone()).collect();
     let html = page("Title", "Lead.", &summaries, &default_columns(&[]), &sections);
     assert!(html.contains("Position of &#39;hand&#39;: 2 runs"));
-    for name in ["emulation+current: true", "torque robot: true"] {
+    for name in ["position robot: true", "torque robot: true"] {
         assert!(html.contains(name), "{name}");
     }
     assert!(!html.contains("torque robot: reference"));
