@@ -101,7 +101,8 @@ impl TaskResponse<'_> {
     fn remark(&self, axis: usize, numbers: &AxisNumbers) -> String {
         let Some(measured) = numbers.stiffness_n_per_m.map(format_short) else {
             return format!(
-                "{}: no stiffness, because force and displacement are not proportional. A slower push may show one.",
+                "{}: no stiffness, because force and displacement are not proportional: friction, or the damping of a fast push, is \
+                 too large.",
                 AXIS_NAMES[axis]
             );
         };

@@ -23,7 +23,7 @@ const REVERSED: f64 = 0.02;
 const RELEASED: f64 = 0.05;
 
 /// Smallest squared correlation of displacement and force with which their ratio is a stiffness.
-const CORRELATED: f64 = 0.8;
+const CORRELATED: f64 = 0.5;
 
 /// Force and displacement along the axes of a task at one time; an axis that is not considered is NaN.
 #[derive(Clone, Copy, Debug)]
