@@ -558,6 +558,18 @@ fn new_robot_lists_values_missing_from_urdf() {
     ]);
 }
 
+/// A mistyped name of a profile makes a new profile without values: the error names those that there are.
+#[test]
+fn mistyped_profile_names_the_profiles() {
+    let folder = scratch();
+    let task = project("tasks/ur5e-reach.toml");
+    let setting = "robot.profile.industral.servo_ticks_per_cycle=4";
+    opspace(folder.path(), &["check", &task, "--set", setting]).exits(2).says(&[
+        "values are missing in `profile.industral`",
+        "if it is no new profile: did you mean 'industrial'?",
+    ]);
+}
+
 /// Names that must be quoted in TOML.
 #[test]
 fn new_robot_accepts_any_names() {

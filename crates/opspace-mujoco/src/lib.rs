@@ -82,7 +82,7 @@ impl Mujoco {
     ///
     /// # Errors
     /// No library, a version that is too old, or a scene that cannot be read, or that includes a file that cannot be read.
-    /// What else is wrong within a scene is found when a plant is built.
+    /// Other faults of a scene are found when a plant is built.
     pub fn find(scene: Option<&Path>) -> Result<Self, MujocoError> {
         Self::open(&find_library()?, scene)
     }

@@ -1,6 +1,7 @@
 //! Notes under the tables of results: they explain terms, columns and what is missing.
 
 use crate::codes::Code;
+use crate::evaluate::position_control::lag_m;
 use crate::evaluate::results::{error_of_desired, group, has_value, task_table};
 use crate::evaluate::summary::Summary;
 use crate::files::controller_kind::ControllerKind;
@@ -293,14 +294,12 @@ fn sag(summary: &Summary, name: &str, task: &TaskMetrics) -> Option<String> {
     if sag_m < SAGGED * rms_m {
         return None;
     }
-    // Of errors that are not correlated, the squares add up.
-    let lag_m = (rms_m.powi(2) - sag_m.powi(2)).max(0.0).sqrt();
     Some(format!(
         "task '{name}': {} from its resting reference at the end: sag, as servos without an integral yield to the weight of the arm; \
          of the error of {} rms, lag in motion is about {}; {lead}",
         mm(sag_m),
         mm(rms_m),
-        mm(lag_m)
+        mm(lag_m(rms_m, sag_m))
     ))
 }
 

@@ -47,7 +47,7 @@ fn sag(run: &Summary) -> Option<String> {
         let text = "mm rms is sag: the error at rest at the end is";
         return Some(format!("{head}: the position error of {} {text} {} mm.", mm(rms_m), mm(sag_m)));
     }
-    let lag_m = (rms_m * rms_m - sag_m * sag_m).sqrt();
+    let lag_m = lag_m(rms_m, sag_m);
     Some(format!(
         "{head}: of the position error of {} mm rms, {} mm is sag (the error at rest at the end) and {} mm is lag \
          (√(rms² − sag²)).",
@@ -55,6 +55,11 @@ fn sag(run: &Summary) -> Option<String> {
         mm(sag_m),
         mm(lag_m)
     ))
+}
+
+/// Part of an rms error (m) beside a constant sag (m), if the two are not correlated; zero if the sag is the larger one.
+pub(crate) fn lag_m(rms_m: f64, sag_m: f64) -> f64 {
+    (rms_m.powi(2) - sag_m.powi(2)).max(0.0).sqrt()
 }
 
 #[cfg(test)]

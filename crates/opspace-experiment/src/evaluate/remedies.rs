@@ -20,7 +20,7 @@ pub(crate) fn remedy(finding: &Finding) -> &'static str {
             "release the brake, raise the gains, or compensate the friction: `opspace identify ROBOT` measures it for \
              `friction_compensation.gain`"
         }
-        Code::StaleTargets => "send targets more often, or raise `stale_after_s`",
+        Code::StaleTargets => "send targets more often, or raise `timeout_s` of the streamed reference",
         Code::SetpointsClamped => {
             "look for steps in the measured positions; without any, `opspace identify ROBOT` measures the gains of the servos"
         }
@@ -70,6 +70,7 @@ mod tests {
     use crate::codes::{Code, Effect};
     use crate::evaluate::findings::Findings;
     use crate::finding::{Finding, Place};
+    use std::path::Path;
 
     /// Checks that each finding of a run names a key or a command.
     #[test]
@@ -81,6 +82,30 @@ mod tests {
             findings.extend([Finding::of(*code, Place::Run(()), String::new())]);
             let help = &findings.of(*code).next().expect("the finding").help;
             assert!(help.contains('`'), "{code}: {help}");
+        }
+    }
+
+    /// Checks that each key in remedies and notes is one of the files, or a metric.
+    #[test]
+    fn remedies_name_keys_that_exist() {
+        let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
+        let files = ["tasks/task.schema.json", "robots/robot.schema.json", "docs/metrics.md"];
+        let known: String =
+            files.iter().filter_map(|file| std::fs::read_to_string(root.join(file)).ok()).collect();
+        let sources = [include_str!("remedies.rs"), include_str!("notes.rs")];
+        let code = sources.map(|text| text.split("#[cfg(test)]").next().unwrap_or_default());
+        let lines = code.iter().flat_map(|text| text.lines()).filter(|line| !line.trim().starts_with("//"));
+        let quoted = lines.flat_map(|line| line.split('`').skip(1).step_by(2));
+        let is_key = |word: &&str| {
+            word.contains('_') && word.chars().all(|c| c.is_ascii_lowercase() || matches!(c, '_' | '.'))
+        };
+        let keys: Vec<&str> = quoted.filter(is_key).collect();
+        assert!(keys.len() > 12, "{keys:?}");
+        for key in keys {
+            let last = key.rsplit('.').next().unwrap_or_default();
+            let is_known =
+                [format!("\"{last}\""), format!("`{last}`")].iter().any(|text| known.contains(text));
+            assert!(is_known, "`{key}` is no key");
         }
     }
 }

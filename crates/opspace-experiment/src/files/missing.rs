@@ -8,6 +8,7 @@ use crate::files::required_keys::{
 };
 use crate::files::source::{FileError, Source};
 use crate::files::toml_path::dotted;
+use crate::suggest::choices;
 use opspace_model::{JointKind, Model};
 use std::fmt::Write as _;
 use toml::Spanned;
@@ -61,6 +62,20 @@ pub(crate) fn check_complete(
             match common_table(&missing) {
                 [] => Err(FileError::of_file(source.name(), message, Some(help)).coded(Code::MissingValues)),
                 table => {
+                    // A name that the user has mistyped makes a profile of its own, with a value or two.
+                    if let [first, name] = table
+                        && first == "profile"
+                    {
+                        let profiles = document.get("profile").and_then(|table| table.get_ref().as_table());
+                        let profiles = profiles.into_iter().flat_map(|table| table.keys());
+                        let others: Vec<&str> = profiles
+                            .map(|key| key.get_ref().as_ref())
+                            .filter(|other| other != name)
+                            .collect();
+                        if !others.is_empty() {
+                            help = format!("if it is no new profile: {}\n{help}", choices(name, others));
+                        }
+                    }
                     let joint = table.last().filter(|name| model.joint(name).is_ok());
                     let of = joint.map_or_else(String::new, |name| format!("joint '{name}': "));
                     let message = format!("{of}{message} in `{}`", dotted(table));

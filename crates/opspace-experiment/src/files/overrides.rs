@@ -11,7 +11,7 @@ use toml_edit::{Array, ArrayOfTables, DocumentMut, InlineTable, Item, Key, Table
 use crate::files::numbers::with_digits;
 use crate::files::source::{FileError, Setting, Source, check_syntax};
 use crate::files::toml_path::{Part, dotted};
-use crate::suggest::{choices, nearest};
+use crate::suggest::nearest;
 
 /// Maximum depth of a key. Files are flat, so a deeper key is a mistake.
 const MAX_DEPTH: usize = 32;
@@ -72,9 +72,6 @@ fn edit(source: &Source, settings: &[String], root: Option<&str>) -> Result<Sour
             .text()
             .parse()
             .map_err(|error| FileError::of_file(source.name(), format!("not TOML: {error}"), None))?;
-        if let Some(error) = unknown_profile(&document, &keys) {
-            return Err(refuse(&setting, Part::Key, error));
-        }
         let mut path = Vec::new();
         put(Node::Table(document.as_table_mut()), &keys, &value, &mut path)
             .map_err(|error| refuse(&setting, Part::Key, error))?;
@@ -86,17 +83,6 @@ fn edit(source: &Source, settings: &[String], root: Option<&str>) -> Result<Sour
 
 /// Message and help of an error.
 type OverrideError = (String, Option<String>);
-
-/// Error of a setting of one value of a profile that the file does not have: it would be a profile without all other values.
-fn unknown_profile(document: &DocumentMut, keys: &[String]) -> Option<OverrideError> {
-    let [table, name, _, ..] = keys else { return None };
-    let profiles = document.get("profile").and_then(Item::as_table_like).filter(|_| table == "profile")?;
-    if profiles.is_empty() || profiles.contains_key(name) {
-        return None;
-    }
-    let help = choices(name, profiles.iter().map(|(profile, _)| profile));
-    Some((format!("the robot has no profile '{name}'"), Some(help)))
-}
 
 /// Returns the key of a setting and its byte range; a quoted key may contain `=`.
 fn key_of(spelling: &str) -> Result<(Vec<String>, Range<usize>), FileError> {

@@ -216,9 +216,9 @@ pub(super) fn overlays(shown: &[RunSection]) -> Vec<Figure> {
 /// Place of a figure on a page: what the task is about comes first, torques and setpoints come last.
 fn order(figure: &Figure, summary: &Summary) -> usize {
     let is_about_forces = summary.metrics.contact.force_rms_n.is_some();
-    let starts: [&str; 5] = match is_about_forces {
-        true => ["Force", "Error", "Position of", "Orientation", "Joint"],
-        false => ["Position of", "Error", "Orientation", "Force", "Joint"],
+    let starts: [&str; 7] = match is_about_forces {
+        true => ["Force over", "Response", "Force", "Error", "Position of", "Orientation", "Joint"],
+        false => ["Force over", "Response", "Position of", "Error", "Orientation", "Force", "Joint"],
     };
     starts.iter().position(|start| figure.title.starts_with(start)).unwrap_or(starts.len())
 }

@@ -13,6 +13,9 @@ use crate::report::kinds::run_names;
 pub use crate::report::run_section::{ClosestPair, CollisionMoment, PlacedShape, RunSection};
 use crate::text::listed;
 
+/// Largest number of compared runs of which the page states what happened.
+const MOST_STORIES: usize = 4;
+
 /// Builds a page about runs: one table, then a section for each run in `shown`.
 #[must_use]
 pub fn page(
@@ -48,6 +51,11 @@ pub fn page(
     let first = if is_comparison { side_by_side(summaries) } else { compliance(summaries, metrics) };
     if let Some(chart) = &first {
         page = page.dot_columns(chart);
+    }
+    if is_comparison && shown.len() <= MOST_STORIES {
+        let names = run_names(&summaries.iter().collect::<Vec<_>>());
+        let stories = names.iter().zip(shown).map(|(name, run)| format!("{name}: {}", run.story.join(" ")));
+        page = stories.fold(page, |page, story| page.paragraph(&story));
     }
     page = position_control.iter().fold(page, |page, note| page.paragraph(note));
     page = page.section("Results");

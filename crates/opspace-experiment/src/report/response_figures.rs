@@ -140,10 +140,8 @@ impl TaskResponse<'_> {
             series.push(over_forces("least-squares line", Style::Thin, fitted));
         }
         let name = AXIS_NAMES[axis];
-        let stiffness = numbers.stiffness_n_per_m;
-        let stiffness = stiffness.map_or_else(String::new, |k| format!(": {} N/m", format_short(k)));
         Panel {
-            title: format!("{name}{stiffness}"),
+            title: name.to_owned(),
             x_label: format!("displacement along {name} (mm)"),
             y_label: "force (N)".to_owned(),
             series,

@@ -344,13 +344,6 @@ fn settings_of_another_file_are_split_off() {
     assert_eq!(applied.text(), "urdf = \"x\"\n[profile.a-med]\nservo_ticks_per_cycle = 1\n");
     let error = FileError::at_key(&applied, "profile.a-med.servo_ticks_per_cycle", "m", None);
     assert_eq!(error.to_string(), "--set robot.profile.a-med.servo_ticks_per_cycle=1: m");
-    // One value of a profile that the file does not have names those that there are; a whole profile is added.
-    let mistyped = ["robot.profile.a-mid.servo_ticks_per_cycle=1".to_owned()];
-    let error = apply_below(&file, "robot", &mistyped).expect_err("refused");
-    assert_eq!(error.message(), "the robot has no profile 'a-mid'");
-    assert_eq!(error.help(), Some("did you mean 'a-med'? There are: a-med"));
-    let whole = ["robot.profile.b={ servo_ticks_per_cycle = 1 }".to_owned()];
-    assert!(apply_below(&file, "robot", &whole).is_ok());
     let stray = apply_below(&file, "robot", &task).expect_err("refused");
     assert_eq!(stray.message(), "this setting must begin with `robot.`");
 }
