@@ -9,6 +9,7 @@ use opspace_experiment::evaluate::notes::{
     allowed_notes, assumed_counts, assumed_notes, final_notes, joint_notes, notes, replay_notes, task_notes,
 };
 use opspace_experiment::evaluate::position_control::position_control_notes;
+use opspace_experiment::evaluate::response_table::response_table;
 use opspace_experiment::evaluate::results::{failures, joint_table, table, task_table};
 use opspace_experiment::evaluate::run_table::{run_table, run_title};
 use opspace_experiment::evaluate::table::{Cell, Table};
@@ -214,7 +215,7 @@ fn result(console: Console, run: &Summary, metrics: &[Metric]) -> String {
     final_notes(run).iter().for_each(|note| text += &format!("NOTE {note}\n"));
     replay_notes(runs).iter().for_each(|note| text += &format!("NOTE {note}\n"));
     text += &format!("\n{}\n", run_title(run));
-    let tables = [run_table(run, metrics), task_table(run), joint_table(run)];
+    let tables = [run_table(run, metrics), task_table(run), response_table(run), joint_table(run)];
     let drawn: Vec<String> = tables.iter().filter(|table| !table.rows.is_empty()).map(render).collect();
     text += &drawn.join("\n");
     let footnotes: Vec<String> =

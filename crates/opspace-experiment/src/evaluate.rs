@@ -15,6 +15,7 @@ pub mod position_control;
 pub mod posture;
 pub(crate) mod remedies;
 pub mod response_sentences;
+pub mod response_table;
 pub mod results;
 pub mod run_summary;
 pub mod run_table;

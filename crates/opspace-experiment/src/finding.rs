@@ -72,6 +72,9 @@ pub struct Causes {
     /// Tasks of higher priority that hold the task.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub overridden_by: Vec<String>,
+    /// Joints whose friction holds the spring of the task.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub friction: Vec<String>,
 }
 
 impl Finding {

@@ -15,6 +15,7 @@ pub mod figure;
 pub mod html;
 mod kinds;
 mod lines;
+mod path_figures;
 mod polygon;
 mod response_figures;
 mod run_figures;

@@ -77,6 +77,7 @@ fn goal(finding: &Finding) -> Value {
         kept_distances,
         singular_along,
         overridden_by,
+        friction: _,
     } = &finding.causes;
     json!({
         "task": finding.task(),

@@ -182,7 +182,9 @@ mod tests {
         run.tasks.clear();
         run.metrics.torque_error_interval = None;
         let pushed = task(|task| {
-            for (name, value) in response_names(2).into_iter().zip([20.0, 0.0476, 417.26, 0.009, 0.001]) {
+            for (name, value) in
+                response_names(2).into_iter().zip([20.0, 0.0476, 417.26, 0.009, 0.001, 400.0])
+            {
                 task.axes.insert(name, value);
             }
         });

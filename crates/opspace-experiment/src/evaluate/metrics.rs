@@ -32,8 +32,8 @@ mod torque_errors;
 mod unreached_goals;
 
 pub use crate::metrics::metric_tables::{
-    Compliance, Contact, ElementError, Evaluation, JointMetrics, Metrics, PoseErrors, Slack, TaskMetrics,
-    Timing,
+    Compliance, Contact, ElementError, Evaluation, ForceResponse, JointMetrics, Metrics, PoseErrors, Slack,
+    TaskMetrics, Timing,
 };
 
 use crate::evaluate::failures::{HeldJoints, failures};
@@ -223,6 +223,9 @@ impl Metrics {
         }
         if self.compliance == Compliance::default() {
             self.compliance = task.compliance;
+        }
+        if self.response == ForceResponse::default() {
+            self.response = task.response;
         }
         if self.slack == Slack::default() {
             self.slack = task.slack;

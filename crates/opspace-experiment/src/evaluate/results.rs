@@ -345,7 +345,7 @@ fn stopped(group: &Group<'_>) -> Cell {
 }
 
 /// Drops the columns that are empty in all rows.
-fn drop_empty_columns(table: &mut Table) {
+pub(crate) fn drop_empty_columns(table: &mut Table) {
     for place in (0..table.columns.len()).rev() {
         let is_empty = |cell: &Cell| *cell == Cell::Empty || *cell == "".into();
         if table.rows.iter().all(|row| row.get(place).is_none_or(is_empty)) {

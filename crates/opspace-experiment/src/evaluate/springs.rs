@@ -3,7 +3,7 @@
 use crate::codes::Code;
 use crate::evaluate::notes::REACHED;
 use crate::files::controller_kind::ControllerKind;
-use crate::finding::{Finding, Place, errors};
+use crate::finding::{Causes, Finding, Place, errors};
 use crate::metrics::metric_tables::TaskMetrics;
 use crate::run::experiment::Experiment;
 use crate::text::format_short;
@@ -122,8 +122,15 @@ impl Experiment {
             "{friction_remedy}or stiffen the spring: `task.{name}.cartesian.impedance.{key}`; a spring always yields to what pulls at it"
         );
         let help = help.strip_prefix("or ").unwrap_or(&help).to_owned();
-        let finding =
-            Finding { help, ..Finding::of(Code::SpringDeflected, Place::Task(name.to_owned()), message) };
+        let causes = Causes {
+            friction: friction.iter().map(|friction| friction.joint.clone()).collect(),
+            ..Causes::default()
+        };
+        let finding = Finding {
+            help,
+            causes,
+            ..Finding::of(Code::SpringDeflected, Place::Task(name.to_owned()), message)
+        };
         Some(
             finding
                 .with("position_m", position_m)

@@ -24,6 +24,10 @@ metric_table! {
             compliance: Compliance
         ];
         [
+            /// Response of the first task whose frame external forces push.
+            response: ForceResponse
+        ];
+        [
             /// Acceleration that limits take from the first task.
             slack: Slack
         ];
@@ -196,6 +200,10 @@ metric_table! {
             compliance: Compliance
         ];
         [
+            /// Response of the frame to external forces.
+            response: ForceResponse
+        ];
+        [
             /// Acceleration that limits take from the task.
             slack: Slack
         ];
@@ -220,11 +228,18 @@ pub(crate) fn range_name(axis: usize) -> String {
     format!("{}_range_m", AXIS_NAMES[axis])
 }
 
-/// Names of the response to external forces along an axis of translation: largest force, largest deflection, stiffness, hysteresis
-/// and displacement that is left at the end.
-pub(crate) fn response_names(axis: usize) -> [String; 5] {
-    ["force_max_n", "deflection_max_m", "stiffness_n_per_m", "hysteresis_m", "return_m"]
-        .map(|quantity| format!("{}_{quantity}", AXIS_NAMES[axis]))
+/// Names of the response to external forces along an axis of translation: largest force, largest deflection, stiffness, hysteresis,
+/// displacement that is left at the end, and the stiffness of the task's impedance.
+pub(crate) fn response_names(axis: usize) -> [String; 6] {
+    [
+        "force_max_n",
+        "deflection_max_m",
+        "stiffness_n_per_m",
+        "hysteresis_m",
+        "return_m",
+        "desired_stiffness_n_per_m",
+    ]
+    .map(|quantity| format!("{}_{quantity}", AXIS_NAMES[axis]))
 }
 
 /// Error of a joint or of an element of a coordinate.
@@ -338,6 +353,32 @@ metric_table! {
         compliant_work_j: f64, Neither, None,
             "Work of the environment on the robot along the compliant axes after settling, J; `None` without an object \
              that acts on the frame.";
+    }
+}
+
+metric_table! {
+    /// Response of a frame to external forces, along that axis of its task on which the largest force acts; axes with a stiffness
+    /// come first. `None` if nothing pushes the frame, and for tasks that control a force.
+    #[derive(Copy)]
+    ForceResponse {
+        external_force_max_n: f64, Neither,
+            Some(Column::new("external-force", "external force max", "N", 1.0).needs(Needs::Frame)),
+            "Largest external force on the frame along the axis of the task on which the largest force acts, of the axes that have \
+             a stiffness, or of all if none has one, N. The four metrics below are those of the same axis.";
+        deflection_max_m: f64, Neither,
+            Some(Column::new("deflection", "deflection max", "mm", 1e3).needs(Needs::Frame)),
+            "Largest displacement of the frame along that axis since `settle_s`, m: of its deviation from the reference on a motion \
+             axis, of its position on others.";
+        stiffness_n_per_m: f64, Neither,
+            Some(Column::new("stiffness", "stiffness", "N/m", 1.0).needs(Needs::Frame)),
+            "Stiffness along that axis, N/m: the inverse slope of the least-squares line of displacement over force; `None` if the \
+             two are not correlated.";
+        hysteresis_m: f64, Smaller,
+            Some(Column::new("hysteresis", "hysteresis", "mm", 1e3).needs(Needs::Frame)),
+            "Largest difference of the displacement at one force, while it rises and while it falls, m.";
+        return_m: f64, Smaller,
+            Some(Column::new("return", "displacement at the end", "mm", 1e3).needs(Needs::Frame)),
+            "Displacement along that axis at the end of the run, m; `None` if a force acts there.";
     }
 }
 

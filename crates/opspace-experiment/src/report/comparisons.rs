@@ -87,12 +87,14 @@ fn comparison(groups: &[&Group<'_>], kinds: &Kinds, metric: &Metric, column: &Co
 }
 
 /// Quantities of a task, the most important one first: what it is about.
-const SUBJECTS: [&str; 9] = [
+const SUBJECTS: [&str; 11] = [
     "force_hold_rms_n",
     "force_moving_rms_n",
     "force_rms_n",
     "hand_force_rms_n",
     "hand_motion_rms_m",
+    "stiffness_n_per_m",
+    "deflection_max_m",
     "compliant_motion_rms_m",
     "position_rms_m",
     "orientation_rms_rad",
@@ -216,9 +218,9 @@ pub(super) fn overlays(shown: &[RunSection]) -> Vec<Figure> {
 /// Place of a figure on a page: what the task is about comes first, torques and setpoints come last.
 fn order(figure: &Figure, summary: &Summary) -> usize {
     let is_about_forces = summary.metrics.contact.force_rms_n.is_some();
-    let starts: [&str; 7] = match is_about_forces {
-        true => ["Force over", "Response", "Force", "Error", "Position of", "Orientation", "Joint"],
-        false => ["Force over", "Response", "Position of", "Error", "Orientation", "Force", "Joint"],
+    let starts: [&str; 8] = match is_about_forces {
+        true => ["Force over", "Response", "Force", "Path", "Error", "Position of", "Orientation", "Joint"],
+        false => ["Force over", "Response", "Path", "Position of", "Error", "Orientation", "Force", "Joint"],
     };
     starts.iter().position(|start| figure.title.starts_with(start)).unwrap_or(starts.len())
 }

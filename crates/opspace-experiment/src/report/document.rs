@@ -2,6 +2,7 @@
 
 use crate::evaluate::notes::{allowed_notes, assumed_notes, joint_notes, notes, task_notes};
 use crate::evaluate::position_control::position_control_notes;
+use crate::evaluate::response_table::response_table;
 use crate::evaluate::results::{failures, group, joint_table, table, task_table};
 use crate::evaluate::summary::Summary;
 use crate::evaluate::table::Table;
@@ -131,6 +132,11 @@ fn run_body(mut page: Page, run: &RunSection) -> Page {
     } else {
         let caption = format!("Errors, forces and motions of the tasks {}", after(run.settle_s));
         page = page.table(&caption, &tasks, &borrowed(&task_notes));
+    }
+    let responses = response_table(&run.summary);
+    if !responses.rows.is_empty() {
+        let caption = format!("Response of the tasks to external forces {}", after(run.settle_s));
+        page = page.table(&caption, &responses, &[]);
     }
     if !joints.rows.is_empty() {
         let caption = format!("Torques of the joints {}", after(run.settle_s));

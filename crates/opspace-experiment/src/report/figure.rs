@@ -61,6 +61,8 @@ pub struct Panel {
     pub x_ticks: Vec<f64>,
     /// Range that the ordinate includes, whatever the values; that of the values if `None`.
     pub y_range: Option<Range<f64>>,
+    /// True if a unit has the same length on both axes: a path in a plane.
+    pub has_equal_scales: bool,
 }
 
 /// A line: `y` over `x`, of equal lengths; a value that is not finite interrupts it.
@@ -232,7 +234,13 @@ impl Figure {
         let named = if entries.len() > 1 { &entries[..] } else { &[] };
         let labels: Vec<&str> = named.iter().map(|entry| entry.0).collect();
         let top = legend_height(&labels);
-        let height = top + rows as i32 * px(if columns == 1 && rows > 1 { 205 } else { 245 });
+        let is_plane = self.panels.iter().any(|panel| panel.has_equal_scales);
+        let row = match (columns, rows) {
+            _ if is_plane => 360,
+            (1, 2..) => 205,
+            _ => 245,
+        };
+        let height = top + rows as i32 * px(row);
         canvas(&self.title, &self.caption, (WIDTH, height), |root| {
             let (strip, grid) = root.split_vertically(top);
             draw_legend(&strip, &labels, |area, place| {
@@ -339,6 +347,7 @@ impl Panel {
         let (Some(x), Some(y)) = (range(samples().map(|(x, _)| *x)), y) else {
             return say(area, &title);
         };
+        let (x, y) = if self.has_equal_scales { equal_scales(area, x, y) } else { (x, y) };
         let mut y = match self.y_scale {
             Scale::Linear => Axis::linear(y, 0.06, &self.y_label, 7),
             Scale::Log => Axis::decades(y, &self.y_label),
@@ -594,6 +603,20 @@ pub(super) fn range(values: impl Iterator<Item = f64>) -> Option<Range<f64>> {
         let range = range.unwrap_or(value..value);
         Some(range.start.min(value)..range.end.max(value))
     })
+}
+
+/// Extends one of two ranges of a panel, so that a unit has the same length on both axes.
+fn equal_scales(area: &Area<'_>, x: Range<f64>, y: Range<f64>) -> (Range<f64>, Range<f64>) {
+    let (width, height) = area.dim_in_pixel();
+    // Without labels and ticks, and the margins of the ordinate.
+    let width = f64::from(width as i32 - px(92)).max(1.0);
+    let height = (f64::from(height as i32 - px(74)) / 1.12).max(1.0);
+    let unit = ((x.end - x.start) / width).max((y.end - y.start) / height);
+    let around = |range: Range<f64>, size: f64| {
+        let (middle, half) = (0.5 * (range.start + range.end), 0.5 * unit * size);
+        range.start.min(middle - half)..range.end.max(middle + half)
+    };
+    (around(x, width), around(y, height))
 }
 
 /// True if the ends of a range are too close to be distinguished on an axis in f64.

@@ -10,7 +10,7 @@ use crate::run::experiment::Experiment;
 use crate::text::format_short;
 use nalgebra::Vector3;
 use opspace_backend::signal_names::{self, REFERENCE};
-use opspace_control::{AXIS_NAMES, CartesianParameters, TaskParameters};
+use opspace_control::{AXIS_NAMES, TaskParameters};
 
 /// Force along an axis from which on the axis has a panel, relative to the largest of all axes.
 const DRAWN: f64 = 0.1;
@@ -22,7 +22,7 @@ pub(super) struct ResponseFigures<'a> {
 
 struct TaskResponse<'a> {
     name: &'a str,
-    task: &'a CartesianParameters,
+    frame: &'a str,
     axes: AxesOfTask,
     response: Response,
 }
@@ -33,15 +33,15 @@ impl<'a> ResponseFigures<'a> {
             let TaskParameters::Cartesian(task) = task else { return None };
             let controlled = task.controlled_frame(&experiment.robot().model).ok()?;
             let axes = AxesOfTask::new(experiment, name, controlled);
-            Some(TaskResponse { name, task, axes, response: Response::default() })
+            Some(TaskResponse { name, frame: &task.frame, axes, response: Response::default() })
         });
         Self { tasks: tasks.collect() }
     }
 
     /// Adds the next segment of the log.
     pub(super) fn add(&mut self, run: &Run<'_>) {
-        for TaskResponse { name, task, axes, response } in &mut self.tasks {
-            let Some(forces) = run.forces_on(&task.frame).filter(|forces| !forces.is_empty()) else {
+        for TaskResponse { name, frame, axes, response } in &mut self.tasks {
+            let Some(forces) = run.forces_on(frame).filter(|forces| !forces.is_empty()) else {
                 continue;
             };
             let reference = run.tick.signal(&signal_names::of(name, REFERENCE));
@@ -66,7 +66,7 @@ impl<'a> ResponseFigures<'a> {
     pub(super) fn finish(self) -> Vec<Figure> {
         let figures = self.tasks.iter().filter_map(|task| {
             let numbers = task.response.numbers()?;
-            let figures = [task.force_over_displacement(&numbers), Some(task.over_time())];
+            let figures = [task.force_over_displacement(&numbers), Some(task.over_time(&numbers))];
             let has_stiffness = numbers.iter().any(|axis| axis.stiffness_n_per_m.is_some());
             let [first, second] = figures;
             Some(if has_stiffness { [first, second] } else { [second, first] })
@@ -86,8 +86,8 @@ impl TaskResponse<'_> {
         let panels: Vec<Panel> = drawn.iter().map(|&axis| self.panel(axis, &numbers[axis])).collect();
         (!panels.is_empty()).then(|| Figure {
             title: format!("Force over displacement of task '{}'", self.name),
-            caption: "External force on the frame over its deviation from the reference, along the axes of the task. Dark: the stiffness \
-                      asked for. Thin: the least-squares line, whose slope is the stiffness measured. Hysteresis: largest \
+            caption: "External force on the frame over its deviation from the reference, along the axes of the task. Dark: the desired \
+                      stiffness. Thin: the least-squares line, whose slope is the stiffness measured. Hysteresis: largest \
                       difference of the displacement at one force, while it rises and while it falls; friction and, under fast pushes, damping cause it."
                 .to_owned(),
             remark: remarks.collect::<Vec<_>>().join(" "),
@@ -106,13 +106,13 @@ impl TaskResponse<'_> {
                 AXIS_NAMES[axis]
             );
         };
-        let asked = self.asked_n_per_m(axis);
-        let asked =
-            asked.map_or_else(String::new, |asked| format!(", {} N/m asked for", format_short(asked)));
+        let desired = numbers.desired_n_per_m;
+        let desired =
+            desired.map_or_else(String::new, |desired| format!(", {} N/m desired", format_short(desired)));
         let hysteresis = numbers.hysteresis_m.map_or_else(String::new, |hysteresis_m| {
             format!(", hysteresis {} mm", format_short(1e3 * hysteresis_m))
         });
-        format!("{}: {measured} N/m measured{asked}{hysteresis}.", AXIS_NAMES[axis])
+        format!("{}: {measured} N/m measured{desired}{hysteresis}.", AXIS_NAMES[axis])
     }
 
     fn panel(&self, axis: usize, numbers: &AxisNumbers) -> Panel {
@@ -133,8 +133,8 @@ impl TaskResponse<'_> {
             Series::new(label, x.to_vec(), vec![least, greatest]).style(style)
         };
         let mut series = vec![measured];
-        if let Some(stiffness) = self.asked_n_per_m(axis) {
-            series.push(over_forces("asked for", Style::Desired, (0.0, 1.0 / stiffness)));
+        if let Some(stiffness) = numbers.desired_n_per_m {
+            series.push(over_forces("desired stiffness", Style::Desired, (0.0, 1.0 / stiffness)));
         }
         if let Some(fitted) = line(&points).filter(|_| numbers.stiffness_n_per_m.is_some()) {
             series.push(over_forces("least-squares line", Style::Thin, fitted));
@@ -149,31 +149,36 @@ impl TaskResponse<'_> {
         }
     }
 
-    /// Stiffness of the impedance along an axis; `None` without a constant one.
-    fn asked_n_per_m(&self, axis: usize) -> Option<f64> {
-        let impedance = self.task.impedance.as_ref().filter(|impedance| impedance.profile.is_none())?;
-        let stiffness = impedance.stiffness_n_per_m.as_ref()?.get(axis)?.get();
-        (self.task.motion_axes()[axis] && stiffness > 0.0).then_some(stiffness)
-    }
-
-    fn over_time(&self) -> Figure {
-        let panel = |title: &str, label: &str, value: &dyn Fn(&ResponseSample) -> Vector3<f64>| {
-            let samples = self.response.samples();
-            let x: Vec<f64> = samples.iter().map(|sample| sample.time_s).collect();
-            let of_axis = |axis: usize| {
-                let y = samples.iter().map(|sample| value(sample)[axis]).collect();
-                Series::new(AXIS_NAMES[axis], x.clone(), y).thinned(COLUMNS)
-            };
-            time_panel(title, label, (0..3).map(of_axis).collect())
+    /// Force and displacement of each axis along which something acts or moves, over time.
+    fn over_time(&self, numbers: &[AxisNumbers; 3]) -> Figure {
+        let considerable = |of: fn(&AxisNumbers) -> f64| {
+            let largest = numbers.iter().map(of).fold(0.0, f64::max);
+            numbers.each_ref().map(|axis| of(axis) > DRAWN * largest)
+        };
+        let (pushed, moved) =
+            (considerable(|axis| axis.force_max_n), considerable(|axis| axis.deflection_max_m));
+        let samples = self.response.samples();
+        let panel = |title: String, label: &str, value: &dyn Fn(&ResponseSample) -> f64| {
+            let x = samples.iter().map(|sample| sample.time_s).collect();
+            let y = samples.iter().map(value).collect();
+            time_panel(&title, label, vec![Series::new("measured", x, y).thinned(COLUMNS)])
+        };
+        let of_axis = |axis: usize| {
+            let name = AXIS_NAMES[axis];
+            [
+                panel(format!("force along {name}"), "force (N)", &|sample| sample.force_n[axis]),
+                panel(format!("displacement along {name}"), "displacement (mm)", &|sample| {
+                    1e3 * sample.moved_m[axis]
+                }),
+            ]
         };
         Figure {
             title: format!("Response of task '{}' to forces", self.name),
-            caption: "External force on the frame, and displacement of the frame since settle_s, along the axes of the task."
+            caption: "External force on the frame, and displacement of the frame since settle_s, along the axes of the task that are \
+                      pushed or move."
                 .to_owned(),
-            panels: vec![
-                panel("force", "force (N)", &|sample| sample.force_n),
-                panel("displacement", "displacement (mm)", &|sample| 1e3 * sample.moved_m),
-            ],
+            panels: (0..3).filter(|&axis| pushed[axis] || moved[axis]).flat_map(of_axis).collect(),
+            columns: Some(2),
             overlays: true,
             ..Figure::default()
         }

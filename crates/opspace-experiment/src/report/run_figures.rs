@@ -9,9 +9,10 @@ use crate::report::energy_figure::energy_figure;
 use crate::report::event_times::EventTimes;
 use crate::report::figure::{Figure, Panel, Scale, Series, Style};
 use crate::report::lines::{COLUMNS, append, complete, element, joint_figure, label_of, time_panel};
+use crate::report::path_figures::PathFigures;
 use crate::report::response_figures::ResponseFigures;
 use crate::report::slack_figure::slack_figure;
-use crate::report::task_figures::task_figures;
+use crate::report::task_figures::{FORCE, task_figures};
 use crate::run::experiment::Experiment;
 use opspace_backend::signal_names::{
     DQ, DQ_DESIRED, LEAST_DISTANCE, MOTOR_TORQUE, Q, Q_DESIRED, SERVO_CHANNEL, TORQUE_DESIRED,
@@ -107,6 +108,7 @@ pub(super) struct RunFigures<'a> {
     experiment: &'a Experiment,
     control: Control,
     responses: ResponseFigures<'a>,
+    paths: PathFigures<'a>,
     /// Figures over time.
     figures: Vec<Figure>,
     /// Joint, axis label and spectrum of the torque error of each joint, at servo rate, after settling.
@@ -122,6 +124,7 @@ impl<'a> RunFigures<'a> {
             experiment,
             control: Control::default(),
             responses: ResponseFigures::new(experiment),
+            paths: PathFigures::new(experiment),
             figures: Vec::new(),
             errors: Vec::new(),
             times: CycleTimes::new(),
@@ -139,6 +142,7 @@ impl<'a> RunFigures<'a> {
         append(&mut self.figures, next);
         self.events.add(&run);
         self.responses.add(&run);
+        self.paths.add(&run);
         self.collisions.add(&run);
         self.add_torque_errors(&run);
     }
@@ -170,8 +174,12 @@ impl<'a> RunFigures<'a> {
         if self.control.start_s.is_none() {
             return RunDrawings::default();
         }
+        let mut over_time = complete(&self.events.finish(), self.figures);
+        // A task that presses is about its force.
+        let is_about_force = over_time.first().is_some_and(|first| first.title.starts_with(FORCE));
+        let forces = if is_about_force { vec![over_time.remove(0)] } else { Vec::new() };
         let mut figures = self.responses.finish();
-        figures.extend(complete(&self.events.finish(), self.figures));
+        figures.extend(forces.into_iter().chain(self.paths.finish()).chain(over_time));
         figures.extend(torque_error_spectrum(self.experiment, self.errors));
         figures.extend(computing_times(&self.times));
         let (arm, collisions) = self.collisions.finish();

@@ -15,6 +15,9 @@ use opspace_control::orientation::log;
 use opspace_control::{CartesianParameters, CartesianReference, ControlledFrame, TaskParameters};
 use opspace_log::Column;
 
+/// Beginning of the titles of figures of a force that has a target.
+pub(super) const FORCE: &str = "Force on";
+
 /// Names of the axes of space.
 const AXES: [&str; 3] = ["x", "y", "z"];
 
@@ -304,7 +307,7 @@ impl<'a> CartesianFigures<'a> {
             _ => String::new(),
         };
         Some(Figure {
-            title: format!("Force on the frame of task '{}'", self.name),
+            title: format!("{FORCE} the frame of task '{}'", self.name),
             caption: format!("Force on the robot in the axes of the task.{of_sensor}{of_target}"),
             panels,
             overlays: true,

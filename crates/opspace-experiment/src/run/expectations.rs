@@ -88,8 +88,8 @@ fn controlled_axes(task: &TaskDefinition, name: &str) -> Option<[bool; 6]> {
 
 /// Names of the metrics that only a motion axis has: its errors, its stiffness and its hysteresis.
 fn of_motion(axis: usize) -> Vec<String> {
-    let [_, _, stiffness, hysteresis, _] = response_names(axis);
-    error_names(axis).into_iter().chain([stiffness, hysteresis]).collect()
+    let [_, _, stiffness, hysteresis, _, desired] = response_names(axis);
+    error_names(axis).into_iter().chain([stiffness, hysteresis, desired]).collect()
 }
 
 /// Names of the metrics of an axis.

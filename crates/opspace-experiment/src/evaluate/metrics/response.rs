@@ -1,9 +1,8 @@
 //! Response of a controlled frame to external forces: deflection, stiffness, hysteresis and return along each axis of space.
 
 use super::task_axes::{TaskAxes, TaskRow};
-use crate::metrics::metric_tables::response_names;
+use crate::metrics::metric_tables::{TaskMetrics, response_names};
 use nalgebra::Vector3;
-use std::collections::BTreeMap;
 
 /// Smallest external force that is a push, N.
 const PUSHED_N: f64 = 0.5;
@@ -21,6 +20,9 @@ const LEAST_IN_BIN: usize = 3;
 
 /// Change of the force that reverses its direction, relative to its range.
 const REVERSED: f64 = 0.02;
+
+/// Smallest force along an axis with which the response is its own, relative to the force along another axis.
+const ALONG: f64 = 0.1;
 
 /// Force that counts as none, relative to the largest.
 const RELEASED: f64 = 0.05;
@@ -51,10 +53,10 @@ pub(crate) struct Response {
 }
 
 /// Response of an axis to a force.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 enum AxisResponse {
-    /// Follows a reference, from which a force deflects it.
-    Deflects,
+    /// Follows a reference, from which a force deflects it against the stiffness of an impedance, N/m, if there is one.
+    Deflects(Option<f64>),
     /// Compliant, or not controlled.
     Moves,
 }
@@ -74,6 +76,8 @@ pub(crate) struct AxisNumbers {
     pub(crate) hysteresis_m: Option<f64>,
     /// Displacement at the end without force, magnitude, m.
     pub(crate) return_m: Option<f64>,
+    /// Stiffness of the impedance, N/m; `None` without one.
+    pub(crate) desired_n_per_m: Option<f64>,
 }
 
 impl Default for Response {
@@ -98,15 +102,15 @@ impl Response {
         }
         let position_m = row.rotation.tr_mul(&row.pose.translation);
         let modes = [0, 1, 2].map(|axis| match axes.motion[axis] {
-            true => AxisResponse::Deflects,
+            true => AxisResponse::Deflects(axes.stiffness_n_per_m[axis]),
             false => AxisResponse::Moves,
         });
         let deviation_m = Vector3::from_fn(|axis, _| match (modes[axis], error_m) {
-            (AxisResponse::Deflects, Some(error_m)) => error_m[axis],
+            (AxisResponse::Deflects(_), Some(error_m)) => error_m[axis],
             _ => position_m[axis],
         });
         let (first_m, first_modes) = *self.first.get_or_insert((deviation_m, modes));
-        // An axis whose mode has changed has another response.
+        // An axis whose mode or stiffness has changed has another response.
         let is_same = |axis: usize| modes[axis] == first_modes[axis];
         let moved = deviation_m - first_m;
         let only_same = |v: &Vector3<f64>| Vector3::from_fn(|i, _| if is_same(i) { v[i] } else { f64::NAN });
@@ -148,7 +152,10 @@ impl Response {
         Some([0, 1, 2].map(|axis| {
             let points = self.points(axis);
             let is_pushed = forces[axis] >= PUSHED_N;
-            let deflects = modes[axis] == AxisResponse::Deflects;
+            let (deflects, desired_n_per_m) = match modes[axis] {
+                AxisResponse::Deflects(stiffness) => (true, stiffness),
+                AxisResponse::Moves => (false, None),
+            };
             let line = line(&points).filter(|_| is_pushed && deflects);
             AxisNumbers {
                 force_max_n: forces[axis],
@@ -157,28 +164,50 @@ impl Response {
                 stiffness_n_per_m: line.map(|(_, compliance)| 1.0 / compliance),
                 hysteresis_m: line.and_then(|_| hysteresis(&points)),
                 return_m: returned(&points, forces[axis]).filter(|_| is_pushed),
+                desired_n_per_m,
             }
         }))
     }
 
-    /// Forces (N) and displacements (m) along an axis.
+    /// Forces (N) and displacements (m) along an axis, without the samples at which other axes alone are pushed.
     pub(crate) fn points(&self, axis: usize) -> Vec<(f64, f64)> {
-        let points = self.samples.iter().map(|sample| (sample.force_n[axis], sample.moved_m[axis]));
+        let is_of_another = |force_n: &Vector3<f64>| {
+            force_n.iter().any(|other| other.abs() >= PUSHED_N && force_n[axis].abs() < ALONG * other.abs())
+        };
+        let own = self.samples.iter().filter(|sample| !is_of_another(&sample.force_n));
+        let points = own.map(|sample| (sample.force_n[axis], sample.moved_m[axis]));
         points.filter(|(force, moved)| force.is_finite() && moved.is_finite()).collect()
     }
 
-    /// Adds the numbers by their names; those that do not exist are absent.
-    pub(super) fn finish(&self, metrics: &mut BTreeMap<String, f64>) {
-        for (axis, numbers) in self.numbers().into_iter().flatten().enumerate() {
+    /// Adds the numbers of each axis, and those of the axis with the largest force; numbers that do not exist are absent.
+    pub(super) fn finish(&self, metrics: &mut TaskMetrics) {
+        let Some(axes) = self.numbers() else { return };
+        let pushed = axes.iter().filter(|axis| axis.force_max_n >= PUSHED_N);
+        // An axis with a stiffness comes first.
+        let rank = |axis: &AxisNumbers| (axis.stiffness_n_per_m.is_some(), axis.force_max_n);
+        let first = pushed.max_by(|a, b| {
+            let ((a, a_n), (b, b_n)) = (rank(a), rank(b));
+            a.cmp(&b).then(a_n.total_cmp(&b_n))
+        });
+        if let Some(axis) = first {
+            let response = &mut metrics.response;
+            response.external_force_max_n = Some(axis.force_max_n);
+            response.deflection_max_m = Some(axis.deflection_max_m);
+            response.stiffness_n_per_m = axis.stiffness_n_per_m;
+            response.hysteresis_m = axis.hysteresis_m;
+            response.return_m = axis.return_m;
+        }
+        for (axis, numbers) in axes.iter().enumerate() {
             let values = [
                 Some(numbers.force_max_n),
                 Some(numbers.deflection_max_m),
                 numbers.stiffness_n_per_m,
                 numbers.hysteresis_m,
                 numbers.return_m,
+                numbers.desired_n_per_m,
             ];
             let named = response_names(axis).into_iter().zip(values);
-            metrics.extend(named.filter_map(|(name, value)| Some((name, value?))));
+            metrics.axes.extend(named.filter_map(|(name, value)| Some((name, value?))));
         }
     }
 }

@@ -22,6 +22,8 @@ pub(crate) struct TaskAxes {
     pub(crate) target: Option<Vector3<f64>>,
     /// True if the target is not zero, or unknown: the task is to touch something.
     pub(crate) presses: bool,
+    /// Stiffness of the impedance along the motion axes, N/m; `None` without a constant one.
+    pub(crate) stiffness_n_per_m: [Option<f64>; 3],
 }
 
 impl TaskAxes {
@@ -45,6 +47,7 @@ impl TaskAxes {
             force: translation(AxisMode::Force),
             target: (!is_streamed).then_some(target),
             presses: is_streamed || follows_profile || target.amax() > CONTACT_N,
+            stiffness_n_per_m: [0, 1, 2].map(|axis| stiffness_n_per_m(task, axis)),
         })
     }
 
@@ -70,6 +73,13 @@ impl TaskAxes {
     pub(crate) fn are_those_of_the_pose(&self) -> bool {
         self.directions == AxesFrame::Fixed(Matrix3::identity())
     }
+}
+
+/// Stiffness of the impedance of a task along a motion axis, N/m; `None` without a constant one.
+fn stiffness_n_per_m(task: &CartesianParameters, axis: usize) -> Option<f64> {
+    let impedance = task.impedance.as_ref().filter(|impedance| impedance.profile.is_none())?;
+    let stiffness = impedance.stiffness_n_per_m.as_ref()?.get(axis)?.get();
+    (task.motion_axes()[axis] && stiffness > 0.0).then_some(stiffness)
 }
 
 /// Row of the joints during control, with the pose of a task's controlled frame and the task's axes.
@@ -117,6 +127,12 @@ impl AxesOfTask {
             }
         });
         Self { name: name.to_owned(), controlled, sets: axes.collect() }
+    }
+
+    /// Axes of a task without a priority.
+    #[cfg(test)]
+    pub(crate) fn nowhere() -> Self {
+        Self { name: String::new(), controlled: ControlledFrame::CenterOfMass, sets: Vec::new() }
     }
 
     /// Axes of the task if they are the same during the whole run.

@@ -345,7 +345,7 @@ impl CartesianErrors {
             (orientation.rms(), orientation.max());
         [metrics.pose.position_final_m, metrics.pose.orientation_final_rad] = self.last;
         metrics.axes = self.single_axes.finish();
-        self.response.finish(&mut metrics.axes);
+        self.response.finish(metrics);
         if let Some(contact) = self.contact {
             contact.finish(metrics);
         }

@@ -337,6 +337,7 @@ impl Episode {
             kept_distances: pair_names(experiment, &self.counts.pairs()),
             singular_along: self.counts.singular_along(),
             overridden_by: overridden.map(|(name, _)| name.clone()).collect(),
+            friction: Vec::new(),
         };
         if self.last_s - self.begin_s < MIN_DURATION_S || causes.is_empty() {
             return None;

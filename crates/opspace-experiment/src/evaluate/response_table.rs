@@ -1,0 +1,73 @@
+//! Table of the response of a run to external forces.
+
+use crate::evaluate::response_sentences::pushed_axes;
+use crate::evaluate::results::drop_empty_columns;
+use crate::evaluate::summary::Summary;
+use crate::evaluate::table::{Cell, Table};
+use crate::metrics::metric_tables::response_names;
+use opspace_control::AXIS_NAMES;
+
+/// Table with a row per task and axis along which a considerable force pushes its frame; without rows if nothing does.
+#[must_use]
+pub fn response_table(summary: &Summary) -> Table {
+    let mut table = Table::new(&[
+        ("task", ""),
+        ("axis", ""),
+        ("external force max", "N"),
+        ("deflection max", "mm"),
+        ("stiffness", "N/m"),
+        ("desired stiffness", "N/m"),
+        ("hysteresis", "mm"),
+        ("displacement at the end", "mm"),
+    ]);
+    for (name, task) in summary.ordered_tasks() {
+        for axis in pushed_axes(task) {
+            let [force, deflection, stiffness, hysteresis, left, desired] =
+                response_names(axis).map(|name| task.axes.get(&name).copied());
+            let mm = |value: Option<f64>| Cell::from(value.map(|value| 1e3 * value));
+            table.push(vec![
+                name.as_str().into(),
+                AXIS_NAMES[axis].into(),
+                force.into(),
+                mm(deflection),
+                stiffness.into(),
+                desired.into(),
+                mm(hysteresis),
+                mm(left),
+            ]);
+        }
+    }
+    drop_empty_columns(&mut table);
+    table
+}
+
+#[cfg(test)]
+mod tests {
+    use super::response_table;
+    use crate::evaluate::results::tests::summary;
+    use crate::metrics::metric_tables::{TaskMetrics, response_names};
+
+    /// Checks the row of the axis that is pushed, that one with hardly any force has none, and that empty columns are left out.
+    #[test]
+    fn pushed_axes_have_rows() {
+        let mut run = summary("a", "p", 1, 0.1);
+        assert!(response_table(&run).rows.is_empty());
+        let mut task = TaskMetrics::default();
+        for (axis, values) in [(2, [20.0, 0.0476, 417.26, 0.009]), (0, [0.3, 0.001, 300.0, 0.0])] {
+            task.axes.extend(response_names(axis).into_iter().zip(values));
+        }
+        run.tasks.insert("flange".to_owned(), task);
+        let table = response_table(&run);
+        let titles: Vec<String> = table.columns.iter().map(|column| column.column_title()).collect();
+        let expected = [
+            "task",
+            "axis",
+            "external force max (N)",
+            "deflection max (mm)",
+            "stiffness (N/m)",
+            "hysteresis (mm)",
+        ];
+        assert_eq!(titles, expected);
+        assert_eq!(table.texts(), [["flange", "z", "20.00", "47.60", "417.3", "9.000"]]);
+    }
+}
