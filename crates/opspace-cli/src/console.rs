@@ -223,14 +223,20 @@ fn result(console: Console, run: &Summary, metrics: &[Metric]) -> String {
     with_notes(console, text, &footnotes)
 }
 
+/// End of a count of assumed values.
+pub const LISTED: &str = "; `-v` lists them";
+
 /// Lists what the results rest on: assumed values, by number unless verbose, and refusals that were allowed.
 pub fn premises<'a>(
     console: Console,
     summaries: impl IntoIterator<Item = &'a Summary, IntoIter: Clone>,
 ) -> String {
     let summaries = summaries.into_iter();
-    let assumed = if console.verbose { assumed_notes } else { assumed_counts };
-    let assumed = assumed(summaries.clone()).into_iter().map(|note| format!("ASSUMED {note}\n"));
+    let assumed: Vec<String> = match console.verbose {
+        true => assumed_notes(summaries.clone()),
+        false => assumed_counts(summaries.clone()).iter().map(|count| format!("{count}{LISTED}")).collect(),
+    };
+    let assumed = assumed.into_iter().map(|note| format!("ASSUMED {note}\n"));
     assumed.chain(allowed_notes(summaries).into_iter().map(|note| format!("ALLOWED {note}\n"))).collect()
 }
 
@@ -263,7 +269,7 @@ fn shown_width() -> usize {
 }
 
 /// Renders a table as text. Columns that do not fit into the width of the terminal, or into 100 columns without one, follow below,
-/// after a repeated first column.
+/// after the repeated columns that name a row.
 pub fn render(table: &Table) -> String {
     let texts = table.texts();
     let heads: Vec<String> = (0..table.columns.len()).map(|place| head(table, place)).collect();
@@ -273,7 +279,7 @@ pub fn render(table: &Table) -> String {
             cells.chain(heads[place].lines()).map(|line| line.chars().count() + PADDING).max().unwrap_or(0)
         })
         .collect();
-    let blocks = blocks(&widths, shown_width());
+    let blocks = blocks(&widths, table.further_names, shown_width());
     let drawn: Vec<String> = blocks.iter().map(|block| draw(table, &texts, &heads, block)).collect();
     drawn.join("\n")
 }
@@ -307,15 +313,20 @@ const STYLE: TableStyle = TableStyle::new().header_separator(LineStyle::none().f
 /// Padding of a cell: one space on each side.
 const PADDING: usize = 2;
 
-/// Groups of columns that fit side by side; each group begins with the first column.
-fn blocks(widths: &[usize], most: usize) -> Vec<Vec<usize>> {
-    let first = widths.first().copied().unwrap_or(0);
-    let (mut blocks, mut used) = (vec![vec![0]], first);
-    for (place, &width) in widths.iter().enumerate().skip(1) {
+/// Groups of columns that fit side by side; each group begins with the columns that name its rows: the first one, and further ones
+/// if they leave a third of the width.
+fn blocks(widths: &[usize], further_names: usize, most: usize) -> Vec<Vec<usize>> {
+    let width_of = |count: usize| widths.iter().take(count).sum::<usize>();
+    let names = match 1 + further_names {
+        all if width_of(all) <= most * 2 / 3 => all,
+        _ => 1,
+    };
+    let (mut blocks, mut used) = (vec![(0..names).collect::<Vec<usize>>()], width_of(names));
+    for (place, &width) in widths.iter().enumerate().skip(names) {
         let last = blocks.len() - 1;
-        if used + width > most && blocks[last].len() > 1 {
-            blocks.push(vec![0, place]);
-            used = first + width;
+        if used + width > most && blocks[last].len() > names {
+            blocks.push((0..names).chain([place]).collect());
+            used = width_of(names) + width;
         } else {
             blocks[last].push(place);
             used += width;
@@ -454,9 +465,11 @@ mod tests {
 
     #[test]
     fn wide_tables_continue_below_with_first_column() {
-        assert_eq!(blocks(&[10, 5, 5, 5], 25), [vec![0, 1, 2, 3]]);
-        assert_eq!(blocks(&[10, 5, 5, 5], 24), [vec![0, 1, 2], vec![0, 3]]);
-        assert_eq!(blocks(&[10, 5, 5, 5], 3), [vec![0, 1], vec![0, 2], vec![0, 3]], "never none at all");
+        assert_eq!(blocks(&[10, 5, 5, 5], 0, 25), [vec![0, 1, 2, 3]]);
+        assert_eq!(blocks(&[10, 5, 5, 5], 0, 24), [vec![0, 1, 2], vec![0, 3]]);
+        assert_eq!(blocks(&[10, 5, 5, 5], 0, 3), [vec![0, 1], vec![0, 2], vec![0, 3]], "never none at all");
+        assert_eq!(blocks(&[10, 5, 5, 5], 1, 23), [vec![0, 1, 2], vec![0, 1, 3]], "rows have two names");
+        assert_eq!(blocks(&[10, 9, 5, 5], 1, 24), [vec![0, 1, 2], vec![0, 3]], "long names");
     }
 
     /// Checks the head of a column of eight words, and that no line of a table without a terminal has more than 100 columns.

@@ -8,6 +8,7 @@ use crate::output::{Format, pretty, write, write_named};
 use crate::result_folder::{LOGS, ROWS};
 use crate::run_progress::exit_code;
 use opspace_experiment::evaluate::baseline::{Baseline, BaselineComparison, TOLERANCE, Verdict};
+use opspace_experiment::evaluate::coupling_sentences::coupling_sentences;
 use opspace_experiment::evaluate::csv::csv;
 use opspace_experiment::evaluate::results::{group_rows, has_value};
 use opspace_experiment::metrics::columns::columns_named;
@@ -26,8 +27,8 @@ use std::path::{Path, PathBuf};
 const MAX_LISTED: usize = 10;
 
 const LEAD: &str = "A transformer converts desired torques into setpoints, the commands of position or velocity servos; ik is \
-                    inverse kinematics without torque control. The profile is the set of servo parameters and rates; 1:5 means \
-                    a setpoint every five servo ticks. The operator is a simulated person whose hand pulls at the robot.";
+                    inverse kinematics without torque control. The profile is the set of servo parameters and rates; 1:n means \
+                    a setpoint every n servo ticks.";
 
 impl SuiteOutputArgs {
     /// Files outside the folder of results to which the command writes.
@@ -240,7 +241,11 @@ impl SuiteResults {
 /// Text of the results of runs of several robots: failures, table and notes.
 fn coupling_results(console: Console, summaries: &[RunSummary]) -> String {
     let robots = summaries.iter().flat_map(|summary| summary.robots.values());
-    let mut text = premises(console, robots);
+    let mut text = match summaries {
+        [one] => coupling_sentences(one).iter().map(|sentence| format!("{sentence}\n")).collect(),
+        _ => String::new(),
+    };
+    text += &premises(console, robots);
     for summary in summaries {
         for failure in summary.failures() {
             text += &format!("FAILED {}: {failure}\n", summary.title());

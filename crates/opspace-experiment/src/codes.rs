@@ -122,6 +122,7 @@ codes! {
     UnknownGains "unknown-gains" Effect::Reported,
     SmallGainMargin "small-gain-margin" Effect::RefusedOnRealRobot,
     UnstableSimulation "unstable-simulation" Effect::Reported,
+    OvercompensatedFriction "overcompensated-friction" Effect::Reported,
     GearOscillation "gear-oscillation" Effect::RefusedOnRealRobot,
     FeedForwardImpulse "feed-forward-impulse" Effect::RefusedOnRealRobot,
     NarrowSetpointLimits "narrow-setpoint-limits" Effect::Reported,

@@ -2,6 +2,7 @@
 
 pub mod baseline;
 pub(crate) mod coupling;
+pub mod coupling_sentences;
 pub mod csv;
 pub(crate) mod direction;
 pub(crate) mod failures;

@@ -36,6 +36,7 @@ mod margins;
 mod motion;
 mod nudge;
 mod objects;
+mod overcompensation;
 mod phase_margin;
 mod position_limits;
 mod ramp;

@@ -490,7 +490,7 @@ impl ArmConfig {
                 let sensor = SimulatedForceSensor::new(quality, period_s, random);
                 let load = quality.load.as_ref();
                 let load = load.map(|load| SensorLoad::new(load, model.clone(), frame, period_s));
-                Some((frame, sensor.with_load(load)))
+                Some((frame, sensor.with_load(load, &self.start)))
             })
             .collect()
     }

@@ -48,9 +48,11 @@ impl SimulatedForceSensor {
         }
     }
 
-    /// Returns the sensor with a load beyond it.
-    pub(crate) fn with_load(self, load: Option<SensorLoad>) -> Self {
-        Self { load, ..self }
+    /// Returns the sensor with a load beyond it, on an arm that has been at rest at `q` (n; rad, m) for long.
+    pub(crate) fn with_load(self, load: Option<SensorLoad>, q: &[f64]) -> Self {
+        let mut sensor = Self { load, ..self };
+        sensor.filtered = sensor.load(q, &vec![0.0; q.len()]);
+        sensor
     }
 
     /// Returns the wrench of the load on the sensor (sensor axes; N, Nm), of an arm with joint positions `q` (n; rad, m)

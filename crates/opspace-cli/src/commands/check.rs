@@ -3,6 +3,7 @@
 
 use crate::cli::{CheckArgs, ControlArgs};
 use crate::commands::margins::Strength;
+use crate::console::LISTED;
 use crate::console::{Console, Exit, Outcome, report};
 use crate::output::pretty;
 use crate::outputs::check_outputs;
@@ -399,7 +400,8 @@ pub(super) fn values_text(robot: &RobotDefinition) -> String {
 /// Lists the values of a robot that are those of the URDF, and counts those that are assumed.
 fn short_values_text(robot: &RobotDefinition) -> String {
     let assumed = &robot.file.assumed;
-    let count = if assumed.is_empty() { String::new() } else { line(&assumed_count(assumed)) };
+    let count =
+        if assumed.is_empty() { String::new() } else { line(&format!("{}{LISTED}", assumed_count(assumed))) };
     known_values_text(robot) + &count
 }
 

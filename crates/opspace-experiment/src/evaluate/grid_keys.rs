@@ -42,11 +42,21 @@ pub(crate) struct GridKey {
 }
 
 impl GridKey {
-    /// Keys of the grids of these runs: those whose values are in the labels.
-    pub(crate) fn of<'a>(runs: impl Iterator<Item = &'a Summary>) -> Vec<Self> {
+    /// Keys in which these runs differ: those of grids, whose values are in the labels, and those of runs without a label.
+    pub(crate) fn of<'a>(runs: impl Iterator<Item = &'a Summary> + Clone) -> Vec<Self> {
+        let differs = |key: &str| {
+            let value = |run: &'a Summary| settings(run).filter(|(own, _)| *own == key).last();
+            let mut values = runs.clone().map(value);
+            let first = values.next();
+            values.any(|other| Some(other) != first)
+        };
+        let is_shown = |run: &Summary, key: &str, value: &str| match &run.label {
+            Some(_) => part_of_label(run, key, value).is_some(),
+            None => differs(key),
+        };
         let mut keys: Vec<&str> = Vec::new();
-        for run in runs {
-            for (key, _) in settings(run).filter(|(key, value)| part_of_label(run, key, value).is_some()) {
+        for run in runs.clone() {
+            for (key, _) in settings(run).filter(|(key, value)| is_shown(run, key, value)) {
                 if !keys.contains(&key) {
                     keys.push(key);
                 }

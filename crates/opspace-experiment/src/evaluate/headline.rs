@@ -16,7 +16,8 @@ const LINES: usize = 2;
 pub fn headline(summary: &Summary) -> Vec<String> {
     let mut parts = vec![end(summary)];
     parts.extend(force(summary));
-    parts.extend(operator(summary).or_else(|| response(summary)).or_else(|| compliant_motion(summary)));
+    let motion = || response(summary).or_else(|| compliant_motion(summary)).or_else(|| free_motion(summary));
+    parts.extend(operator(summary).or_else(motion));
     parts.extend(pose_error(summary).or_else(|| joint_error(summary)).or_else(|| element_error(summary)));
     let torque_error = summary.metrics.torque_error_interval;
     let torque_error = torque_error.map(|error| format!("torque error {} %", number(error, 1e2)));
@@ -67,15 +68,15 @@ fn first<T>(summary: &Summary, value: impl Fn(&TaskMetrics) -> Option<T>) -> Opt
 
 fn force(summary: &Summary) -> Option<String> {
     let (_, contact) = first(summary, |task| task.contact.force_rms_n.map(|_| task.contact))?;
-    let peak = contact.contact_peak_n.map(|peak| format!("peak {} at contact", newtons(peak)));
     let share = contact.in_contact_fraction.filter(|share| *share < 0.999);
     let share = share.map(|share| format!("in contact {:.0} % of the time", 1e2 * share));
-    let more: Vec<String> = peak.into_iter().chain(share).collect();
+    let largest = contact.force_error_max_n.map(|max| format!("max {}", newtons(max)));
+    let more: Vec<String> = largest.into_iter().chain(share).collect();
     let more = if more.is_empty() { String::new() } else { format!(" ({})", more.join(", ")) };
     Some(format!("force error {} rms{more}", newtons(contact.force_rms_n?)))
 }
 
-fn operator(summary: &Summary) -> Option<String> {
+pub(crate) fn operator(summary: &Summary) -> Option<String> {
     let metrics = &summary.metrics;
     let (motion_m, force_n) = (metrics.hand_motion_rms_m?, metrics.hand_force_rms_n?);
     Some(format!("the operator moves the arm by {} rms with {} rms", mm(motion_m), newtons(force_n)))
@@ -98,6 +99,14 @@ fn response(summary: &Summary) -> Option<String> {
 fn compliant_motion(summary: &Summary) -> Option<String> {
     let (name, motion_m) = first(summary, |task| task.compliance.compliant_motion_rms_m)?;
     Some(format!("{name} yields by {} rms", mm(motion_m)))
+}
+
+/// Largest motion along an axis of a frame that is pushed although no task holds it.
+fn free_motion(summary: &Summary) -> Option<String> {
+    let (frame, axes) = summary.frames.iter().next()?;
+    let moved = |axis: usize| axes.get(&response_names(axis)[1]).map(|moved_m| (axis, *moved_m));
+    let (axis, moved_m) = (0..3).filter_map(moved).max_by(|a, b| a.1.total_cmp(&b.1))?;
+    Some(format!("'{frame}', which no task holds, moves by up to {} along {}", mm(moved_m), AXIS_NAMES[axis]))
 }
 
 fn pose_error(summary: &Summary) -> Option<String> {
@@ -172,12 +181,11 @@ mod tests {
         ];
         assert_eq!(headline(&run), motion);
         let press = task(|task| {
-            (task.contact.force_rms_n, task.contact.contact_peak_n) = (Some(0.3784), Some(11.53));
+            (task.contact.force_rms_n, task.contact.force_error_max_n) = (Some(0.3784), Some(1.153));
             task.contact.in_contact_fraction = Some(0.9);
         });
         run.tasks.insert("press".to_owned(), press);
-        let force =
-            "completed 1 s: force error 0.378 N rms (peak 11.5 N at contact, in contact 90 % of the time),";
+        let force = "completed 1 s: force error 0.378 N rms (max 1.15 N, in contact 90 % of the time),";
         assert_eq!(headline(&run)[0], force);
         run.tasks.clear();
         run.metrics.torque_error_interval = None;

@@ -11,6 +11,7 @@ mod damped_directions;
 mod drifts;
 mod escapes;
 mod estimates;
+pub(crate) mod frame_responses;
 mod hand;
 mod hold_counts;
 mod holds;
@@ -45,6 +46,7 @@ use cycles::Cycles;
 use damped_directions::DampedDirections;
 use escapes::Escapes;
 use estimates::Estimates;
+use frame_responses::FrameResponses;
 use hand::Hand;
 use interface_findings::interface_findings;
 use interruptions::Interruptions;
@@ -90,6 +92,7 @@ pub(crate) struct Evaluator<'a> {
     joint_torques: JointTorques,
     cycles: Cycles,
     hand: Option<Hand>,
+    frames: FrameResponses<'a>,
     objects: Objects,
     estimates: Estimates,
     held_joints: HeldJoints,
@@ -121,6 +124,7 @@ impl<'a> Evaluator<'a> {
             joint_torques: JointTorques::new(experiment),
             cycles: Cycles::new(experiment),
             hand: Hand::new(experiment),
+            frames: FrameResponses::new(experiment),
             objects: Objects::new(experiment),
             estimates: Estimates::new(experiment),
             held_joints: HeldJoints::new(experiment),
@@ -153,6 +157,7 @@ impl<'a> Evaluator<'a> {
         self.damped.add(&run);
         self.estimates.add(&run);
         self.objects.add(&run);
+        self.frames.add(&run);
         self.added.iter_mut().for_each(|(_, metric)| metric.add(segment, run.settled_ticks()));
         if let Some(hand) = &mut self.hand {
             hand.add(&run);
@@ -165,13 +170,18 @@ impl<'a> Evaluator<'a> {
         let untouched = self.tasks.untouched();
         let drifts = self.tasks.drifts(self.experiment);
         if self.control.start_s.is_some() {
-            let Evaluation { metrics, tasks, joints } = &mut evaluation;
+            let Evaluation { metrics, tasks, frames, joints } = &mut evaluation;
             let intervals = self.torque_errors.finish(metrics);
             *tasks = self.tasks.finish();
             *joints = self.joint_torques.finish(self.experiment, &intervals);
             let by_priority = self.experiment.task().tasks_of_the_run().into_iter();
             by_priority.filter_map(|(name, _)| tasks.get(name)).for_each(|task| metrics.add_task(task));
             joints.values().for_each(|joint| metrics.add_joint(joint));
+            let response;
+            (*frames, response) = self.frames.finish();
+            if metrics.response == ForceResponse::default() {
+                metrics.response = response;
+            }
             self.cycles.finish(metrics);
             self.estimates.finish(metrics);
             self.objects.finish(metrics);

@@ -8,6 +8,7 @@ use crate::files::controller_kind::ControllerKind;
 use crate::files::source::KeyPath;
 use crate::metrics::metric::Metric;
 use crate::metrics::metric_tables::{JointMetrics, PoseErrors, TaskMetrics};
+use crate::text::format_short;
 use opspace_backend::CommandKind;
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -16,9 +17,8 @@ const OF_SIMULATION: &str =
     "values are from simulation. The parameters of the arm are partly assumed; its robot.toml marks which.";
 /// Note under tables that compare simulated runs.
 const OF_ONE_PLANT: &str = "Position, velocity and torque robots share one plant, one interface rate and one measurement. \
-                            Velocities are estimated by an observer with the model of the arm, which knows the command; the \
-                            position robot with 'paper' uses filtered differences, as the paper does, unless the row says \
-                            'observer'.";
+                            Their velocities are those that the page of a run names under 'joint velocities': measured, filtered \
+                            differences, or an estimate of the model.";
 /// Note under tables with runs of a real robot.
 const OF_A_ROBOT: &str = "Values of a real robot are from its own measurements; those that need the true state or the true \
                           motor torque are missing.";
@@ -103,7 +103,7 @@ pub fn assumed_count(keys: &[String]) -> String {
     }
     let rest = if shown < kinds.len() { ", …" } else { "" };
     let values = if keys.len() == 1 { "1 assumed value" } else { &format!("{} assumed values", keys.len()) };
-    format!("{values}: {list}{rest}; `-v` lists them")
+    format!("{values}: {list}{rest}")
 }
 
 /// Notes above tables of results: refusals that the user has allowed, each once.
@@ -284,6 +284,14 @@ fn sag(summary: &Summary, name: &str, task: &TaskMetrics) -> Option<String> {
     let rms_m = task.pose.position_rms_m.filter(|rms_m| *rms_m > REACHED[0])?;
     let lead = "`--controller ik-lead` compensates both, and is the fair baseline";
     let mm = |error_m: f64| format!("{:.1} mm", 1e3 * error_m);
+    if let Some(force_n) = task.response.external_force_max_n {
+        return Some(format!(
+            "task '{name}': {} rms from its reference, under a force of up to {} N: servos yield to it and to the weight of the arm, \
+             with a stiffness that nobody has chosen; `--controller osc` with an `impedance` has a chosen one",
+            mm(rms_m),
+            format_short(force_n)
+        ));
+    }
     let Some(sag_m) = task.pose.position_final_m else {
         return Some(format!(
             "task '{name}': {} rms from its moving reference: lag of the servos behind the motion, and sag under the weight of the \
@@ -513,17 +521,17 @@ mod tests {
         assert_eq!(noted(&mut run, 7.7e-3, None), "");
     }
 
-    /// Checks that the count of assumed values is one line, and that it says how to list them.
+    /// Checks that the count of assumed values is one line.
     #[test]
     fn assumed_values_are_counted_in_a_line() {
         let kinds = ["torque_limit_nm", "friction.static_nm", "friction.coulomb_nm", "rotor_inertia_kg_m2"];
         let of_joints = kinds.iter().flat_map(|kind| ["a", "b"].map(|joint| format!("joint.{joint}.{kind}")));
-        assert!(assumed_count(&["group.wrist.rotor".to_owned()]).contains(": rotor of 1 group;"));
+        assert!(assumed_count(&["group.wrist.rotor".to_owned()]).ends_with(": rotor of 1 group"));
         let keys: Vec<String> = of_joints.collect();
-        assert_eq!(assumed_count(&keys[..1]), "1 assumed value: torque_limit_nm of 1 joint; `-v` lists them");
+        assert_eq!(assumed_count(&keys[..1]), "1 assumed value: torque_limit_nm of 1 joint");
         let count = assumed_count(&keys);
         let begin = "8 assumed values: torque_limit_nm of 2 joints, ";
-        assert!(count.starts_with(begin) && count.ends_with(", …; `-v` lists them"), "{count}");
+        assert!(count.starts_with(begin) && count.ends_with(", …"), "{count}");
         assert!(count.len() < 90, "{count}");
     }
 

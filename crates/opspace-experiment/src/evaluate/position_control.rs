@@ -37,7 +37,12 @@ pub fn position_control_notes(summaries: &[Summary]) -> Vec<String> {
 /// the rms error has beside it.
 fn sag(run: &Summary) -> Option<String> {
     let rms_m = run.metrics.pose.position_rms_m?;
-    let head = format!("'{}' with ik", run.task);
+    // A force moves the arm too.
+    if run.metrics.response.external_force_max_n.is_some() {
+        return None;
+    }
+    let with = run.label.as_ref().map_or_else(String::new, |label| format!(" ({label})"));
+    let head = format!("'{}' with ik{with}", run.task);
     let mm = |value_m: f64| format_short(1e3 * value_m);
     let Some(sag_m) = run.metrics.pose.position_final_m else {
         let text = "mm rms is sag and lag together, because the reference moves at the end";

@@ -7,11 +7,11 @@ use crate::evaluate::table::{Cell, Table};
 use crate::metrics::metric_tables::response_names;
 use opspace_control::AXIS_NAMES;
 
-/// Table with a row per task and axis along which a considerable force pushes its frame; without rows if nothing does.
+/// Table with a row per task, or frame that no task controls, and axis along which a considerable force pushes its frame; without rows if nothing does.
 #[must_use]
 pub fn response_table(summary: &Summary) -> Table {
     let mut table = Table::new(&[
-        ("task", ""),
+        ("task or frame", ""),
         ("axis", ""),
         ("external force max", "N"),
         ("deflection max", "mm"),
@@ -20,10 +20,11 @@ pub fn response_table(summary: &Summary) -> Table {
         ("hysteresis", "mm"),
         ("displacement at the end", "mm"),
     ]);
-    for (name, task) in summary.ordered_tasks() {
-        for axis in pushed_axes(task) {
+    let tasks = summary.ordered_tasks().map(|(name, task)| (name, &task.axes));
+    for (name, axes) in tasks.chain(&summary.frames) {
+        for axis in pushed_axes(axes) {
             let [force, deflection, stiffness, hysteresis, left, desired] =
-                response_names(axis).map(|name| task.axes.get(&name).copied());
+                response_names(axis).map(|name| axes.get(&name).copied());
             let mm = |value: Option<f64>| Cell::from(value.map(|value| 1e3 * value));
             table.push(vec![
                 name.as_str().into(),
@@ -60,7 +61,7 @@ mod tests {
         let table = response_table(&run);
         let titles: Vec<String> = table.columns.iter().map(|column| column.column_title()).collect();
         let expected = [
-            "task",
+            "task or frame",
             "axis",
             "external force max (N)",
             "deflection max (mm)",

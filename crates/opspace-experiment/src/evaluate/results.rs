@@ -131,12 +131,12 @@ pub fn table(summaries: &[Summary], metrics: &[Metric]) -> Table {
     let firsts: Vec<&Summary> = groups.iter().map(Group::first).collect();
     let swept = GridKey::of(firsts.iter().copied());
     let settings: Vec<Vec<Cell>> = swept.iter().map(|key| key.cells(&firsts)).collect();
-    let mut heads = vec![("robot, control", ""), ("profile", "")];
+    let mut heads = vec![("robot, control", "")];
     heads.extend(swept.iter().map(|key| (key.name.as_str(), key.unit)));
-    heads.push(("runs", ""));
+    heads.extend([("profile", ""), ("runs", "")]);
     heads.extend(columns.iter().map(|(_, column)| (column.title, column.unit)));
     heads.push(("stopped", ""));
-    let mut table = Table::new(&heads);
+    let mut table = Table { further_names: swept.len(), ..Table::new(&heads) };
     let mut task = None;
     for (place, group) in groups.iter().enumerate() {
         let first = group.first();
@@ -146,9 +146,9 @@ pub fn table(summaries: &[Summary], metrics: &[Metric]) -> Table {
         }
         let runs = group.runs.len();
         let own = Summary { label: own_label(first), ..first.clone() };
-        let mut row: Vec<Cell> =
-            vec![format!("  {} {}", first.backend, control(&own)).into(), profile(first).into()];
+        let mut row: Vec<Cell> = vec![format!("  {} {}", first.backend, control(&own)).into()];
         row.extend(settings.iter().map(|cells| cells[place].clone()));
+        row.push(profile(first).into());
         row.push(if summaries.len() > 1 { (runs as u64).into() } else { Cell::Empty });
         row.extend(columns.iter().map(|column| median(group, *column)));
         row.push(stopped(group));
@@ -268,10 +268,10 @@ pub fn task_table(summary: &Summary) -> Table {
         let mut row = |quantity: &str, unit: &str, rms: Option<f64>, max: Option<f64>| {
             row_with_end(quantity, unit, [rms, max, None]);
         };
-        row("force error", "N", task.contact.force_rms_n, None);
+        row("force error", "N", task.contact.force_rms_n, task.contact.force_error_max_n);
         row("force error, reference at rest", "N", task.contact.force_hold_rms_n, None);
         row("force error, reference in motion", "N", task.contact.force_moving_rms_n, None);
-        row("contact peak (first second of contact)", "N", None, task.contact.contact_peak_n);
+        row("force in the first second of contact", "N", None, task.contact.contact_peak_n);
         row("compliant motion", "m", task.compliance.compliant_motion_rms_m, None);
         let slack = &task.slack;
         // Without limits in force it is a rounding error.
@@ -395,6 +395,7 @@ pub(crate) mod tests {
             missed_expectations: Vec::new(),
             findings: Default::default(),
             tasks: Default::default(),
+            frames: Default::default(),
             joints: Default::default(),
             task_order: Vec::new(),
             joint_order: Vec::new(),
@@ -489,10 +490,10 @@ pub(crate) mod tests {
         };
         let table = table(&[run("1000.0", "0.9"), run("50000.0", "1.1")], &default_columns(&[]));
         let titles: Vec<String> = table.columns.iter().map(|column| column.column_title()).collect();
-        assert_eq!(titles[..4], ["robot, control", "profile", "stiffness (N/m)", "kp (true/nominal)"]);
+        assert_eq!(titles[..4], ["robot, control", "stiffness (N/m)", "kp (true/nominal)", "profile"]);
         let texts = table.texts();
-        assert_eq!(texts[1][..4], ["  position osc + soft", "p 1:5", "1000", "0.9"]);
-        assert_eq!(texts[2][..4], ["  position osc + soft", "p 1:5", "50000", "1.1"]);
+        assert_eq!(texts[1][..4], ["  position osc + soft", "1000", "0.9", "p 1:5"]);
+        assert_eq!(texts[2][..4], ["  position osc + soft", "50000", "1.1", "p 1:5"]);
     }
 
     /// Compared: the rows of a table, and rows written by hand: the task is above its rows, the median in its column.

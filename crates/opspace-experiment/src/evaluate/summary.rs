@@ -87,6 +87,10 @@ pub struct Summary {
     pub metrics: Metrics,
     /// Metrics of the tasks that have a priority at the start, by name.
     pub tasks: BTreeMap<String, TaskMetrics>,
+    /// Response to external forces of frames that no Cartesian task controls, by the name of the frame: metrics along the axes of
+    /// the world by their names, `x_force_max_n`.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub frames: BTreeMap<String, BTreeMap<String, f64>>,
     /// Metrics of the joints, by name.
     pub joints: BTreeMap<String, JointMetrics>,
     /// Names of the tasks by priority at the start; empty in files of earlier versions.
@@ -250,6 +254,7 @@ impl Experiment {
             findings,
             metrics: evaluation.metrics,
             tasks: evaluation.tasks,
+            frames: evaluation.frames,
             joints: evaluation.joints,
             task_order: self.task().tasks_of_the_run().into_iter().map(|(name, _)| name.to_owned()).collect(),
             joint_order: self.robot().model.joints().iter().map(|joint| joint.name.clone()).collect(),

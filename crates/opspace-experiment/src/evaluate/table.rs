@@ -9,6 +9,8 @@ pub struct Table {
     pub columns: Vec<Column>,
     /// Rows, top to bottom; a row shorter than the head ends in empty cells.
     pub rows: Vec<Vec<Cell>>,
+    /// Number of columns at the left that name a row, beside the first one.
+    pub further_names: usize,
     /// True if the numbers of a row share their decimals, otherwise those of a column do.
     pub decimals_by_row: bool,
 }

@@ -24,7 +24,7 @@ metric_table! {
             compliance: Compliance
         ];
         [
-            /// Response of the first task whose frame external forces push.
+            /// Response of the first task whose frame external forces push, or else of a frame that no task controls.
             response: ForceResponse
         ];
         [
@@ -169,6 +169,9 @@ pub struct Evaluation {
     pub metrics: Metrics,
     /// Metrics of the tasks that have a priority at the start, by name.
     pub tasks: BTreeMap<String, TaskMetrics>,
+    /// Response to external forces of frames that no Cartesian task controls, by the name of the frame: metrics along the axes of
+    /// the world by their names, `x_force_max_n`.
+    pub frames: BTreeMap<String, BTreeMap<String, f64>>,
     /// Metrics of the joints, by name.
     pub joints: BTreeMap<String, JointMetrics>,
 }
@@ -313,6 +316,9 @@ metric_table! {
             "Error of the true contact force over the force axes, from `settle_s` after the task has begun to control it, rms, N; \
              `None` if the target is streamed and not logged. While the target ramps in, the error is that from the ramped \
              target; this holds for all errors of the force.";
+        force_error_max_n: f64, Smaller,
+            Some(Column::new("force-error-max", "force error max", "N", 1.0).needs(Needs::Frame)),
+            "Largest error of the force in the time of `force_rms_n`, N.";
         force_hold_rms_n: f64, Smaller,
             Some(Column::new("force-hold", "force error rms at rest", "N", 1.0)),
             "Error of the force while the references of the motion axes rest, rms, N.";
@@ -330,8 +336,8 @@ metric_table! {
         contact_begin_s: f64, Neither, None,
             "Time from the start of control to the first contact, s.";
         contact_peak_n: f64, Smaller,
-            Some(Column::new("contact-peak", "contact peak (first second)", "N", 1.0).needs(Needs::Frame)),
-            "Largest force in the first second of contact, N.";
+            Some(Column::new("contact-peak", "force max in first second of contact", "N", 1.0).needs(Needs::Frame)),
+            "Largest force in the first second of contact, N. A soft surface may not have its largest force by then.";
         contact_losses: u64, Smaller, None,
             "Number of times that contact was lost.";
         late_contact_losses: u64, Smaller, None,

@@ -3,8 +3,8 @@
 use super::case::PreflightCase;
 use super::{
     accelerations, admittance, approach, collisions, contact, freedom, goals, half_turns, ignored_compliance,
-    jumps, limits, loads, objects, position_limits, ramp, reserves, sensor_loads, setpoint_filters, speeds,
-    stability, times, torque_floor, weak_joints,
+    jumps, limits, loads, objects, overcompensation, position_limits, ramp, reserves, sensor_loads,
+    setpoint_filters, speeds, stability, times, torque_floor, weak_joints,
 };
 use crate::codes::Code;
 use crate::extensions::Entry;
@@ -188,6 +188,12 @@ static BUILT_IN: &[Check] = &[
         "encoders and setpoints whose resolution causes large torque errors",
         Condition::Torque,
         |case| torque_floor::coarse(case.experiment),
+    ),
+    Check::start(
+        "friction",
+        "compensation of more friction than the simulated joints have",
+        Condition::Torque,
+        |case| overcompensation::overcompensation(case).into_iter().collect(),
     ),
     Check::start(
         "setpoint-filters",

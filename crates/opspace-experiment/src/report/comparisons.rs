@@ -10,6 +10,7 @@ use crate::report::figure::{Comparison, ComparisonRow, Figure, Panel, Scale, Ser
 use crate::report::kinds::{Kinds, rest, run_names, sentence};
 use crate::report::run_section::RunSection;
 use crate::report::sweep_figures::sweeps;
+use crate::text::format_short;
 use std::collections::BTreeSet;
 
 /// Metrics that a page with the usual columns does not draw: computing times, and torque errors that hardly differ from others.
@@ -101,6 +102,47 @@ const SUBJECTS: [&str; 11] = [
     "joint_rms_rad",
 ];
 const TORQUE_ERROR: &str = "torque_error_interval";
+
+/// Sentences about a suite of one task: for each quantity that the task is about, the least and the largest value of each kind of
+/// robot and control over its rows; empty for several tasks and for one kind.
+pub(super) fn suite_story(summaries: &[Summary]) -> Vec<String> {
+    const MOST: usize = 2;
+    let Some(first) = summaries.first().filter(|first| summaries.iter().all(|run| run.task == first.task))
+    else {
+        return Vec::new();
+    };
+    let groups = group(summaries);
+    let kinds = Kinds::of(groups.iter().map(Group::first));
+    if kinds.names.len() < 2 || groups.len() <= kinds.names.len() {
+        return Vec::new();
+    }
+    let metrics = Metrics::rows();
+    let about = |key: &&str| {
+        let metric = metrics.iter().find(|metric| metric.key == *key)?;
+        let column = metric.column?;
+        let range = |(place, name): (usize, &String)| {
+            let own = groups.iter().filter(|group| kinds.place(group.first()) == place);
+            let values: Vec<f64> =
+                own.filter_map(|group| Some(group.of_column(metric, &column)?.median)).collect();
+            let least = values.iter().copied().reduce(f64::min)?;
+            let largest = values.iter().copied().reduce(f64::max)?;
+            Some((largest, format!("{} to {} with {name}", format_short(least), format_short(largest))))
+        };
+        let mut ranges: Vec<(f64, String)> = kinds.names.iter().enumerate().filter_map(range).collect();
+        ranges.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let texts: Vec<String> = ranges.into_iter().map(|(_, text)| text).collect();
+        let unit = if column.unit.is_empty() { String::new() } else { format!(" ({})", column.unit) };
+        (texts.len() > 1).then(|| {
+            format!(
+                "{}{unit} of '{}' over its settings: {}.",
+                sentence(column.title),
+                first.task,
+                texts.join("; ")
+            )
+        })
+    };
+    SUBJECTS.iter().filter_map(about).take(MOST).collect()
+}
 
 /// Chart of runs of one task side by side, with what the task is about first; `None` if there are several tasks.
 pub(super) fn side_by_side(summaries: &[Summary]) -> Option<DotColumns> {
@@ -226,10 +268,10 @@ fn order(figure: &Figure, summary: &Summary) -> usize {
 }
 
 /// Draws one figure of several runs into one; `None` if only one run has it.
-fn overlay(figure: &Figure, runs: &[&RunSection]) -> Option<Figure> {
-    let same = |other: &&Figure| other.title == figure.title && other.panels.len() == figure.panels.len();
+fn overlay<'a>(figure: &Figure, runs: &[&'a RunSection]) -> Option<Figure> {
+    let same = |other: &&Figure| other.title == figure.title;
     let names = run_names(&runs.iter().map(|run| &run.summary).collect::<Vec<_>>());
-    let found: Vec<(&String, &Figure)> = names
+    let found: Vec<(&String, &'a Figure)> = names
         .iter()
         .zip(runs)
         .filter_map(|(name, run)| Some((name, run.figures.iter().find(same)?)))
@@ -243,9 +285,17 @@ fn overlay(figure: &Figure, runs: &[&RunSection]) -> Option<Figure> {
     let lines: BTreeSet<&str> =
         figure.panels.iter().flat_map(|panel| &panel.series).map(|series| series.label.as_str()).collect();
     let labels = lines.len();
-    let panel = |place: usize| {
-        let of = |figure: &Figure, label: &str| {
-            figure.panels[place].series.iter().find(|series| series.label == label).cloned()
+    // An axis along which one run moves may be missing in another one.
+    let mut axes: Vec<&str> = Vec::new();
+    for panel in found.iter().flat_map(|(_, figure)| &figure.panels) {
+        if !axes.contains(&axis_of(panel)) {
+            axes.push(axis_of(panel));
+        }
+    }
+    let panel = |axis: &&str| {
+        let panel_of = |figure: &'a Figure| figure.panels.iter().find(|panel| axis_of(panel) == *axis);
+        let of = |figure: &'a Figure, label: &str| {
+            panel_of(figure)?.series.iter().find(|series| series.label == label).cloned()
         };
         // A reference that looks the same in all runs is drawn once.
         let is_shared = |one: &Series| {
@@ -256,7 +306,7 @@ fn overlay(figure: &Figure, runs: &[&RunSection]) -> Option<Figure> {
         };
         let mut series = Vec::new();
         for (index, (name, figure)) in found.iter().enumerate() {
-            for one in &figure.panels[place].series {
+            for one in panel_of(figure).into_iter().flat_map(|panel| &panel.series) {
                 let is_own = one.style != Style::Desired;
                 let color = if is_own && !has_several { Some(index) } else { one.color };
                 let label = if labels == 1 { (*name).clone() } else { format!("{name}: {}", one.label) };
@@ -267,14 +317,20 @@ fn overlay(figure: &Figure, runs: &[&RunSection]) -> Option<Figure> {
                 }
             }
         }
-        Panel { series, ..figure.panels[place].clone() }
+        let first = found.iter().find_map(|(_, figure)| panel_of(figure))?;
+        Some(Panel { series, ..first.clone() })
     };
     Some(Figure {
         title: format!("{}: {} runs", figure.title, found.len()),
-        panels: (0..figure.panels.len()).map(panel).collect(),
+        panels: axes.iter().filter_map(panel).collect(),
         remark: String::new(),
         ..figure.clone()
     })
+}
+
+/// Joint or axis of a panel, without the value at the start of a run.
+fn axis_of(panel: &Panel) -> &str {
+    panel.title.split(", from ").next().unwrap_or_default()
 }
 
 /// True if two lines cannot be told apart in a figure: references begin at the measured position of each run.

@@ -1,10 +1,11 @@
 //! Pages about runs of several robots, and about suites of them.
 
 use crate::evaluate::coupling::FELT_HZ;
+use crate::evaluate::coupling_sentences::{coupling_sentences, coupling_title};
 use crate::evaluate::run_summary::RunSummary;
 use crate::metrics::coupling_metrics::{CouplingMetrics, FeltLine};
 use crate::report::coupling_table::{coupling_notes, coupling_table};
-use crate::report::document::{run_blocks, with_assumed};
+use crate::report::document::{run_blocks, with_assumed, with_assumed_lists};
 use crate::report::figure::{Figure, Panel, Series, Style};
 use crate::report::html::Page;
 use crate::report::run_section::RunSection;
@@ -18,8 +19,9 @@ pub(crate) fn coupling_page(
     robots: &[(String, RunSection)],
 ) -> String {
     let mut page = head(
-        &format!("{}, seed {}", summary.experiment, summary.seed),
-        "Several robots, coupled through channels, in one run.",
+        &coupling_title(summary),
+        &format!("Several robots, coupled through channels, in one run, seed {}.", summary.seed),
+        &coupling_sentences(summary),
         &format!("Couplings, after the first {} s (settle_s)", scenario.settle_s),
         std::slice::from_ref(summary),
     );
@@ -42,7 +44,8 @@ pub(crate) fn coupling_page(
     for (name, section) in robots {
         page = run_blocks(page, &format!("{name}: {}", section.title), section);
     }
-    page.facts([("experiment", scenario.source.name())]).render()
+    let page = page.facts([("experiment", scenario.source.name())]);
+    with_assumed_lists(page, summary.robots.values()).render()
 }
 
 /// Builds the page about a suite. `pages` are names of runs, and the pages about them, as paths beside this page.
@@ -50,7 +53,7 @@ pub(crate) fn coupling_page(
 pub fn coupling_suite_page(title: &str, summaries: &[RunSummary], pages: &[(String, String)]) -> String {
     let lead =
         format!("{} runs of several robots, coupled through channels, in simulation.", summaries.len());
-    let mut page = head(title, &lead, "Couplings, after settle_s", summaries);
+    let mut page = head(title, &lead, &[], "Couplings, after settle_s", summaries);
     for summary in summaries {
         for failure in summary.failures() {
             page = page.warning(&format!("{}: {failure}.", summary.title()));
@@ -59,15 +62,15 @@ pub fn coupling_suite_page(title: &str, summaries: &[RunSummary], pages: &[(Stri
     if !pages.is_empty() {
         page = page.section("Pages about single runs").facts(pages.iter().map(|(run, page)| (run, page)));
     }
-    page.render()
+    with_assumed_lists(page, summaries.iter().flat_map(|summary| summary.robots.values())).render()
 }
 
 /// Page with the table of the couplings of runs.
-fn head(title: &str, lead: &str, caption: &str, summaries: &[RunSummary]) -> Page {
+fn head(title: &str, lead: &str, story: &[String], caption: &str, summaries: &[RunSummary]) -> Page {
     let notes = coupling_notes(summaries);
     let notes: Vec<&str> = notes.iter().map(String::as_str).collect();
     let robots = summaries.iter().flat_map(|summary| summary.robots.values());
-    let page = with_assumed(Page::new(title).lead(lead), robots);
+    let page = with_assumed(Page::new(title).story(story).lead(lead), robots);
     page.section("Couplings").table(caption, &coupling_table(summaries), &notes)
 }
 

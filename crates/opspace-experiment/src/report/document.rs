@@ -1,18 +1,18 @@
 //! Reports: pages with a table of runs, charts that compare them, and the figures of each run.
 
-use crate::evaluate::notes::{allowed_notes, assumed_notes, joint_notes, notes, task_notes};
+use crate::evaluate::notes::{allowed_notes, assumed_counts, assumed_notes, joint_notes, notes, task_notes};
 use crate::evaluate::position_control::position_control_notes;
 use crate::evaluate::response_table::response_table;
 use crate::evaluate::results::{failures, group, joint_table, table, task_table};
 use crate::evaluate::summary::Summary;
 use crate::evaluate::table::Table;
 use crate::metrics::metric::Metric;
-use crate::report::comparisons::{columns, compliance, overlays, side_by_side};
+use crate::report::comparisons::{columns, compliance, overlays, side_by_side, suite_story};
 pub use crate::report::environment_shapes::{EnvironmentShape, PlacedObject};
 use crate::report::html::Page;
 use crate::report::kinds::run_names;
 pub use crate::report::run_section::{ClosestPair, CollisionMoment, PlacedShape, RunSection};
-use crate::text::listed;
+use crate::text::{capitalised, listed};
 
 /// Largest number of compared runs of which the page states what happened.
 const MOST_STORIES: usize = 4;
@@ -39,16 +39,18 @@ pub fn page(
     if let ([run], [_]) = (shown, summaries) {
         let head = Page::new(&run.sentence).story(&run.story).lead(&format!("{lead} {}.", run.title));
         let head = run_head(with_assumed(head, summaries), run);
-        return run_body(with_table(head.section("Results")), run).render();
+        let page = run_body(with_table(head.section("Results")), run);
+        return with_assumed_lists(page, summaries).render();
     }
-    let mut page = with_assumed(Page::new(title).lead(lead), summaries);
+    let is_comparison = summaries.len() > 1 && shown.len() == summaries.len();
+    let story = if is_comparison { Vec::new() } else { suite_story(summaries) };
+    let mut page = with_assumed(Page::new(title).story(&story).lead(lead), summaries);
     if summaries.len() > 1 {
         page = failures(summaries)
             .iter()
             .fold(page, |page, failure| page.warning(&format!("Failed: {failure}.")));
     }
     let position_control = position_control_notes(summaries);
-    let is_comparison = summaries.len() > 1 && shown.len() == summaries.len();
     let first = if is_comparison { side_by_side(summaries) } else { compliance(summaries, metrics) };
     if let Some(chart) = &first {
         page = page.dot_columns(chart);
@@ -79,7 +81,7 @@ pub fn page(
     for run in shown {
         page = run_blocks(page, &run.title, run);
     }
-    page.render()
+    with_assumed_lists(page, summaries).render()
 }
 
 /// Title of a page about these runs: a sentence that names what differs between them.
@@ -98,11 +100,19 @@ pub fn title_of_runs(shown: &[RunSection]) -> String {
     format!("{} runs {task} are compared{compared}", runs.len())
 }
 
-/// Adds notes about assumed values, on which results rest, and about refusals that the user has allowed.
+/// Adds the number of assumed values, on which results rest, and refusals that the user has allowed.
 pub(super) fn with_assumed<'a>(page: Page, summaries: impl IntoIterator<Item = &'a Summary> + Clone) -> Page {
     let allowed = allowed_notes(summaries.clone()).into_iter().map(|note| format!("Allowed: {note}."));
-    let notes = assumed_notes(summaries).into_iter().map(|note| format!("{note}.")).chain(allowed);
+    let counts = assumed_counts(summaries).into_iter();
+    let notes = counts.map(|count| format!("Note: {count}. The end of this page lists them.")).chain(allowed);
     notes.fold(page, |page, note| page.warning(&note))
+}
+
+/// Adds the lists of assumed values.
+pub(super) fn with_assumed_lists<'a>(page: Page, summaries: impl IntoIterator<Item = &'a Summary>) -> Page {
+    assumed_notes(summaries)
+        .iter()
+        .fold(page, |page, note| page.paragraph(&format!("{}.", capitalised(note))))
 }
 
 /// Adds the section of one run to a page.

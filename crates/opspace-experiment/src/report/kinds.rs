@@ -136,15 +136,26 @@ pub(super) fn numbered(name: String, others: &[String]) -> String {
     if others.contains(&name) { free.unwrap_or(name) } else { name }
 }
 
+/// Label of a run with the values of its grid, or its settings; `None` if it has neither.
+pub(super) fn label_or_settings(run: &Summary) -> Option<String> {
+    let text = run.label.clone().unwrap_or_else(|| settings_text(run));
+    (!text.is_empty()).then_some(text)
+}
+
+/// Settings of a run with the last words of their keys.
+fn settings_text(run: &Summary) -> String {
+    let setting =
+        |(key, value): (&str, &str)| format!("{}={value}", key.segments().last().map_or(key, String::as_str));
+    settings(run).map(setting).collect::<Vec<_>>().join(", ")
+}
+
 /// Label of the settings of a run, or the settings themselves; `None` if it has none.
 pub(super) fn rest(run: &Summary) -> Option<String> {
     const LONGEST: usize = 36;
     if run.label.is_some() {
         return own_label(run);
     }
-    let setting =
-        |(key, value): (&str, &str)| format!("{}={value}", key.segments().last().map_or(key, String::as_str));
-    let text = settings(run).map(setting).collect::<Vec<_>>().join(", ");
+    let text = settings_text(run);
     let short: String = text.chars().take(LONGEST).collect();
     let short = if short == text { text } else { format!("{short}…") };
     (!short.is_empty()).then_some(short)

@@ -5,6 +5,7 @@ use crate::evaluate::metrics::task_axes::AxesOfTask;
 use crate::report::figure::{Figure, Panel, Series, Style};
 use crate::report::lines::{COLUMNS, time_panel};
 use crate::run::experiment::Experiment;
+use crate::text::format_short;
 use nalgebra::Vector3;
 use opspace_backend::signal_names::{self, REFERENCE};
 use opspace_control::{AXIS_NAMES, TaskParameters};
@@ -100,15 +101,17 @@ impl Path<'_> {
 
     /// Axes of space along which the reference moves most, in their order; `None` if it moves along a line at most.
     fn plane(&self) -> Option<[usize; 2]> {
-        let extent = |axis: usize| {
-            let along = || self.samples.iter().map(|sample| sample.reference[axis]);
-            along().fold(f64::NEG_INFINITY, f64::max) - along().fold(f64::INFINITY, f64::min)
-        };
-        let mut axes: Vec<(usize, f64)> = (0..3).map(|axis| (axis, extent(axis))).collect();
+        let mut axes: Vec<(usize, f64)> = (0..3).map(|axis| (axis, self.extent_m(axis))).collect();
         axes.sort_by(|a, b| b.1.total_cmp(&a.1));
         let mut plane = [axes[0].0, axes[1].0];
         plane.sort_unstable();
         (axes[1].1 >= EXTENT_M && !self.is_straight(plane)).then_some(plane)
+    }
+
+    /// Range of the reference along an axis, m.
+    fn extent_m(&self, axis: usize) -> f64 {
+        let along = || self.samples.iter().map(|sample| sample.reference[axis]);
+        along().fold(f64::NEG_INFINITY, f64::max) - along().fold(f64::INFINITY, f64::min)
     }
 
     /// True if the reference stays on a line of the plane.
@@ -149,10 +152,16 @@ impl Path<'_> {
         let time_s = self.samples.iter().map(|sample| sample.time_s).collect();
         let deviation_mm = self.samples.iter().map(|sample| 1e3 * sample.deviation_m).collect();
         let deviation = Series::new("path", time_s, deviation_mm);
+        let third =
+            (0..3).find(|axis| ![a, b].contains(axis)).filter(|axis| self.extent_m(*axis) >= EXTENT_M);
+        let third = third.map_or_else(String::new, |axis| {
+            let extent = format_short(1e3 * self.extent_m(axis));
+            format!(" It extends over {extent} mm along {}.", AXIS_NAMES[axis])
+        });
         Some(Figure {
             title: format!("Path of task '{}'", self.name),
             caption: format!(
-                "Path of the frame in the {}-{} plane from its start, and its distance from the reference over the motion axes at each time.",
+                "Path of the frame in the {}-{} plane from its start, and its distance from the reference over the motion axes at each time.{third}",
                 AXIS_NAMES[a], AXIS_NAMES[b]
             ),
             panels: vec![path, time_panel("deviation", "distance (mm)", vec![deviation])],

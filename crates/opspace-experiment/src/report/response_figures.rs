@@ -1,5 +1,6 @@
 //! Figures of the response to external forces: force over displacement, and both over time.
 
+use crate::evaluate::metrics::frame_responses::{self, FreeFrame, free_frames};
 use crate::evaluate::metrics::response::{AxisNumbers, Response, ResponseSample, line};
 use crate::evaluate::metrics::run_log::Run;
 use crate::evaluate::metrics::task_axes::AxesOfTask;
@@ -15,9 +16,10 @@ use opspace_control::{AXIS_NAMES, TaskParameters};
 /// Force along an axis from which on the axis has a panel, relative to the largest of all axes.
 const DRAWN: f64 = 0.1;
 
-/// Responses of the Cartesian tasks of a run while segments of its log arrive.
+/// Responses of the Cartesian tasks of a run, and of frames that no task controls, while segments of its log arrive.
 pub(super) struct ResponseFigures<'a> {
     tasks: Vec<TaskResponse<'a>>,
+    frames: Vec<(FreeFrame<'a>, Response)>,
 }
 
 struct TaskResponse<'a> {
@@ -35,11 +37,13 @@ impl<'a> ResponseFigures<'a> {
             let axes = AxesOfTask::new(experiment, name, controlled);
             Some(TaskResponse { name, frame: &task.frame, axes, response: Response::default() })
         });
-        Self { tasks: tasks.collect() }
+        let frames = free_frames(experiment).into_iter().map(|frame| (frame, Response::default()));
+        Self { tasks: tasks.collect(), frames: frames.collect() }
     }
 
     /// Adds the next segment of the log.
     pub(super) fn add(&mut self, run: &Run<'_>) {
+        self.frames.iter_mut().for_each(|(frame, response)| frame_responses::add(run, frame, response));
         for TaskResponse { name, frame, axes, response } in &mut self.tasks {
             let Some(forces) = run.forces_on(frame).filter(|forces| !forces.is_empty()) else {
                 continue;
@@ -64,14 +68,20 @@ impl<'a> ResponseFigures<'a> {
     /// Returns the figures of each task whose frame was pushed: force over displacement, and both over time; the one that shows a
     /// stiffness first.
     pub(super) fn finish(self) -> Vec<Figure> {
+        let frames = self.frames.iter().filter_map(|(FreeFrame { frame, .. }, response)| {
+            let title = format!("Response of '{frame}' to forces");
+            Some([Some(over_time(title, response, &response.numbers()?)), None])
+        });
         let figures = self.tasks.iter().filter_map(|task| {
             let numbers = task.response.numbers()?;
-            let figures = [task.force_over_displacement(&numbers), Some(task.over_time(&numbers))];
+            let title = format!("Response of task '{}' to forces", task.name);
+            let figures =
+                [task.force_over_displacement(&numbers), Some(over_time(title, &task.response, &numbers))];
             let has_stiffness = numbers.iter().any(|axis| axis.stiffness_n_per_m.is_some());
             let [first, second] = figures;
             Some(if has_stiffness { [first, second] } else { [second, first] })
         });
-        figures.flatten().flatten().collect()
+        figures.chain(frames).flatten().flatten().collect()
     }
 }
 
@@ -148,39 +158,39 @@ impl TaskResponse<'_> {
             ..Panel::default()
         }
     }
+}
 
-    /// Force and displacement of each axis along which something acts or moves, over time.
-    fn over_time(&self, numbers: &[AxisNumbers; 3]) -> Figure {
-        let considerable = |of: fn(&AxisNumbers) -> f64| {
-            let largest = numbers.iter().map(of).fold(0.0, f64::max);
-            numbers.each_ref().map(|axis| of(axis) > DRAWN * largest)
-        };
-        let (pushed, moved) =
-            (considerable(|axis| axis.force_max_n), considerable(|axis| axis.deflection_max_m));
-        let samples = self.response.samples();
-        let panel = |title: String, label: &str, value: &dyn Fn(&ResponseSample) -> f64| {
-            let x = samples.iter().map(|sample| sample.time_s).collect();
-            let y = samples.iter().map(value).collect();
-            time_panel(&title, label, vec![Series::new("measured", x, y).thinned(COLUMNS)])
-        };
-        let of_axis = |axis: usize| {
-            let name = AXIS_NAMES[axis];
-            [
-                panel(format!("force along {name}"), "force (N)", &|sample| sample.force_n[axis]),
-                panel(format!("displacement along {name}"), "displacement (mm)", &|sample| {
-                    1e3 * sample.moved_m[axis]
-                }),
-            ]
-        };
-        Figure {
-            title: format!("Response of task '{}' to forces", self.name),
-            caption: "External force on the frame, and displacement of the frame since settle_s, along the axes of the task that are \
-                      pushed or move."
-                .to_owned(),
-            panels: (0..3).filter(|&axis| pushed[axis] || moved[axis]).flat_map(of_axis).collect(),
-            columns: Some(2),
-            overlays: true,
-            ..Figure::default()
-        }
+/// Force and displacement of each axis along which something acts or moves, over time.
+fn over_time(title: String, response: &Response, numbers: &[AxisNumbers; 3]) -> Figure {
+    let considerable = |of: fn(&AxisNumbers) -> f64| {
+        let largest = numbers.iter().map(of).fold(0.0, f64::max);
+        numbers.each_ref().map(|axis| of(axis) > DRAWN * largest)
+    };
+    let (pushed, moved) = (considerable(|axis| axis.force_max_n), considerable(|axis| axis.deflection_max_m));
+    let samples = response.samples();
+    let panel = |title: String, label: &str, value: &dyn Fn(&ResponseSample) -> f64| {
+        let x = samples.iter().map(|sample| sample.time_s).collect();
+        let y = samples.iter().map(value).collect();
+        time_panel(&title, label, vec![Series::new("measured", x, y).thinned(COLUMNS)])
+    };
+    let force = |axis: usize| {
+        let title = format!("force along {}", AXIS_NAMES[axis]);
+        panel(title, "force (N)", &|sample| sample.force_n[axis])
+    };
+    let displacement = |axis: usize| {
+        let title = format!("displacement along {}", AXIS_NAMES[axis]);
+        panel(title, "displacement (mm)", &|sample| 1e3 * sample.moved_m[axis])
+    };
+    let forces = (0..3).filter(|&axis| pushed[axis]).map(force);
+    let displacements = (0..3).filter(|&axis| pushed[axis] || moved[axis]).map(displacement);
+    Figure {
+        title,
+        caption: "External force on the frame, and displacement of the frame since settle_s, along the axes of the task that are \
+                  pushed or move."
+            .to_owned(),
+        panels: forces.chain(displacements).collect(),
+        columns: Some(2),
+        overlays: true,
+        ..Figure::default()
     }
 }

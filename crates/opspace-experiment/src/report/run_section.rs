@@ -1,11 +1,12 @@
 //! Section of a page about one run.
 
-use crate::evaluate::headline::headline;
+use crate::evaluate::headline::{headline, operator};
 use crate::evaluate::notes::final_notes;
 use crate::evaluate::response_sentences::response_sentences;
 use crate::evaluate::summary::Summary;
 pub use crate::report::collision_moments::{ClosestPair, CollisionMoment, PlacedShape};
 use crate::report::figure::Figure;
+use crate::report::kinds::label_or_settings;
 use crate::report::run_figures::{RunDrawings, RunFigures};
 use crate::run::error::RunError;
 use crate::run::experiment::Experiment;
@@ -156,7 +157,8 @@ fn operator_axes(experiment: &Experiment) -> String {
 
 /// Sentences about the result of a run: the response to forces if there was one, otherwise the first lines of the terminal.
 fn story(summary: &Summary) -> Vec<String> {
-    let response = response_sentences(summary);
+    let mut response = response_sentences(summary);
+    response.extend(operator(summary).map(|text| format!("{}.", capitalised(&text))));
     if !response.is_empty() {
         return response;
     }
@@ -166,8 +168,9 @@ fn story(summary: &Summary) -> Vec<String> {
 
 fn sentence(summary: &Summary) -> String {
     let by = summary.transformer.as_ref().map_or_else(String::new, |t| format!(" through '{t}'"));
+    let with = label_or_settings(summary).map_or_else(String::new, |settings| format!(", {settings}"));
     format!(
-        "{} robot '{}' runs '{}' with {}{by}",
+        "{} robot '{}' runs '{}' with {}{by}{with}",
         capitalised(&summary.backend),
         summary.robot,
         summary.task,
@@ -179,8 +182,9 @@ fn title(summary: &Summary) -> String {
     let by = summary.transformer.as_ref().map_or_else(String::new, |t| format!(" through '{t}'"));
     let plant = summary.plant.as_ref().filter(|plant| *plant != OWN_PLANT);
     let plant = plant.map_or_else(String::new, |plant| format!(" on {plant}"));
+    let with = label_or_settings(summary).map_or_else(String::new, |settings| format!(", {settings}"));
     format!(
-        "{}: {} robot{plant}, {}{by}, {} 1:{}, seed {}",
+        "{}: {} robot{plant}, {}{by}{with}, {} 1:{}, seed {}",
         summary.task, summary.backend, summary.controller, summary.profile, summary.ratio, summary.seed
     )
 }

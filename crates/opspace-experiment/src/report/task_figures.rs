@@ -2,14 +2,14 @@
 
 use crate::evaluate::metrics::run_log::{Run, masked_norm};
 use crate::evaluate::metrics::task_axes::{AxesOfTask, TaskAxes, TaskRow, orientation};
-use crate::evaluate::metrics::tasks::total;
+use crate::evaluate::metrics::tasks::{force_target, total};
 use crate::evaluate::table::shown_unit;
 use crate::report::figure::{Figure, Panel, Series, Style};
 use crate::report::lines::{error_panel, joint_figure, line, tables_begin, time_panel};
 use crate::text::listed;
 use nalgebra::Vector3;
 use opspace_backend::signal_names::{
-    self, ERROR, Q, REFERENCE, REFERENCE_ORIENTATION, TARGET_FORCE, TRUTH_CHANNEL, WRENCH,
+    self, CONTACT, ERROR, Q, REFERENCE, REFERENCE_ORIENTATION, TARGET_FORCE, TRUTH_CHANNEL, WRENCH,
 };
 use opspace_control::orientation::log;
 use opspace_control::{CartesianParameters, CartesianReference, ControlledFrame, TaskParameters};
@@ -127,6 +127,8 @@ struct CartesianFigures<'a> {
     rows: Vec<TaskRow>,
     /// Axes of the task if events and streamed modes leave them as they are.
     constant: Option<TaskAxes>,
+    /// Axes whose force the task controls at some time.
+    force_axes: [bool; 3],
     reference: Option<Column<'a>>,
     reference_orientation: Option<Column<'a>>,
 }
@@ -141,6 +143,7 @@ impl<'a> CartesianFigures<'a> {
             relative_to: None,
             rows: axes.rows(run),
             constant: axes.constant(run),
+            force_axes: axes.force_axes(),
             reference: run.tick.signal(&signal_names::of(name, REFERENCE)),
             reference_orientation: run.tick.signal(&signal_names::of(name, REFERENCE_ORIENTATION)),
         }
@@ -290,6 +293,22 @@ impl<'a> CartesianFigures<'a> {
             });
             [true_force, sensed, Some(target)].into_iter().flatten().collect()
         });
+        // The axes whose force has a target come first.
+        let mut order = [0, 1, 2];
+        order.sort_by_key(|axis| !self.force_axes[*axis]);
+        let mut panels: Vec<Panel> = order.map(|axis| panels[axis].clone()).to_vec();
+        if let (Some(truth), true) = (&truth, self.force_axes.contains(&true)) {
+            let made = self.run.tick.signal(&signal_names::of(self.name, CONTACT));
+            let error = self.line("error", Style::Solid, |row| {
+                let axes = row.axes.filter(|axes| axes.force.contains(&true))?;
+                let tick = self.run.tick_up_to(row.k)?;
+                let at_tick = |column: &Option<Column<'a>>| column.map(|column| column.row(tick));
+                let target = force_target(&axes, at_tick(&logged), at_tick(&made))?;
+                let force = row.in_world.tr_mul(&total(truth, row.k));
+                Some(masked_norm(&(force - target), &axes.force))
+            });
+            panels.insert(1, error_panel(self.run, "error over the force axes", "force error (N)", error));
+        }
         let of_sensor = sensor.filter(|_| sensed.is_some()).map_or_else(String::new, |sensor| {
             format!(" Sensed: reading of sensor '{sensor}', tared at the start and unfiltered.")
         });

@@ -70,6 +70,7 @@ cases! {
     GainsTooHigh stability::gains_too_high,
     SmallGainMargin stability::small_gain_margin,
     UnstableSimulation stability::unstable_simulation,
+    OvercompensatedFriction stability::overcompensated_friction,
     GearOscillation stability::gear_oscillation,
     ActiveImpedance stability::active_impedance,
     FeedForwardImpulse stability::feed_forward_impulse,

@@ -347,6 +347,8 @@ fn force_sensor_reads_the_load_beyond_it() {
     }
     let weight = Vector3::new(0.0, 0.0, -0.5 * 9.81);
     assert!((loads[190] - weight).norm() < 1e-3, "{}", loads[190]);
+    // A tare is the mean of the first readings.
+    assert!((loads[0] - weight).norm() < 1e-9, "{}", loads[0]);
     let (mut largest, mut error) = (0.0_f64, 0.0_f64);
     for k in 5..places.len() - 5 {
         // Mean acceleration over ten milliseconds, and the mean of the readings there.

@@ -1,8 +1,9 @@
 //! Response of a controlled frame to external forces: deflection, stiffness, hysteresis and return along each axis of space.
 
 use super::task_axes::{TaskAxes, TaskRow};
-use crate::metrics::metric_tables::{TaskMetrics, response_names};
+use crate::metrics::metric_tables::{ForceResponse, response_names};
 use nalgebra::Vector3;
+use std::collections::BTreeMap;
 
 /// Smallest external force that is a push, N.
 const PUSHED_N: f64 = 0.5;
@@ -163,7 +164,10 @@ impl Response {
                 deflects,
                 stiffness_n_per_m: line.map(|(_, compliance)| 1.0 / compliance),
                 hysteresis_m: line.and_then(|_| hysteresis(&points)),
-                return_m: returned(&points, forces[axis]).filter(|_| is_pushed),
+                return_m: self
+                    .returned()
+                    .map(|moved_m| moved_m[axis].abs())
+                    .filter(|moved_m| moved_m.is_finite()),
                 desired_n_per_m,
             }
         }))
@@ -179,9 +183,19 @@ impl Response {
         points.filter(|(force, moved)| force.is_finite() && moved.is_finite()).collect()
     }
 
-    /// Adds the numbers of each axis, and those of the axis with the largest force; numbers that do not exist are absent.
-    pub(super) fn finish(&self, metrics: &mut TaskMetrics) {
-        let Some(axes) = self.numbers() else { return };
+    /// Displacement at the end, if there is no force at the beginning and at the end, m.
+    fn returned(&self) -> Option<Vector3<f64>> {
+        let [first, .., last] = &self.samples[..] else { return None };
+        let largest_n = self.largest[0].amax();
+        let is_free =
+            |sample: &ResponseSample| !sample.force_n.iter().any(|force| force.abs() > RELEASED * largest_n);
+        (is_free(first) && is_free(last)).then_some(last.moved_m)
+    }
+
+    /// Adds the numbers of each axis by their names, and returns those of the axis with the largest force.
+    pub(super) fn finish(&self, metrics: &mut BTreeMap<String, f64>) -> ForceResponse {
+        let mut response = ForceResponse::default();
+        let Some(axes) = self.numbers() else { return response };
         let pushed = axes.iter().filter(|axis| axis.force_max_n >= PUSHED_N);
         // An axis with a stiffness comes first.
         let rank = |axis: &AxisNumbers| (axis.stiffness_n_per_m.is_some(), axis.force_max_n);
@@ -190,7 +204,6 @@ impl Response {
             a.cmp(&b).then(a_n.total_cmp(&b_n))
         });
         if let Some(axis) = first {
-            let response = &mut metrics.response;
             response.external_force_max_n = Some(axis.force_max_n);
             response.deflection_max_m = Some(axis.deflection_max_m);
             response.stiffness_n_per_m = axis.stiffness_n_per_m;
@@ -207,8 +220,9 @@ impl Response {
                 numbers.desired_n_per_m,
             ];
             let named = response_names(axis).into_iter().zip(values);
-            metrics.axes.extend(named.filter_map(|(name, value)| Some((name, value?))));
+            metrics.extend(named.filter_map(|(name, value)| Some((name, value?))));
         }
+        response
     }
 }
 
@@ -262,16 +276,9 @@ fn median(numbers: &mut [f64]) -> f64 {
     *numbers.select_nth_unstable_by(middle, f64::total_cmp).1
 }
 
-/// Displacement at the end, if there is no force at the beginning and at the end, m.
-fn returned(points: &[(f64, f64)], largest_n: f64) -> Option<f64> {
-    let [(first_n, _), .., (last_n, last_m)] = points else { return None };
-    let is_free = |force: &f64| force.abs() <= RELEASED * largest_n;
-    (is_free(first_n) && is_free(last_n)).then_some(last_m.abs())
-}
-
 #[cfg(test)]
 mod tests {
-    use super::{MAX_SAMPLES, Response, ResponseSample, hysteresis, line, returned};
+    use super::{MAX_SAMPLES, Response, ResponseSample, hysteresis, line};
     use nalgebra::Vector3;
 
     /// Relative rounding of a line through exact points.
@@ -304,6 +311,16 @@ mod tests {
         points.collect()
     }
 
+    /// Displacement that is left at the end, m.
+    fn returned(points: &[(f64, f64)]) -> Option<f64> {
+        let mut response = Response::default();
+        for (k, (force, moved)) in (0..).zip(points) {
+            let (force_n, moved_m) = (Vector3::new(*force, 0.0, 0.0), Vector3::new(*moved, 0.0, 0.0));
+            response.keep(ResponseSample { time_s: f64::from(k), force_n, moved_m });
+        }
+        response.returned().map(|moved_m| moved_m.x.abs())
+    }
+
     fn triangle(peak: f64) -> impl Iterator<Item = f64> {
         (0..=400).map(move |k| peak * (1.0 - (f64::from(k) / 200.0 - 1.0).abs()))
     }
@@ -316,7 +333,7 @@ mod tests {
             let (_, compliance) = line(&points).unwrap_or_default();
             assert!((1.0 / compliance / 400.0 - 1.0).abs() < ROUNDING);
             assert!(hysteresis(&points).unwrap_or(1.0) < INTERVAL_M);
-            assert!(returned(&points, 20.0).unwrap_or(1.0) < ROUNDING);
+            assert!(returned(&points).unwrap_or(1.0) < ROUNDING);
         }
     }
 
@@ -327,7 +344,7 @@ mod tests {
             let points = with_friction(triangle(peak), 400.0, 2.0);
             let width = hysteresis(&points).unwrap_or_default();
             assert!((width - 2.0 * 2.0 / 400.0).abs() < INTERVAL_M, "{width}");
-            let returned = returned(&points, 20.0).unwrap_or_default();
+            let returned = returned(&points).unwrap_or_default();
             assert!((returned - 2.0 / 400.0).abs() < ROUNDING, "{returned}");
         }
     }

@@ -8,7 +8,7 @@ use opspace_control::{
     AxesFrame, AxisMode, CartesianParameters, CartesianReference, ControlledFrame, ForceProfiles,
     TaskParameters,
 };
-use opspace_model::{Model, Placement};
+use opspace_model::{FrameId, Model, Placement};
 
 /// Axes of a task by mode, their frame, and the target of the force axes.
 #[derive(Clone, Copy, PartialEq)]
@@ -129,10 +129,31 @@ impl AxesOfTask {
         Self { name: name.to_owned(), controlled, sets: axes.collect() }
     }
 
+    /// Axes of the world of a frame that no task controls.
+    pub(crate) fn of_frame(experiment: &Experiment, frame: FrameId) -> Self {
+        let axes = TaskAxes {
+            directions: AxesFrame::Fixed(Matrix3::identity()),
+            motion: [false; 6],
+            compliant: [false; 3],
+            compliant_rotations: [false; 3],
+            force: [false; 3],
+            target: None,
+            presses: false,
+            stiffness_n_per_m: [None; 3],
+        };
+        let sets = vec![Some(axes); 1 + experiment.task().events.len()];
+        Self { name: String::new(), controlled: ControlledFrame::Frame(frame), sets }
+    }
+
     /// Axes of a task without a priority.
     #[cfg(test)]
     pub(crate) fn nowhere() -> Self {
         Self { name: String::new(), controlled: ControlledFrame::CenterOfMass, sets: Vec::new() }
+    }
+
+    /// Axes whose force the task controls in some task set.
+    pub(crate) fn force_axes(&self) -> [bool; 3] {
+        [0, 1, 2].map(|axis| self.sets.iter().flatten().any(|axes| axes.force[axis]))
     }
 
     /// Axes of the task if they are the same during the whole run.

@@ -345,7 +345,7 @@ impl CartesianErrors {
             (orientation.rms(), orientation.max());
         [metrics.pose.position_final_m, metrics.pose.orientation_final_rad] = self.last;
         metrics.axes = self.single_axes.finish();
-        self.response.finish(metrics);
+        metrics.response = self.response.finish(&mut metrics.axes);
         if let Some(contact) = self.contact {
             contact.finish(metrics);
         }
@@ -356,7 +356,11 @@ impl CartesianErrors {
 }
 
 /// Target of the force axes at a row, N: as logged on axes in contact, otherwise as in the file; `None` if it is not known.
-fn force_target(axes: &TaskAxes, logged: Option<&[f64]>, made: Option<&[f64]>) -> Option<Vector3<f64>> {
+pub(crate) fn force_target(
+    axes: &TaskAxes,
+    logged: Option<&[f64]>,
+    made: Option<&[f64]>,
+) -> Option<Vector3<f64>> {
     let (Some(logged), Some(made)) = (logged, made) else { return axes.target };
     let mut target = axes.target.unwrap_or_else(|| Vector3::from_column_slice(&logged[..3]));
     for axis in (0..3).filter(|&axis| made[axis] == 1.0) {
@@ -464,6 +468,7 @@ impl ContactForce {
     fn finish(self, metrics: &mut TaskMetrics) {
         let contact = &mut metrics.contact;
         (contact.force_rms_n, contact.force_hold_rms_n) = (self.error_n.rms(), self.resting_n.rms());
+        contact.force_error_max_n = self.error_n.max();
         contact.force_moving_rms_n = self.moving_n.rms();
         contact.force_settle_s = self.settled_s;
         let mut last = RmsMax::default();

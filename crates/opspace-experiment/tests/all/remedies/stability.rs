@@ -245,3 +245,15 @@ pub fn coarse_setpoints(code: Code) {
     let finding = rounded(0.01).only(code);
     rounded(0.01).is_helped(code, &[rounded(number_after(&finding.help, "setpoint_resolution_rad: "))]);
 }
+
+pub fn overcompensated_friction(code: Code) {
+    let of = |gain: f64| {
+        TaskCase::of(HAND)
+            .set("robot.simulated.true_over_nominal.friction=0.5")
+            .set(format!("friction_compensation.gain={gain:?}"))
+    };
+    let finding = of(0.8).only(code);
+    let enough = number_after(&finding.help, "friction_compensation.gain = ");
+    assert!(enough <= 0.5 && enough > 0.45, "{enough}");
+    of(0.8).is_helped(code, &[of(enough)]);
+}
