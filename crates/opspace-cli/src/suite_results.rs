@@ -137,7 +137,12 @@ impl SuiteResults {
             args.output.json.print(|| json.clone(), text)?;
         }
         let rows = if is_final { format!("{ROWS}, {SUITE_ROWS}") } else { SUITE_ROWS.to_owned() };
-        let kept = if several { "folders of runs" } else { "logs" };
+        let kept = match (several, logs.len()) {
+            (true, 1) => "folder of a run",
+            (true, _) => "folders of runs",
+            (false, 1) => "log",
+            (false, _) => "logs",
+        };
         console.note(&format!("wrote {}, {rows} and {} {kept}", folder.join(REPORT).display(), logs.len()));
         let mut codes: Vec<Exit> = self.summaries.iter().map(exit_code).collect();
         if let Some(comparison) = &comparison {

@@ -8,10 +8,7 @@ use crate::ffi::{Instance, Library};
 use crate::mjcf::{LOAD_CELL, ModelSettings, contents, joint_name, write};
 use nalgebra::Vector3;
 use opspace_model::Force;
-use opspace_sim::{
-    EnvironmentObject, ExternalForce, HeldObject, JointTorque, Plant, PlantArm, PlantArms, PlantConfig,
-    PlantError, PlantFrame, Scene,
-};
+use opspace_sim::{JointTorque, Plant, PlantArm, PlantArms, PlantConfig, PlantError, PlantFrame, Scene};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -143,12 +140,12 @@ impl MujocoPlant {
 }
 
 impl Plant for MujocoPlant {
-    fn q(&self) -> &[f64] {
-        self.arms.q()
+    fn arms(&self) -> &PlantArms {
+        &self.arms
     }
 
-    fn dq(&self) -> &[f64] {
-        self.arms.dq()
+    fn arms_mut(&mut self) -> &mut PlantArms {
+        &mut self.arms
     }
 
     fn step(&mut self, time_s: f64, dt_s: f64, torques: &[JointTorque]) {
@@ -170,34 +167,6 @@ impl Plant for MujocoPlant {
             Some(cell) => own + cell.measure(&self.middle, self.joints, self.step_s),
             None => own,
         }
-    }
-
-    fn contact_force(&self, arm: usize, contact: usize) -> Vector3<f64> {
-        self.arms.contact_force(arm, contact)
-    }
-
-    fn contact_moment(&self, arm: usize, contact: usize) -> Vector3<f64> {
-        self.arms.contact_moment(arm, contact)
-    }
-
-    fn contact_work(&self, arm: usize, contact: usize) -> f64 {
-        self.arms.contact_work(arm, contact)
-    }
-
-    fn environment_object(&self, arm: usize, contact: usize) -> Option<&EnvironmentObject> {
-        self.arms.environment_object(arm, contact)
-    }
-
-    fn held_object(&self, object: usize) -> &HeldObject {
-        self.arms.held_object(object)
-    }
-
-    fn push(&mut self, arm: usize, force: Option<ExternalForce>) {
-        self.arms.push(arm, force);
-    }
-
-    fn external_force(&self, arm: usize) -> Vector3<f64> {
-        self.arms.external_force(arm)
     }
 }
 

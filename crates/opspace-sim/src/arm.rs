@@ -5,9 +5,9 @@
 //! own drives control it.
 
 use crate::config::{ArmConfig, SimulationConfig};
+use crate::engine::PhysicsEngine;
 use crate::error::SimulationError;
 use crate::external::ExternalForceHandle;
-use crate::plant::PhysicsEngine;
 use crate::servo_arm::ServoArm;
 use crate::shared_arm::SharedArm;
 use crate::simulation::Simulation;

@@ -3,12 +3,13 @@
 use crate::bus::Bus;
 use crate::config::ArmConfig;
 use crate::drives::Drives;
+use crate::engine::Plant;
 use crate::error::SimulationError;
 use crate::external::ExternalForceHandle;
 use crate::fault;
 use crate::force_sensor::SimulatedForceSensor;
 use crate::motors::Motors;
-use crate::plant::{JointTorque, Plant, PlantFrame};
+use crate::plant::{JointTorque, PlantFrame};
 use crate::servo_drives::{ServoDrives, ServoDrivesConfig};
 use crate::setpoint_check::SetpointCheck;
 use crate::timing::{Clock, Timing};

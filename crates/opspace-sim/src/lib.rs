@@ -63,6 +63,7 @@ mod command_queue;
 pub mod config;
 mod drives;
 pub mod drivetrain;
+pub mod engine;
 pub mod environment;
 pub mod error;
 pub mod external;
@@ -105,6 +106,7 @@ mod turns;
 pub use arm::SimulatedArm;
 pub use bus::{Bus, BusParameters, DropoutParameters};
 pub use config::{ArmConfig, CouplingConfig, SimulationConfig};
+pub use engine::{PhysicsEngine, Plant};
 pub use environment::{
     EnvironmentObject, EnvironmentObjectParameters, OperatorMotion, ProbeMotion, SpringParameters, WorldAxis,
 };
@@ -114,8 +116,7 @@ pub use held_object::{GripParameters, HeldObject, HeldObjectConfig, HeldObjectPa
 pub use integrator::Midpoint;
 pub use parameters::SimulatedParameters;
 pub use plant::{
-    JointTorque, PhysicsEngine, Plant, PlantArm, PlantConfig, PlantCoupling, PlantError, PlantFrame,
-    PlantGrip, PlantObject, Scene,
+    JointTorque, PlantArm, PlantConfig, PlantCoupling, PlantError, PlantFrame, PlantGrip, PlantObject, Scene,
 };
 pub use plant_arms::PlantArms;
 pub use rigid::{RigidEngine, RigidPlant};

@@ -1,12 +1,8 @@
 //! Plant of the library: rigid bodies simulated with the articulated-body algorithm and midpoint steps.
 
-use crate::environment::EnvironmentObject;
-use crate::external::ExternalForce;
-use crate::held_object::HeldObject;
-use crate::plant::{JointTorque, PhysicsEngine, Plant, PlantConfig, PlantError, PlantFrame, Scene};
+use crate::engine::{PhysicsEngine, Plant};
+use crate::plant::{JointTorque, PlantConfig, PlantError, Scene};
 use crate::plant_arms::PlantArms;
-use nalgebra::Vector3;
-use opspace_model::Force;
 
 /// Plant of any number of arms. Joint torques and contact forces are constant over a step, the latter those in its middle;
 /// the rigid bodies are integrated to second order.
@@ -54,12 +50,12 @@ impl PhysicsEngine for RigidEngine {
 }
 
 impl Plant for RigidPlant {
-    fn q(&self) -> &[f64] {
-        self.arms.q()
+    fn arms(&self) -> &PlantArms {
+        &self.arms
     }
 
-    fn dq(&self) -> &[f64] {
-        self.arms.dq()
+    fn arms_mut(&mut self) -> &mut PlantArms {
+        &mut self.arms
     }
 
     fn step(&mut self, time_s: f64, dt_s: f64, torques: &[JointTorque]) {
@@ -71,37 +67,5 @@ impl Plant for RigidPlant {
         self.arms.begin_step(time_s, dt_s, torques);
         self.arms.end_velocities_rigid(dt_s, dq);
         true
-    }
-
-    fn contact_wrench(&mut self, frame: PlantFrame) -> Force {
-        self.arms.contact_wrench(frame)
-    }
-
-    fn contact_force(&self, arm: usize, contact: usize) -> Vector3<f64> {
-        self.arms.contact_force(arm, contact)
-    }
-
-    fn contact_moment(&self, arm: usize, contact: usize) -> Vector3<f64> {
-        self.arms.contact_moment(arm, contact)
-    }
-
-    fn contact_work(&self, arm: usize, contact: usize) -> f64 {
-        self.arms.contact_work(arm, contact)
-    }
-
-    fn environment_object(&self, arm: usize, contact: usize) -> Option<&EnvironmentObject> {
-        self.arms.environment_object(arm, contact)
-    }
-
-    fn held_object(&self, object: usize) -> &HeldObject {
-        self.arms.held_object(object)
-    }
-
-    fn push(&mut self, arm: usize, force: Option<ExternalForce>) {
-        self.arms.push(arm, force);
-    }
-
-    fn external_force(&self, arm: usize) -> Vector3<f64> {
-        self.arms.external_force(arm)
     }
 }

@@ -1,8 +1,8 @@
 //! Arm of a shared simulation: what all kinds of robot have.
 
+use crate::engine::Plant;
 use crate::external::ExternalForceHandle;
 use crate::interface::ArmInterface;
-use crate::plant::Plant;
 use crate::simulation::Simulation;
 use nalgebra::DVector;
 use opspace_backend::{Capabilities, DeviceFault, GroundTruth, Sample, TruthLayouts, TruthRow};

@@ -7,13 +7,12 @@
 //! lost, as on a bus; its rows are kept until the arm is read or dropped.
 
 use crate::config::{CouplingConfig, SimulationConfig};
+use crate::engine::Plant;
 use crate::environment::Mistake;
 use crate::error::SimulationError;
 use crate::fault;
 use crate::interface::{ArmInterface, Place};
-use crate::plant::{
-    JointTorque, Plant, PlantArm, PlantConfig, PlantCoupling, PlantError, PlantFrame, PlantObject,
-};
+use crate::plant::{JointTorque, PlantArm, PlantConfig, PlantCoupling, PlantError, PlantFrame, PlantObject};
 use crate::rigid::RigidPlant;
 use crate::timing::Clock;
 use crate::truth::ContactSignals;

@@ -1,9 +1,9 @@
 //! Rows of the true state of an arm between two reads.
 
+use crate::engine::Plant;
 use crate::environment::EnvironmentObject;
 use crate::external::{self, ExternalForce, ExternalRows};
 use crate::held_object::HeldObject;
-use crate::plant::Plant;
 use crate::timing::Timing;
 use nalgebra::{UnitQuaternion, Vector3};
 use opspace_backend::signal_names::{

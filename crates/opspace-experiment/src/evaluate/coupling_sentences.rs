@@ -28,7 +28,7 @@ fn sentences(name: &str, metrics: &CouplingMetrics) -> Vec<String> {
             format!(", {} mm in the last half second", number(drift_m, 1e3))
         });
         sentences.push(format!(
-            "The robots of '{name}' are {} mm (rms) apart{}{end}.",
+            "The robots coupled by '{name}' are {} mm (rms) apart{}{end}.",
             number(rms_m, 1e3),
             at_most(metrics.tracking_max_m, "mm", 1e3)
         ));
@@ -82,7 +82,7 @@ mod tests {
             ..CouplingMetrics::default()
         };
         let expected = [
-            "The robots of 'arms' are 2.34 mm (rms) apart, at most 9 mm, 0 mm in the last half second.",
+            "The robots coupled by 'arms' are 2.34 mm (rms) apart, at most 9 mm, 0 mm in the last half second.",
             "The operator feels 0.8 to 1.25 kN/m between 0.5 and 2 Hz.",
         ];
         assert_eq!(sentences("arms", &metrics), expected);

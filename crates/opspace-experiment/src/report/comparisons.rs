@@ -5,7 +5,7 @@ use crate::evaluate::summary::Summary;
 use crate::metrics::columns::default_columns;
 use crate::metrics::metric::{Column, Metric};
 use crate::metrics::metric_tables::Metrics;
-use crate::report::dot_columns::{DotColumn, DotColumns};
+use crate::report::dot_columns::{DotColumn, DotColumns, WIDE};
 use crate::report::figure::{Comparison, ComparisonRow, Figure, Panel, Scale, Series, Style};
 use crate::report::kinds::{Kinds, rest, run_names, sentence};
 use crate::report::run_section::RunSection;
@@ -37,8 +37,6 @@ pub(super) fn columns(summaries: &[Summary], metrics: &[Metric]) -> (Vec<Figure>
 
 /// Chart of one column; `None` if there is nothing to compare.
 fn comparison(groups: &[&Group<'_>], kinds: &Kinds, metric: &Metric, column: &Column) -> Option<Comparison> {
-    /// Ratio of the largest to the smallest value from which on the scale is logarithmic.
-    const WIDE: f64 = 20.0;
     let several = |of: &dyn Fn(&Summary) -> String| {
         groups.iter().any(|group| of(group.first()) != of(groups[0].first()))
     };
@@ -103,9 +101,9 @@ const SUBJECTS: [&str; 11] = [
 ];
 const TORQUE_ERROR: &str = "torque_error_interval";
 
-/// Sentences about a suite of one task: for each quantity that the task is about, the least and the largest value of each kind of
+/// Sentences about a suite of one task: for each of its columns that the task is about, the least and the largest value of each kind of
 /// robot and control over its rows; empty for several tasks and for one kind.
-pub(super) fn suite_story(summaries: &[Summary]) -> Vec<String> {
+pub(super) fn suite_story(summaries: &[Summary], listed: &[Metric]) -> Vec<String> {
     const MOST: usize = 2;
     let Some(first) = summaries.first().filter(|first| summaries.iter().all(|run| run.task == first.task))
     else {
@@ -116,9 +114,8 @@ pub(super) fn suite_story(summaries: &[Summary]) -> Vec<String> {
     if kinds.names.len() < 2 || groups.len() <= kinds.names.len() {
         return Vec::new();
     }
-    let metrics = Metrics::rows();
     let about = |key: &&str| {
-        let metric = metrics.iter().find(|metric| metric.key == *key)?;
+        let metric = listed.iter().find(|metric| metric.key == *key)?;
         let column = metric.column?;
         let range = |(place, name): (usize, &String)| {
             let own = groups.iter().filter(|group| kinds.place(group.first()) == place);
@@ -282,8 +279,8 @@ fn overlay<'a>(figure: &Figure, runs: &[&'a RunSection]) -> Option<Figure> {
     // A run has one colour on the page, unless it has several measured lines in a panel.
     let is_measured = |series: &&Series| series.style == Style::Solid;
     let has_several = figure.panels.iter().any(|panel| panel.series.iter().filter(is_measured).count() > 1);
-    let lines: BTreeSet<&str> =
-        figure.panels.iter().flat_map(|panel| &panel.series).map(|series| series.label.as_str()).collect();
+    let drawn = figure.panels.iter().flat_map(|panel| &panel.series).filter(|line| line.style != Style::Thin);
+    let lines: BTreeSet<&str> = drawn.map(|series| series.label.as_str()).collect();
     let labels = lines.len();
     // An axis along which one run moves may be missing in another one.
     let mut axes: Vec<&str> = Vec::new();
@@ -306,7 +303,9 @@ fn overlay<'a>(figure: &Figure, runs: &[&'a RunSection]) -> Option<Figure> {
         };
         let mut series = Vec::new();
         for (index, (name, figure)) in found.iter().enumerate() {
-            for one in panel_of(figure).into_iter().flat_map(|panel| &panel.series) {
+            // Lines in the background of each run would hide those of the others.
+            let lines = panel_of(figure).into_iter().flat_map(|panel| &panel.series);
+            for one in lines.filter(|line| line.style != Style::Thin) {
                 let is_own = one.style != Style::Desired;
                 let color = if is_own && !has_several { Some(index) } else { one.color };
                 let label = if labels == 1 { (*name).clone() } else { format!("{name}: {}", one.label) };

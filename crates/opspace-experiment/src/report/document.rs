@@ -43,7 +43,7 @@ pub fn page(
         return with_assumed_lists(page, summaries).render();
     }
     let is_comparison = summaries.len() > 1 && shown.len() == summaries.len();
-    let story = if is_comparison { Vec::new() } else { suite_story(summaries) };
+    let story = if is_comparison { Vec::new() } else { suite_story(summaries, metrics) };
     let mut page = with_assumed(Page::new(title).story(&story).lead(lead), summaries);
     if summaries.len() > 1 {
         page = failures(summaries)

@@ -9,6 +9,9 @@ use crate::text::format_short;
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 
+/// Ratio of the largest to the smallest value of a column from which on its scale is logarithmic.
+pub(super) const WIDE: f64 = 20.0;
+
 /// Chart with a row per run or kind of control. Rows differ in colour, marks of a row in shape.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct DotColumns {
@@ -88,7 +91,17 @@ impl DotColumns {
         };
         // Room for a number beside the largest value.
         const ROOM: f64 = 0.3;
-        let x = Axis::linear(ends.start.min(0.0)..ends.end.max(0.0) * (1.0 + ROOM), 0.02, &column.label, 4);
+        let is_wide = ends.start > 0.0 && ends.end > WIDE * ends.start;
+        let scaled = |value: f64| if is_wide { value.log10() } else { value };
+        let x = match is_wide {
+            true => {
+                let [low, high] = [ends.start, ends.end].map(f64::log10);
+                Axis::decades(low..high + ROOM * (high - low), &column.label)
+            }
+            false => {
+                Axis::linear(ends.start.min(0.0)..ends.end.max(0.0) * (1.0 + ROOM), 0.02, &column.label, 4)
+            }
+        };
         let mut y = Axis::rows(rows);
         if !is_first {
             y = y.without_texts();
@@ -100,7 +113,7 @@ impl DotColumns {
             for (mark, value) in values.iter().enumerate() {
                 let Some(spread) = value else { continue };
                 let line = row as f64 + (mark as f64 + 1.0) / (lines + 1.0) - 0.5;
-                let at = |value: f64| drawn.backend_coord(&(x.place(value), line));
+                let at = |value: f64| drawn.backend_coord(&(x.place(scaled(value)), line));
                 root.draw(&PathElement::new(vec![at(spread.low), at(spread.high)], color.stroke_width(8)))?;
                 shape(root, at(spread.median), mark, color)?;
                 let style = text(12, FontStyle::Normal).pos(Pos::new(HPos::Left, VPos::Center));

@@ -96,8 +96,7 @@ impl TaskResponse<'_> {
         let panels: Vec<Panel> = drawn.iter().map(|&axis| self.panel(axis, &numbers[axis])).collect();
         (!panels.is_empty()).then(|| Figure {
             title: format!("Force over displacement of task '{}'", self.name),
-            caption: "External force on the frame over its deviation from the reference, along the axes of the task. Dark: the desired \
-                      stiffness. Thin: the least-squares line, whose slope is the stiffness measured. Hysteresis: largest \
+            caption: "External force on the frame over its deviation from the reference, along the axes of the task. In the colour of the text: the desired stiffness. Thin: the least-squares line, whose slope is the stiffness measured. Hysteresis: largest \
                       difference of the displacement at one force, while it rises and while it falls; friction and, under fast pushes, damping cause it."
                 .to_owned(),
             remark: remarks.collect::<Vec<_>>().join(" "),

@@ -4,10 +4,10 @@ use crate::common::{START, arm, object, parsed, robot, setup};
 use nalgebra::{DVector, Vector3};
 use opspace_backend::quantity::NonNegative;
 use opspace_backend::{Backend, Command, CommandKind, GroundTruth, Sample, Setpoints, TruthRow};
-use opspace_model::{Data, Force, Model, Placement, frame_placement, kinematics};
+use opspace_model::{Data, Model, Placement, frame_placement, kinematics};
 use opspace_sim::{
-    ArmConfig, CouplingConfig, EnvironmentObject, ExternalForce, HeldObject, JointTorque, Plant, PlantFrame,
-    RigidPlant, SimulatedArm, Simulation, SimulationConfig, SimulationError,
+    ArmConfig, CouplingConfig, JointTorque, Plant, PlantArms, RigidPlant, SimulatedArm, Simulation,
+    SimulationConfig, SimulationError,
 };
 
 use std::sync::Arc;
@@ -287,49 +287,17 @@ fn arms_can_be_made_in_worker_threads() {
 struct OtherEngine(RigidPlant, Arc<AtomicU64>);
 
 impl Plant for OtherEngine {
-    fn q(&self) -> &[f64] {
-        self.0.q()
+    fn arms(&self) -> &PlantArms {
+        self.0.arms()
     }
 
-    fn dq(&self) -> &[f64] {
-        self.0.dq()
+    fn arms_mut(&mut self) -> &mut PlantArms {
+        self.0.arms_mut()
     }
 
     fn step(&mut self, time_s: f64, dt_s: f64, torques: &[JointTorque]) {
         self.1.fetch_add(1, Ordering::Relaxed);
         self.0.step(time_s, dt_s, torques);
-    }
-
-    fn contact_wrench(&mut self, frame: PlantFrame) -> Force {
-        self.0.contact_wrench(frame)
-    }
-
-    fn contact_force(&self, arm: usize, contact: usize) -> Vector3<f64> {
-        self.0.contact_force(arm, contact)
-    }
-
-    fn contact_moment(&self, arm: usize, contact: usize) -> Vector3<f64> {
-        self.0.contact_moment(arm, contact)
-    }
-
-    fn contact_work(&self, arm: usize, contact: usize) -> f64 {
-        self.0.contact_work(arm, contact)
-    }
-
-    fn environment_object(&self, arm: usize, contact: usize) -> Option<&EnvironmentObject> {
-        self.0.environment_object(arm, contact)
-    }
-
-    fn held_object(&self, object: usize) -> &HeldObject {
-        self.0.held_object(object)
-    }
-
-    fn push(&mut self, arm: usize, force: Option<ExternalForce>) {
-        self.0.push(arm, force);
-    }
-
-    fn external_force(&self, arm: usize) -> Vector3<f64> {
-        self.0.external_force(arm)
     }
 }
 

@@ -9,17 +9,21 @@ use crate::run::experiment::Experiment;
 use opspace_control::TaskParameters;
 use std::collections::BTreeMap;
 
-/// Frame on which objects of the environment act, although no Cartesian task controls it.
+/// Frame on which objects of the environment act, although no task controls it.
 pub(crate) struct FreeFrame<'a> {
     pub(crate) frame: &'a str,
     pub(crate) axes: AxesOfTask,
 }
 
-/// Frames on which objects of the environment act, although no Cartesian task controls them, in the order of the objects.
+/// Frames on which objects of the environment act, although neither a Cartesian nor a coupled task controls them, in the order of the objects.
 pub(crate) fn free_frames(experiment: &Experiment) -> Vec<FreeFrame<'_>> {
     let tasks = experiment.task().tasks_of_the_run();
     let is_controlled = |frame: &str| {
-        tasks.iter().any(|(_, task)| matches!(task, TaskParameters::Cartesian(task) if task.frame == frame))
+        tasks.iter().any(|(_, task)| match task {
+            TaskParameters::Cartesian(task) => task.frame == frame,
+            TaskParameters::Coupled(task) => task.frame.as_deref() == Some(frame),
+            _ => false,
+        })
     };
     let mut frames: Vec<FreeFrame<'_>> = Vec::new();
     for object in experiment.task().file.environment.values() {
