@@ -431,7 +431,7 @@ fn no_cycle_of_coupled_robots_allocates() {
             dropout("follower", 0.6),
             dropout("leader", 1.1),
         ];
-        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../experiments/teleop-wall.toml");
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tasks/experiments/teleop-wall.toml");
         let experiment = Scenario::load_robots(&Extensions::default(), Files::Disk, &path, &settings, &[]);
         let experiment = experiment.unwrap_or_else(|e| panic!("{e}"));
         let counts = RefCell::new(Vec::with_capacity(1 << 16));

@@ -638,7 +638,7 @@ const SCHEMAS: [(&str, &str); 4] = [
     ("robot", "robots/robot.schema.json"),
     ("task", "tasks/task.schema.json"),
     ("suite", "tasks/suite.schema.json"),
-    ("experiment", "experiments/experiment.schema.json"),
+    ("experiment", "tasks/experiments/experiment.schema.json"),
 ];
 
 /// Compared: the committed schemas, which editors use, and the current output of the program. `OPSPACE_WRITE_DOCS=1` writes them.
@@ -791,7 +791,7 @@ fn check_takes_settings() {
     stiff.prints(&["would be unstable", "--set task.hand.cartesian.gains.frequency_rad_per_s=2000"]);
     let weak = "robot.joint.shoulder_pitch.torque_limit_nm=0.5";
     check(task, weak).exits(0).prints(&["--set robot.joint.shoulder_pitch.torque_limit_nm=0.5"]);
-    let experiment = "experiments/teleop-free.toml";
+    let experiment = "tasks/experiments/teleop-free.toml";
     check(experiment, "duration_s=-1.0").exits(2).says(&["duration_s"]);
     for file in [ROOT_ROBOT, "tasks/suites/paper.toml", "robots/asimo-arm/asimo-arm.urdf"] {
         check(file, "seed=1").exits(2).says(&["has no values for --set"]);
@@ -813,7 +813,7 @@ fn check_takes_controller_and_backend() {
     };
     assert!(margin(&[]) && !margin(&["--backend", "torque"]));
     check(task, &["--controller", "pid"]).exits(2).says(&["ik-lead"]);
-    for file in [ROOT_ROBOT, "tasks/suites/paper.toml", "experiments/teleop-free.toml"] {
+    for file in [ROOT_ROBOT, "tasks/suites/paper.toml", "tasks/experiments/teleop-free.toml"] {
         for options in [["--controller", "ik"], ["--backend", "torque"]] {
             check(file, &options).exits(2).says(&["has no use for --", "for task files"]);
         }

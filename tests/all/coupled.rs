@@ -23,7 +23,7 @@ const RESULTS: [&str; 8] = [
 
 /// Runs the teleoperation for half a second, without its expectations, which need more.
 pub fn run(folder: &Path, more: &[&str]) -> Ran {
-    let experiment = project("experiments/teleop-wall.toml");
+    let experiment = project("tasks/experiments/teleop-wall.toml");
     let short = ["run", &experiment, "--duration-s", "0.5", "--set", "settle_s=0.1", "--set", "expect={}"];
     opspace(folder, &[&short, more].concat())
 }
@@ -87,7 +87,7 @@ fn force_replaces_the_results_of_all_robots_and_nothing_else() {
 #[test]
 fn run_that_was_cut_off_is_replaced_with_force() {
     let folder = scratch();
-    let experiment = project("experiments/teleop-wall.toml");
+    let experiment = project("tasks/experiments/teleop-wall.toml");
     let long = ["run", &experiment, "--duration-s", "3000", "--out", "out"];
     let mut child =
         command(folder.path(), &long).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();

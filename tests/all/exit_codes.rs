@@ -103,7 +103,7 @@ fn in_a_suite_and_an_experiment() {
     assert_eq!(suite(""), 0);
     assert_eq!(suite("\"robot.simulated.bus.lost_cycles_share=0.3\""), 1);
     let folder = scratch();
-    let teleop = project("experiments/teleop-free.toml");
+    let teleop = project("tasks/experiments/teleop-free.toml");
     let run = |settings: &[&str]| {
         let options: Vec<&str> = settings.iter().flat_map(|setting| ["--set", *setting]).collect();
         let arguments = [

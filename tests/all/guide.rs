@@ -80,7 +80,7 @@ const NOT_RUN: [(&str, &str); 4] = [
 /// Creates a folder that looks like a clone.
 fn clone() -> tempfile::TempDir {
     let folder = scratch();
-    for name in ["crates", "docs", "examples", "experiments", "robots", "tasks", "tests"] {
+    for name in ["crates", "docs", "examples", "robots", "tasks", "tests"] {
         symlink(project(name), folder.path().join(name)).unwrap();
     }
     folder
@@ -160,7 +160,7 @@ fn run(folder: &Path, command: &Command, place: &str) {
 /// True if a command is one run of a task on the backend of its robot: a position robot. It is run as a torque robot as well.
 fn names_no_backend(text: &str) -> bool {
     let of_position_robots =
-        ["--backend", "--controller", "--transformer", "--help", "--out", "&&", "|", "experiments/"];
+        ["--backend", "--controller", "--transformer", "--help", "--out", "&&", "|", "tasks/experiments/"];
     text.starts_with("opspace run ") && !of_position_robots.iter().any(|other| text.contains(other))
 }
 
@@ -238,7 +238,7 @@ fn key_pages_have_every_key() {
         ("task", "tasks/task.schema.json"),
         ("robot", "robots/robot.schema.json"),
         ("suite", "tasks/suite.schema.json"),
-        ("experiment", "experiments/experiment.schema.json"),
+        ("experiment", "tasks/experiments/experiment.schema.json"),
     ] {
         let page = read(project(&format!("docs/keys-{kind}.md")));
         let keys = excerpts::all_keys(&crate::cli_common::read_json(project(schema)));

@@ -327,7 +327,7 @@ fn teleoperate(mount: &Mount, in_robot_file: bool, settings: &[String]) -> [Reco
             all.push(format!("robots.{robot}.base_rpy_rad={:?}", mount.1));
         }
     }
-    let experiment = project("experiments/teleop-wall.toml");
+    let experiment = project("tasks/experiments/teleop-wall.toml");
     let mut arguments = vec!["run", &experiment, "--duration-s", "1.5", "--out", "out", "--quiet"];
     arguments.extend(all.iter().flat_map(|setting| ["--set", setting.as_str()]));
     opspace(folder.path(), &arguments).exits(0);
@@ -401,7 +401,7 @@ fn mujoco_simulates_the_mounted_arm() {
 #[test]
 fn contradicting_placements_are_refused() {
     let folder = scratch();
-    let experiment = project("experiments/two-arms-carry.toml");
+    let experiment = project("tasks/experiments/two-arms-carry.toml");
     let check = |settings: &[&str]| {
         let mut arguments = vec!["check", experiment.as_str()];
         arguments.extend(settings.iter().flat_map(|setting| ["--set", setting]));

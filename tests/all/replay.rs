@@ -288,8 +288,15 @@ fn folded(text: &str) -> String {
 fn run_on_a_log_repeats_its_commands() {
     let folder = scratch();
     run(folder.path(), "out", "compliant-x", &[]);
-    let teleop =
-        ["run", &project("experiments/teleop-free.toml"), "--duration-s", "2", "--out", "both", "--quiet"];
+    let teleop = [
+        "run",
+        &project("tasks/experiments/teleop-free.toml"),
+        "--duration-s",
+        "2",
+        "--out",
+        "both",
+        "--quiet",
+    ];
     opspace(folder.path(), &teleop).exits(0);
     let task = project("tasks/compliant-x.toml");
     // The task of the follower is that of its log: the file of the experiment states a part of it.

@@ -240,7 +240,7 @@ Examples:
   opspace run tasks/panda-reach.toml --plant mujoco
   opspace run tasks/panda-reach.toml --open
   opspace run tasks/cartesian-tracking.toml --backend replay --log runs/compliant-x-asimo-arm-position
-  opspace run experiments/teleop-wall.toml --set leader.task.hand.coupled.damping_ns_per_m=8
+  opspace run tasks/experiments/teleop-wall.toml --set leader.task.hand.coupled.damping_ns_per_m=8
 
 Writes run.mcap (all signals; opens in Foxglove and PlotJuggler), report.html and summary.json into \
 runs/TASK-ROBOT-BACKEND. An existing run is renamed to NAME.previous, the next one to NAME.previous-2, and so on.

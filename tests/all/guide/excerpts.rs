@@ -12,7 +12,7 @@ const SCHEMAS: [&str; 4] = [
     "tasks/task.schema.json",
     "robots/robot.schema.json",
     "tasks/suite.schema.json",
-    "experiments/experiment.schema.json",
+    "tasks/experiments/experiment.schema.json",
 ];
 
 /// Runs a task file with an excerpt for a moment, or checks the keys of an excerpt of another file.

@@ -85,7 +85,7 @@ pub fn load(path: &Path, settings: &[&str]) -> Scenario {
 /// Teleoperation of two arms: the operator lowers the hand to a table or not, within two seconds.
 pub fn teleoperation(settings: &[&str]) -> Scenario {
     let own = ["expect={}", "settle_s=0.1", "duration_s=2.0", LOWERED];
-    load(&project("experiments/teleop-wall.toml"), &[&own[..], settings].concat())
+    load(&project("tasks/experiments/teleop-wall.toml"), &[&own[..], settings].concat())
 }
 
 /// Runs an experiment in a folder, which is removed afterwards.

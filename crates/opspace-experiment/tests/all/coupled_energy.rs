@@ -69,7 +69,7 @@ fn estimated_force_leaves_the_leader_its_energy() {
     let estimate = "follower.robot.estimated_force.contact={ frame = \"hand\" }";
     let wall = "follower.environment.table.stiffness_n_per_m=50000.0";
     let settings = [&own[..], &[estimate, wall, "follower.task.hand.coupled.sensor=\"contact\""]].concat();
-    let run = run(&load(&project("experiments/teleop-wall.toml"), &settings));
+    let run = run(&load(&project("tasks/experiments/teleop-wall.toml"), &settings));
     let acted_s = run.summary.couplings["hands"].passivity_time_s;
     assert_eq!(acted_s, Some(0.0));
 }

@@ -294,7 +294,7 @@ fn kinds_are_those_of_the_schemas() {
         }
     }
     let mut kinds = BTreeSet::new();
-    for name in ["tasks/task", "robots/robot", "experiments/experiment"] {
+    for name in ["tasks/task", "robots/robot", "tasks/experiments/experiment"] {
         let path = format!("{}/../../{name}.schema.json", env!("CARGO_MANIFEST_DIR"));
         let text = std::fs::read_to_string(path).expect("a schema");
         collect(&serde_json::from_str(&text).expect("JSON"), &mut kinds);

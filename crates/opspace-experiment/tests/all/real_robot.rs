@@ -234,7 +234,7 @@ fn one_of_coupled_robots_is_real() {
     let load = |name: &str, settings: &[&str]| {
         let own = ["expect={}", "settle_s=0.1", "duration_s=1.0", NEAR_TABLE, LOWERED];
         let settings = if name == "teleop-wall" { [&own[..], settings].concat() } else { settings.to_vec() };
-        load(&project(&format!("experiments/{name}.toml")), &settings)
+        load(&project(&format!("tasks/experiments/{name}.toml")), &settings)
     };
     let driver = "leader.robot.driver.name=one-arm";
     let experiment = load("teleop-wall", &[driver]);

@@ -57,7 +57,7 @@ impl Inputs {
     pub fn new(program: Program, work: &Path) -> Result<Self, String> {
         let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
         let tree = work.join("tree");
-        for folder in ["robots", "tasks", "experiments"] {
+        for folder in ["robots", "tasks"] {
             copy(&root.join(folder), &tree.join(folder))?;
         }
         let reaching = tree.join("tasks/planar-2-link-reach.toml");
@@ -65,7 +65,7 @@ impl Inputs {
         write(&suite, SUITE.replace("TASK", "../planar-2-link-reach.toml"))?;
         let mut logs = Vec::new();
         drop(fs::remove_dir_all(work.join("results")));
-        let names = ["tasks/planar-2-link-reach", "tasks/panda-press", "experiments/teleop-free"];
+        let names = ["tasks/planar-2-link-reach", "tasks/panda-press", "tasks/experiments/teleop-free"];
         for (number, name) in names.into_iter().enumerate() {
             let (out, file) = (format!("log-{number}"), tree.join(format!("{name}.toml")));
             let [duration, settle] = SHORT;
@@ -83,7 +83,7 @@ impl Inputs {
             ];
             let ended = program.run(work, &arguments)?;
             let folder = work.join(&out);
-            let folder = if name.starts_with("experiments") { folder.join("leader") } else { folder };
+            let folder = if name.starts_with("tasks/experiments") { folder.join("leader") } else { folder };
             let path = folder.join("run.mcap");
             let bytes =
                 fs::read(&path).map_err(|error| format!("{}: {error}\n{}", path.display(), ended.said))?;
@@ -103,7 +103,7 @@ impl Inputs {
         let names = robot_names(&tree.join("robots"))?;
         Ok(Self {
             tasks: [toml("tasks")?, toml("tasks/cookbook")?].concat(),
-            experiments: toml("experiments")?,
+            experiments: toml("tasks/experiments")?,
             robots: of_robots(&tree, &names, |_| "robot.toml".to_owned())?,
             urdfs: of_robots(&tree, &names, |robot| format!("{robot}.urdf"))?,
             names,

@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Folders that contain the files; one that a checkout lacks is left out.
+/// Folders that contain the files, here or in a base to compare with; one that a checkout lacks is left out.
 const FOLDERS: [&str; 3] = ["tasks", "experiments", "robots"];
 
 /// Kind of a file, as far as it matters here.

@@ -1,4 +1,4 @@
-//! Public API of each crate, compared with the committed lists in `api/`.
+//! Public API of each crate, compared with the committed lists in `tests/api/`.
 
 use public_api::Builder;
 use std::fs;
@@ -8,6 +8,8 @@ use std::process::Command;
 
 /// Environment variable that makes the test write the lists instead of comparing them.
 const WRITE: &str = "OPSPACE_WRITE_API";
+/// Folder of the lists.
+const LISTS: &str = "tests/api";
 /// Maximum number of differing lines in a message.
 const SHOWN: usize = 20;
 
@@ -24,9 +26,9 @@ fn public_items_are_those_of_the_committed_lists() {
         let json = documentation.join(name.replace('-', "_")).with_extension("json");
         let items = public_items(&json);
         assert!(items.lines().count() > 1, "{name} has no items: the reader is wrong");
-        let list = root.join("api").join(&name).with_extension("txt");
+        let list = root.join(LISTS).join(&name).with_extension("txt");
         if std::env::var_os(WRITE).is_some() {
-            fs::create_dir_all(root.join("api")).expect("a folder");
+            fs::create_dir_all(root.join(LISTS)).expect("a folder");
             fs::write(&list, items).expect("a list");
         } else {
             let committed = fs::read_to_string(&list).unwrap_or_default();

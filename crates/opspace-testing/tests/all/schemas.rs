@@ -31,7 +31,7 @@ const FEWEST_CHANGES: usize = 30_000;
 const ROBOTS: (&str, &str) = ("robots/robot.schema.json", "robots");
 const TASKS: (&str, &str) = ("tasks/task.schema.json", "tasks");
 const SUITES: (&str, &str) = ("tasks/suite.schema.json", "tasks/suites");
-const EXPERIMENTS: (&str, &str) = ("experiments/experiment.schema.json", "experiments");
+const EXPERIMENTS: (&str, &str) = ("tasks/experiments/experiment.schema.json", "tasks/experiments");
 
 /// Tables that no robot of the repository needs.
 const TABLES_OF_NO_ROBOT: &str = r"
@@ -243,7 +243,7 @@ fn schemas_refuse_wrong_files() {
         (TASKS, "tasks/compliant-x.toml", "priority = absent"),
         (TASKS, "tasks/compliant-x.toml", "duration_s = -1.0"),
         (SUITES, "tasks/suites/paper.toml", "run = absent"),
-        (EXPERIMENTS, "experiments/teleop-wall.toml", "couplings = absent"),
+        (EXPERIMENTS, "tasks/experiments/teleop-wall.toml", "couplings = absent"),
     ] {
         let schema = SchemaFile::read(&root(schema));
         let file: Table = fs::read_to_string(root(file)).expect("a file").parse().expect("TOML");
@@ -288,14 +288,14 @@ fn root(path: &str) -> PathBuf {
     crates.expect("the root of the repository").join(path)
 }
 
-/// Paths of the files of a kind, sorted: suites are in a folder of the tasks.
+/// Paths of the files of a kind, sorted: suites and experiments are in folders of the tasks.
 fn files((_, folder): (&str, &str)) -> Vec<PathBuf> {
     let mut paths = Vec::new();
     let mut folders = vec![root(folder)];
     while let Some(folder) = folders.pop() {
         for entry in fs::read_dir(folder).expect("a folder of the repository") {
             let path = entry.expect("an entry").path();
-            if path.is_dir() && path != root(SUITES.1) {
+            if path.is_dir() && path != root(SUITES.1) && path != root(EXPERIMENTS.1) {
                 folders.push(path);
             } else if path.extension().is_some_and(|extension| extension == "toml") {
                 paths.push(path);
