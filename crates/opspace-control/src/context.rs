@@ -1,8 +1,12 @@
 //! Properties of a robot that a controller needs in addition to the model.
 
 use crate::limits::collision_limits::CollisionLimits;
+use crate::limits::horizon::HORIZON_S;
 use crate::limits::joint_limits::JointLimits;
 use opspace_model::{FrameId, Model};
+
+/// Longest delay that is not predicted, s: with it, a joint exceeds its speed limit by less than 5 % in violent motions.
+const SHORT_S: f64 = 0.5 * HORIZON_S;
 
 /// Period, force sensors, gravity compensation, limits and collision geometry of a robot.
 #[derive(Clone, Debug, PartialEq)]
@@ -40,5 +44,11 @@ impl ControlContext {
             limits,
             collision: None,
         }
+    }
+
+    /// True if torques are computed for the state that is predicted for the time at which they act.
+    #[must_use]
+    pub fn predicts_state(&self) -> bool {
+        self.command_delay_s > SHORT_S
     }
 }

@@ -244,45 +244,6 @@ pub enum Reason {
     /// A joint task whose list of joints is empty or contains a joint twice.
     #[error("`joints` must name at least one joint, and each only once: omit it for a task of all joints")]
     JointList,
-    /// A coupled task with both a frame and joints, or with neither.
-    #[error("give either `frame` or `joints`")]
-    FrameOrJoints,
-    /// Axes of a coupled task of joints.
-    #[error("`axes` belongs to a `frame`: remove it")]
-    AxesOfJoints,
-    /// A coupled task whose list of axes is empty or contains an axis twice.
-    #[error("`axes` must name at least one axis, and each only once")]
-    AxisList,
-    /// A coupling that needs the force on the robot, for a task without a sensor.
-    #[error("{what} needs the force on the robot: name a force sensor or an estimated force as `sensor`")]
-    CouplingUnsensed {
-        /// The part of the coupling.
-        what: &'static str,
-    },
-    /// Robots that carry an object with rows other than x, y and z of a frame.
-    #[error("hands that carry an object need a `frame` with the axes x, y and z, and a `sensor`")]
-    CarryRows,
-    /// A direction of length zero.
-    #[error("a direction must not be zero")]
-    ZeroLength,
-    /// A coupled task with a law but no side, or the reverse, or with two laws.
-    #[error(
-        "give `side` and one of `teleoperation` and `carry`, or none of them: the file of an experiment writes them"
-    )]
-    CouplingSide,
-    /// A clutch that closes before it opens.
-    #[error(
-        "the clutch opens at {from_s} s and closes at {until_s} s: give times in order, each after the previous one"
-    )]
-    ClutchTimes {
-        /// Time at which it opens, s.
-        from_s: f64,
-        /// Time at which it closes, s.
-        until_s: f64,
-    },
-    /// Inverse kinematics of a coupled task.
-    #[error("a coupled task commands forces, which inverse kinematics does not: use the controller `osc`")]
-    CouplingOfPositions,
     /// A goal without a position and without an orientation.
     #[error("the goal names neither `position` nor `orientation`")]
     NoGoal,

@@ -68,7 +68,6 @@ pub(crate) mod algebra;
 pub mod axis_mode;
 pub mod context;
 pub mod controller;
-pub mod coupling;
 pub mod error;
 pub mod hierarchy;
 pub mod ik;
@@ -136,11 +135,6 @@ pub use tasks::characteristic_length::{characteristic_length, reach};
 pub use tasks::controlled_frame::ControlledFrame;
 pub use tasks::coordinate::Coordinate;
 pub use tasks::coordinate_task::{CoordinateGains, CoordinateTask};
-pub use tasks::coupled::{CoupledTask, CouplingKind};
-pub use tasks::coupled_parameters::{
-    CarryParameters, CoupledAxis, CoupledParameters, CouplingScale, CouplingSide, Passivity, Reflected,
-    TeleoperationParameters,
-};
 pub use tasks::damping::Damping;
 pub use tasks::damping_zone::DampingZone;
 pub use tasks::energy_tank::TankParameters;
@@ -157,6 +151,7 @@ pub use tasks::joint_target::JointTarget;
 pub use tasks::joint_task::JointTask;
 pub use tasks::posture::Posture;
 pub use tasks::selected_joints::SelectedJoints;
+pub use tasks::sensed_force::SensedForce;
 pub use tasks::singular_escape::SingularEscape;
 pub use tasks::swivel::{SwivelAngle, SwivelParameters};
 pub use tasks::task::{RowGains, SpeedLimit, Task, TaskInput, TaskSignals};

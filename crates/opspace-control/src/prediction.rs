@@ -12,18 +12,9 @@
 
 use crate::context::ControlContext;
 use crate::controller::ControlInput;
-use crate::limits::horizon::HORIZON_S;
 use crate::measurement::Measurement;
 use nalgebra::DVector;
 use opspace_model::{Data, Model, update};
-
-/// Longest delay that is not predicted, s: with it, a joint exceeds its speed limit by less than 5 % in violent motions.
-const SHORT_S: f64 = 0.5 * HORIZON_S;
-
-/// True if the state is predicted in which a command acts that is this late (s).
-pub(crate) fn is_predicted(command_delay_s: f64) -> bool {
-    command_delay_s > SHORT_S
-}
 
 /// State of an arm when its next command acts.
 pub(crate) struct Prediction {
@@ -38,7 +29,7 @@ pub(crate) struct Prediction {
 impl Prediction {
     /// Returns `None` if no delay is known, or a short one.
     pub(crate) fn new(model: &Model, context: &ControlContext) -> Option<Self> {
-        is_predicted(context.command_delay_s).then(|| Self {
+        context.predicts_state().then(|| Self {
             delay_s: context.command_delay_s,
             gravity_by_robot: context.gravity_by_robot,
             data: Data::new(model),

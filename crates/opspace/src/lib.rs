@@ -7,6 +7,7 @@
 //! |---|---|
 //! | read a URDF, compute kinematics and dynamics | [`model`] |
 //! | compute torques from tasks in your own loop | [`control`] |
+//! | couple robots: teleoperation, carried objects | [`coupling`] |
 //! | convert torques to the commands of a position or velocity robot | [`transformer`] |
 //! | write a driver for a robot | [`backend`] |
 //! | run a controller on a robot, with supervision | [`control_loop`] |
@@ -83,6 +84,7 @@
 
 pub use opspace_backend as backend;
 pub use opspace_control as control;
+pub use opspace_coupling as coupling;
 pub use opspace_experiment as experiment;
 pub use opspace_identify as identify;
 pub use opspace_log as log;

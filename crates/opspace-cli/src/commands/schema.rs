@@ -5,13 +5,14 @@ use crate::console::{Exit, Outcome, print_exactly};
 use crate::key_page::key_page;
 use crate::output::pretty;
 use crate::schema_defaults::add_empty_defaults;
+use opspace_control::TaskParameters;
 use opspace_experiment::files::experiment_file::ExperimentFile;
 use opspace_experiment::files::robot::RobotFile;
 use opspace_experiment::files::task::TaskFile;
 use opspace_experiment::metrics::columns::column_schema;
 use opspace_experiment::suites::suite::SuiteFile;
 use opspace_experiment::{Entry, Extensions, TaskKind, TransformerEntry};
-use schemars::schema_for;
+use schemars::{Schema, SchemaGenerator, schema_for};
 use serde_json::{Value, json};
 
 pub fn schema(args: &SchemaArgs, extensions: &Extensions) -> Outcome {
@@ -28,38 +29,51 @@ pub fn text(kind: SchemaKind, extensions: &Extensions) -> String {
 fn of(kind: SchemaKind, extensions: &Extensions) -> Value {
     let schema = match kind {
         SchemaKind::Robot => schema_for!(RobotFile),
-        SchemaKind::Task => schema_for!(TaskFile),
+        SchemaKind::Task => return task(extensions),
         SchemaKind::Suite => schema_for!(SuiteFile),
         SchemaKind::Experiment => schema_for!(ExperimentFile),
     };
-    let mut schema = schema.to_value();
+    finished(schema.to_value(), extensions)
+}
+
+/// Returns the schema of a task file, with all kinds of tasks. Without a schema, the keys of a kind are known to its program alone.
+fn task(extensions: &Extensions) -> Value {
+    let mut generator = SchemaGenerator::default();
+    let beside: Vec<Value> = extensions
+        .all::<TaskKind>()
+        .filter(|kind| !TaskParameters::KINDS.contains(&kind.name()))
+        .map(|kind| {
+            let table =
+                kind.schema(&mut generator).map_or_else(|| json!({ "type": "object" }), Schema::to_value);
+            let definition = table["$ref"].as_str().and_then(|path| path.rsplit('/').next());
+            let definition = definition.and_then(|name| generator.definitions().get(name));
+            let described = definition.and_then(|definition| definition["description"].as_str());
+            let described = described.unwrap_or("A task of a kind that the program has added.");
+            json!({
+                "type": "object",
+                "properties": { kind.name(): table },
+                "required": [kind.name()],
+                "additionalProperties": false,
+                "description": described,
+            })
+        })
+        .collect();
+    let mut schema = generator.into_root_schema_for::<TaskFile>().to_value();
+    if let Some(Value::Array(kinds)) = schema.pointer_mut("/$defs/TaskParameters/oneOf") {
+        kinds.extend(beside);
+    }
+    finished(schema, extensions)
+}
+
+fn finished(mut schema: Value, extensions: &Extensions) -> Value {
     if let Some(transformer) = schema.pointer_mut("/$defs/TransformerName") {
         transformer["enum"] = extensions.names::<TransformerEntry>().collect();
     }
     add_empty_defaults(&mut schema);
-    add_extensions(&mut schema, extensions);
-    schema
-}
-
-/// Adds the names of task kinds and columns that are not built in. The keys of such a task are known to its program alone.
-fn add_extensions(schema: &mut Value, extensions: &Extensions) {
-    let Some(definitions) = schema["$defs"].as_object_mut() else { return };
-    if let Some(column) = definitions.get_mut("ColumnName") {
+    if let Some(column) = schema.pointer_mut("/$defs/ColumnName") {
         *column = column_schema(extensions.added()).to_value();
     }
-    if let Some(Value::Array(kinds)) =
-        definitions.get_mut("TaskParameters").and_then(|task| task.get_mut("oneOf"))
-    {
-        kinds.extend(extensions.added::<TaskKind>().iter().map(|kind| {
-            json!({
-                "description": "A task of a kind that the program has added.",
-                "type": "object",
-                "properties": { kind.name(): { "type": "object" } },
-                "additionalProperties": false,
-                "required": [kind.name()],
-            })
-        }));
-    }
+    schema
 }
 
 /// Returns the page of all keys of a kind of file.

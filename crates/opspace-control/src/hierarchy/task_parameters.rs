@@ -5,7 +5,6 @@ use crate::error::ControlError;
 use crate::limits::joint_limits::LimitParameters;
 use crate::tasks::build_task::{BuildTask, BuiltTask, TaskReference};
 use crate::tasks::cartesian_parameters::{CartesianParameters, CenterOfMassParameters};
-use crate::tasks::coupled_parameters::CoupledParameters;
 use crate::tasks::joint_parameters::{
     JointDampingParameters, JointPostureParameters, JointTrackingParameters,
 };
@@ -16,6 +15,7 @@ use opspace_model::Model;
 #[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use std::any::Any;
 use std::collections::BTreeMap;
 use std::fmt;
 use std::sync::Arc;
@@ -82,8 +82,6 @@ task_kinds! {
     CenterOfMass(Box<CenterOfMassParameters>) = "center-of-mass",
     /// The swivel angle of the elbow about the line from shoulder to wrist follows a reference.
     Swivel(Box<SwivelParameters>) = "swivel",
-    /// A frame, or some joints, are coupled with a task of another robot.
-    Coupled(Box<CoupledParameters>) = "coupled",
     /// The joints follow a reference.
     JointTracking(JointTrackingParameters) = "joint-tracking",
     /// Springs pull the joints to a posture.
@@ -113,15 +111,30 @@ type Build = dyn Fn(&str, &Model, &ControlContext) -> Result<Box<dyn Task>, Cont
 #[derive(Clone)]
 pub struct RegisteredTask {
     kind: String,
-    parameters: String,
+    text: String,
+    parameters: Option<Arc<dyn Any + Send + Sync>>,
     build: Arc<Build>,
 }
 
 impl RegisteredTask {
-    /// Creates a task of the given kind. Two tasks of the same kind are equal if their `parameters` texts are equal.
+    /// Creates a task of the given kind. Two tasks of the same kind are equal if the `text`s of their
+    /// parameters are equal.
     #[must_use]
-    pub fn new(kind: impl Into<String>, parameters: impl Into<String>, build: Arc<Build>) -> Self {
-        Self { kind: kind.into(), parameters: parameters.into(), build }
+    pub fn new(kind: impl Into<String>, text: impl Into<String>, build: Arc<Build>) -> Self {
+        Self { kind: kind.into(), text: text.into(), parameters: None, build }
+    }
+
+    /// Adds the parameters that were read from the text.
+    #[must_use]
+    pub fn with_parameters(mut self, parameters: Arc<dyn Any + Send + Sync>) -> Self {
+        self.parameters = Some(parameters);
+        self
+    }
+
+    /// Parameters of the task; `None` if they are of another type, or were not added.
+    #[must_use]
+    pub fn parameters<P: 'static>(&self) -> Option<&P> {
+        self.parameters.as_ref()?.downcast_ref()
     }
 
     /// Registered kind of the task.
@@ -143,13 +156,13 @@ impl BuildTask for RegisteredTask {
 
 impl PartialEq for RegisteredTask {
     fn eq(&self, other: &Self) -> bool {
-        self.kind == other.kind && self.parameters == other.parameters
+        self.kind == other.kind && self.text == other.text
     }
 }
 
 impl fmt::Debug for RegisteredTask {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}({})", self.kind, self.parameters)
+        write!(f, "{}({})", self.kind, self.text)
     }
 }
 

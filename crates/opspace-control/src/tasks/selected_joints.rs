@@ -27,11 +27,10 @@ pub struct SelectedJoints {
 }
 
 /// Returns the indices of the joints `names`, from one to six, in this order; `key` is that of the list.
-pub(crate) fn selected_joints(
-    names: &[String],
-    model: &Model,
-    key: &str,
-) -> Result<Vec<usize>, ControlError> {
+///
+/// # Errors
+/// An empty list, more than six joints, a joint that is listed twice, an unknown joint.
+pub fn selected_joints(names: &[String], model: &Model, key: &str) -> Result<Vec<usize>, ControlError> {
     if names.is_empty() {
         return Err(ControlError::new(key, Reason::JointList));
     }

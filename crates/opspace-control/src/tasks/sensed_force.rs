@@ -7,20 +7,22 @@ use opspace_model::{Data, FrameId, Model, frame_placement};
 
 /// A force sensor of the robot with a filter.
 #[derive(Clone, Debug)]
-pub(crate) struct SensedForce {
+pub struct SensedForce {
     sensor: usize,
-    pub(crate) frame: FrameId,
+    /// Frame of the sensor.
+    pub frame: FrameId,
     filter: LowPass<6>,
 }
 
 impl SensedForce {
-    /// Returns the sensor with this index and frame, filtered with the corner frequency `filter_hz` (Hz).
-    pub(crate) fn new(sensor: usize, frame: FrameId, filter_hz: f64, period_s: f64) -> Self {
+    /// Returns the sensor with this index in [`ControlContext::sensors`](crate::ControlContext::sensors) and its frame, filtered with the corner frequency `filter_hz` (Hz).
+    #[must_use]
+    pub fn new(sensor: usize, frame: FrameId, filter_hz: f64, period_s: f64) -> Self {
         Self { sensor, frame, filter: LowPass::new(filter_hz, period_s) }
     }
 
     /// Starts the filter at the present reading, and returns it (N, Nm; world axes).
-    pub(crate) fn start(&mut self, measurement: &Measurement) -> [f64; 6] {
+    pub fn start(&mut self, measurement: &Measurement) -> [f64; 6] {
         let raw = self.raw(measurement);
         self.filter.reset(&raw);
         raw
@@ -34,13 +36,14 @@ impl SensedForce {
     }
 
     /// Filters the present reading, and returns the result (N, Nm; world axes).
-    pub(crate) fn update(&mut self, measurement: &Measurement) -> [f64; 6] {
+    pub fn update(&mut self, measurement: &Measurement) -> [f64; 6] {
         let raw = self.raw(measurement);
         self.filter.update(&raw)
     }
 
     /// Converts a reading (N, Nm; world axes) to force and moment at `point` (m), in the axes `rotation` (one per column).
-    pub(crate) fn at(
+    #[must_use]
+    pub fn at(
         &self,
         (model, data): (&Model, &Data),
         reading: &[f64; 6],

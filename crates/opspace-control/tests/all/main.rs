@@ -4,7 +4,6 @@ mod admittance;
 mod allocation;
 mod collisions;
 mod common;
-mod coupling;
 mod damped_limits;
 mod files;
 mod force_control;

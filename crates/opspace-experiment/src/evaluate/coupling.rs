@@ -12,6 +12,7 @@ use opspace_backend::signal_names::{
     PORT_FORCE, PORT_POSITION, POSITION, REFERENCE, TRUTH_CHANNEL, WORK,
 };
 use opspace_control::{AxesFrame, ControlledFrame, TaskParameters, orientation};
+use opspace_coupling::CoupledParameters;
 use opspace_log::{Column, Recording};
 use opspace_loop::high_pass::HighPass;
 use opspace_model::FrameId;
@@ -36,6 +37,7 @@ pub(crate) struct Track<'a> {
     control: Control,
     frame: Option<(FrameId, Matrix3<f64>)>,
     task: &'a str,
+    parameters: Option<&'a CoupledParameters>,
     home: Option<Vector3<f64>>,
     /// Times since the start of control, s.
     pub(crate) time_s: Vec<f64>,
@@ -88,19 +90,20 @@ pub(crate) struct CouplingEvaluator<'a> {
 
 impl<'a> Track<'a> {
     fn new(experiment: &'a Experiment, task: &'a str, object: Option<String>) -> Self {
-        let parameters = experiment.task().file.task.get(task);
-        let frame = match parameters {
-            Some(TaskParameters::Coupled(p)) => p.frame.as_ref().and_then(|frame| {
-                let frame = experiment.robot().model.frame_id(frame).ok()?;
-                Some((frame, orientation::from_rpy(p.axes_rpy_rad)))
-            }),
+        let parameters = match experiment.task().file.task.get(task) {
+            Some(TaskParameters::Registered(task)) => task.parameters::<CoupledParameters>(),
             _ => None,
         };
+        let frame = parameters.and_then(|p| {
+            let frame = experiment.robot().model.frame_id(p.frame.as_ref()?).ok()?;
+            Some((frame, orientation::from_rpy(p.axes_rpy_rad)))
+        });
         Self {
             experiment,
             control: Control::default(),
             frame,
             task,
+            parameters,
             home: None,
             time_s: Vec::new(),
             position: Vec::new(),
@@ -132,10 +135,7 @@ impl<'a> Track<'a> {
         let works: Vec<_> =
             environment.keys().filter_map(|name| truth.signal(&signal_names::of(name, WORK))).collect();
         let object_rows = self.object.as_ref().and_then(|object| {
-            let Some(TaskParameters::Coupled(p)) = self.experiment.task().file.task.get(self.task) else {
-                return None;
-            };
-            let frame = p.frame.as_ref()?;
+            let frame = self.parameters?.frame.as_ref()?;
             let force = truth.signal(&signal_names::of(object, &format!("{frame}.{FORCE}")))?;
             Some((truth.signal(&signal_names::of(object, POSITION))?, force))
         });
@@ -204,9 +204,7 @@ impl<'a> Track<'a> {
         let (Some((_, axes)), Some(home), Some(row)) = (self.frame, self.home, self.row_at(time_s)) else {
             return Some(position);
         };
-        let Some(TaskParameters::Coupled(p)) = self.experiment.task().file.task.get(self.task) else {
-            return Some(position);
-        };
+        let Some(p) = self.parameters else { return Some(position) };
         let moved = axes.tr_mul(&(self.position[row] - home));
         let coupled =
             p.axes.as_ref().map_or_else(|| vec![0, 1, 2], |axes| axes.iter().map(|a| a.index()).collect());

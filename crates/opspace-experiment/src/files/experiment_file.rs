@@ -6,7 +6,7 @@ use crate::files::expectation::Expectation;
 use crate::files::task::LONGEST_RUN_S;
 use opspace_backend::CommandKind;
 use opspace_backend::quantity::{Fraction, NonNegative, Positive, exactly};
-use opspace_control::{CarryParameters, TeleoperationParameters};
+use opspace_coupling::{CarryParameters, TeleoperationParameters};
 use opspace_sim::HeldObjectParameters;
 use opspace_transformer::TransformerName;
 #[cfg(feature = "schema")]

@@ -435,6 +435,16 @@ pub(crate) fn explain<T: DeserializeOwned>(
     document: &DeTable<'_>,
     error: &toml::de::Error,
 ) -> FileError {
+    explain_with(source, document, error, |base| parse::<T>(base).is_ok())
+}
+
+/// Translates a deserializer error as [`explain`] does. `is_valid` tells of the file without settings if it is valid.
+pub(crate) fn explain_with(
+    source: &Source,
+    document: &DeTable<'_>,
+    error: &toml::de::Error,
+    is_valid: impl FnOnce(&Source) -> bool,
+) -> FileError {
     let span = error.span().unwrap_or(0..0);
     let path = path_at(document, &span);
     let words = words(error.message(), &source.base, document, &path);
@@ -453,7 +463,7 @@ pub(crate) fn explain<T: DeserializeOwned>(
     // is wrong.
     let inside = source.settings.iter().rfind(|setting| setting.path.starts_with(&path));
     if let Some(setting) = inside
-        && parse::<T>(&Source::new(source.name.clone(), Arc::clone(&source.base))).is_ok()
+        && is_valid(&Source::new(source.name.clone(), Arc::clone(&source.base)))
     {
         return FileError::of_setting(setting, Part::Key, message, join(made_here(source, setting), help));
     }

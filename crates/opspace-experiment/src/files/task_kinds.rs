@@ -1,13 +1,17 @@
 //! Kinds of tasks: the built-in ones, and those that a program adds.
 
 use crate::extensions::{Entry, Extensions};
-use crate::files::source::{Document, FileError, Source, explain};
+use crate::files::source::{Document, FileError, Source, explain_with};
 use crate::files::strict::Strict;
 use crate::suggest::{list, nearest};
 use opspace_control::{ControlContext, ControlError, RegisteredTask, Task, TaskParameters};
+use opspace_coupling::{CoupledParameters, CoupledTask};
 use opspace_model::Model;
+#[cfg(feature = "schema")]
+use schemars::{JsonSchema, Schema, SchemaGenerator};
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
+use std::any::Any;
 use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::fmt;
@@ -15,14 +19,18 @@ use std::sync::{Arc, LazyLock};
 use toml::de::{DeTable, DeValue, ValueDeserializer};
 
 type Build = Arc<dyn Fn(&str, &Model, &ControlContext) -> Result<Box<dyn Task>, ControlError> + Send + Sync>;
-type Parser = Arc<dyn Fn(ValueDeserializer<'_>) -> Result<Build, toml::de::Error> + Send + Sync>;
+type Parameters = Arc<dyn Any + Send + Sync>;
+type Parser =
+    Arc<dyn Fn(ValueDeserializer<'_>) -> Result<(Parameters, Build), toml::de::Error> + Send + Sync>;
 
 /// Kind of tasks: `[task.NAME.KIND]` in a file.
 #[derive(Clone)]
 pub struct TaskKind {
     name: Cow<'static, str>,
-    /// Parser of the table of a task; `None` for a built-in kind, which [`TaskParameters`] contains.
+    /// Parser of the table of a task; `None` for a kind that [`TaskParameters`] contains.
     parser: Option<Parser>,
+    #[cfg(feature = "schema")]
+    schema: Option<fn(&mut SchemaGenerator) -> Schema>,
 }
 
 impl TaskKind {
@@ -39,12 +47,47 @@ impl TaskKind {
     ) -> Self {
         let build = Arc::new(build);
         let parser: Parser = Arc::new(move |table| {
-            let (parameters, build) = (P::deserialize(Strict(table))?, Arc::clone(&build));
-            Ok(Arc::new(move |name: &str, model: &Model, context: &ControlContext| {
-                build(&parameters, name, model, context)
-            }))
+            let (parameters, build) = (Arc::new(P::deserialize(Strict(table))?), Arc::clone(&build));
+            let read: Parameters = Arc::clone(&parameters) as Parameters;
+            let build: Build = Arc::new(move |name, model, context| build(&parameters, name, model, context));
+            Ok((read, build))
         });
-        Self { name: name.into(), parser: Some(parser) }
+        Self { parser: Some(parser), ..Self::without_parser(name.into()) }
+    }
+
+    const fn without_parser(name: Cow<'static, str>) -> Self {
+        Self {
+            name,
+            parser: None,
+            #[cfg(feature = "schema")]
+            schema: None,
+        }
+    }
+
+    /// Adds the schema of the table in a file, that of `P`. Without it, `opspace schema` allows all keys.
+    #[cfg(feature = "schema")]
+    #[must_use]
+    pub fn with_schema<P: JsonSchema>(mut self) -> Self {
+        self.schema = Some(SchemaGenerator::subschema_for::<P>);
+        self
+    }
+
+    /// Schema of the table in a file, if the kind has one and [`TaskParameters`] does not contain it. Its definitions are added
+    /// to those of the generator.
+    #[cfg(feature = "schema")]
+    #[must_use]
+    pub fn schema(&self, generator: &mut SchemaGenerator) -> Option<Schema> {
+        self.schema.map(|schema| schema(generator))
+    }
+
+    /// Returns the kind of tasks that are coupled with a task of another robot.
+    fn coupled() -> Self {
+        let kind = Self::new("coupled", |p: &CoupledParameters, name, model, context| {
+            Ok(Box::new(CoupledTask::new(name, p, model, context)?))
+        });
+        #[cfg(feature = "schema")]
+        let kind = kind.with_schema::<CoupledParameters>();
+        kind
     }
 }
 
@@ -53,8 +96,9 @@ impl Entry for TaskKind {
 
     fn built_in() -> &'static [Self] {
         static KINDS: LazyLock<Vec<TaskKind>> = LazyLock::new(|| {
-            let kinds = TaskParameters::KINDS.iter();
-            kinds.map(|name| TaskKind { name: Cow::Borrowed(name), parser: None }).collect()
+            let kinds =
+                TaskParameters::KINDS.iter().map(|name| TaskKind::without_parser(Cow::Borrowed(name)));
+            kinds.chain([TaskKind::coupled()]).collect()
         });
         &KINDS
     }
@@ -70,7 +114,7 @@ impl fmt::Debug for TaskKind {
     }
 }
 
-/// Removes the tasks of kinds that are not built in from a task file's document, and returns them.
+/// Removes the tasks of kinds that [`TaskParameters`] does not contain from a task file's document, and returns them.
 pub(crate) fn take(
     extensions: &Extensions,
     source: &Source,
@@ -91,14 +135,25 @@ pub(crate) fn take(
             }
             continue;
         };
-        let explained = |error: &toml::de::Error| explain::<toml::Table>(source, whole.get_ref(), error);
-        let build = parser(ValueDeserializer::from(table.clone())).map_err(|e| explained(&e))?;
+        let is_valid = |base: &Source| is_valid(base, &name, &kind, parser);
+        let explained = |error: &toml::de::Error| explain_with(source, whole.get_ref(), error, is_valid);
+        let (parameters, build) =
+            parser(ValueDeserializer::from(table.clone())).map_err(|e| explained(&e))?;
         let text = toml::Value::deserialize(ValueDeserializer::from(table.clone()));
         let text = text.map_err(|e| explained(&e))?.to_string();
-        taken.insert(name.clone(), TaskParameters::Registered(RegisteredTask::new(kind, text, build)));
+        let task = RegisteredTask::new(kind, text, build).with_parameters(parameters);
+        taken.insert(name.clone(), TaskParameters::Registered(task));
         tasks.remove(name.as_str());
     }
     Ok(taken)
+}
+
+/// True if a file has a valid table for a task of a kind.
+fn is_valid(source: &Source, name: &str, kind: &str, parser: &Parser) -> bool {
+    let Ok(mut document) = DeTable::parse(source.text()) else { return false };
+    let kinds = table_mut(document.get_mut(), "task").and_then(|tasks| table_mut(tasks, name));
+    let table = kinds.and_then(|kinds| kinds.get(kind)).cloned();
+    table.is_some_and(|table| parser(ValueDeserializer::from(table)).is_ok())
 }
 
 fn check_known(extensions: &Extensions, source: &Source, name: &str, kind: &str) -> Result<(), FileError> {

@@ -4,7 +4,7 @@ use crate::codes::Code;
 use crate::finding::Finding;
 use crate::run::couplings::Coupling;
 use crate::run::scenario::Scenario;
-use opspace_control::{Passivity, Reflected};
+use opspace_coupling::{Passivity, Reflected};
 
 /// Predicts problems of the couplings. Those of the robots are [`crate::diagnostics`] of each of them.
 #[must_use]

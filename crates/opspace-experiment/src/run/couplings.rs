@@ -8,7 +8,7 @@ use crate::suggest::choices;
 use crate::text::format_short;
 use opspace_backend::quantity::{NonNegative, Positive};
 use opspace_backend::{Layout, Signal, TICK, signal_names};
-use opspace_control::{CouplingKind, CouplingSide, Reflected, TeleoperationParameters};
+use opspace_coupling::{CouplingKind, CouplingSide, Reflected, TeleoperationParameters};
 use opspace_loop::{ChannelParameters, ControlLoop, Link, LinkError, Run, Timeline};
 
 /// Distance of the seeds of scenarios with adjacent seeds, and the first seed of a channel within it.

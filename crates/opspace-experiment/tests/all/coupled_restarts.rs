@@ -8,7 +8,8 @@ use opspace_backend::signal_names::{
     self, DISPLACEMENT, PORT_CLOSED, PORT_ENERGY_IN, PORT_FORCE, PORT_LIMITED, PORT_SESSION, REFERENCE,
 };
 use opspace_backend::{Backend, GroundTruth, Layout, Sample, TICK, TruthRow};
-use opspace_control::{CouplingKind, HoldCause};
+use opspace_control::HoldCause;
+use opspace_coupling::CouplingKind;
 use opspace_experiment::{Experiment, Scenario};
 use opspace_loop::{ChannelParameters, Link, Run, Timeline};
 use opspace_sim::SimulatedArm;

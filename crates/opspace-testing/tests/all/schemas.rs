@@ -6,6 +6,8 @@ mod schema_file;
 
 use changes::Changes;
 use opspace_backend::CommandKind;
+use opspace_control::TaskParameters;
+use opspace_coupling::CoupledParameters;
 use opspace_experiment::files::experiment_file::ExperimentFile;
 use opspace_experiment::files::source::parse;
 use opspace_experiment::files::task::TaskFile;
@@ -153,12 +155,13 @@ fn tasks() -> Comparison {
         let options = options().find(|options| experiment(task.clone(), options).is_ok());
         let options = options.unwrap_or_else(|| panic!("{}", path.display()));
         comparison.add(&task.source, &schema, &mut changes, |source, _| {
-            let file = parse::<TaskFile>(&source).map_err(|error| message(&error))?;
+            let file = parse::<TaskFile>(&without_coupled(&source)).map_err(|error| message(&error))?;
             let then = |error: FileError| format!("then {}", message(&error));
             let task =
                 TaskDefinition::from_sources_with(&extensions, source, |named| Source::read(named.path))
                     .map_err(then)?;
-            experiment(task, &options).map(|_| contents(&file)).map_err(then)
+            let contents = contents(&(file, coupled_parameters(&task.file)));
+            experiment(task, &options).map(|_| contents).map_err(then)
         });
     }
     comparison
@@ -272,6 +275,24 @@ fn keys_that_may_be_absent_have_defaults() {
             .collect();
         assert!(without.is_empty(), "{path}: {without:?}");
     }
+}
+
+/// Returns a task file without its coupled tasks, which are of no kind of [`TaskParameters`].
+fn without_coupled(source: &Source) -> Source {
+    let mut file: Table = source.text().parse().expect("TOML");
+    if let Some(tasks) = file.get_mut("task").and_then(toml::Value::as_table_mut) {
+        tasks.retain(|_, task| task.get("coupled").is_none());
+    }
+    Source::new(source.name(), toml::to_string(&file).expect("TOML"))
+}
+
+/// Parameters of the coupled tasks of a file.
+fn coupled_parameters<'a>(file: &'a TaskFile) -> Vec<&'a CoupledParameters> {
+    let of_task = |task: &'a TaskParameters| match task {
+        TaskParameters::Registered(task) => task.parameters(),
+        _ => None,
+    };
+    file.task.values().filter_map(of_task).collect()
 }
 
 fn contents(file: &impl Debug) -> String {

@@ -3,7 +3,7 @@
 
 use nalgebra::Vector6;
 use opspace_backend::quantity::NonNegative;
-use opspace_control::coupling::{
+use opspace_coupling::{
     ContactCompliance, EnergyPlay, Packet, PortPassivity, PortPassivityParameters, ReceivedState,
     SteadyLatency, WaveSide,
 };

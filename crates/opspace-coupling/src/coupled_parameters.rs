@@ -1,9 +1,8 @@
 //! Parameters of a task that is coupled with a task of another robot: `[task.NAME.coupled]`.
 
-use crate::coupling::port_passivity::PortPassivityParameters;
-use crate::references::reference::Sinusoid;
-use crate::tasks::axes::AXIS_NAMES;
+use crate::port_passivity::PortPassivityParameters;
 use opspace_backend::quantity::{NonNegative, Positive, exactly};
+use opspace_control::{AXIS_NAMES, Sinusoid};
 #[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};

@@ -11,24 +11,24 @@
 //!           f_c = K (x − p) + D (ẋ − v)                  command f_c − B v; f = F or f = −f_c is sent
 //! ```
 //!
-//! The [passivity control](crate::coupling::port_passivity) limits r of the leader, with its damping, and the change of x, or f_c
+//! The [passivity control](crate::port_passivity) limits r of the leader, with its damping, and the change of x, or f_c
 //! of the follower if both positions are coupled. The follower sends its position in the leader's coordinates.
 //!
 //! The damping B takes energy from the operator like any other force of the command. In contact it belongs to the port. In
 //! free motion it doesn't: the energy would be spent in the next impact.
 
-use crate::coupling::contact_compliance::ContactCompliance;
-use crate::coupling::port_passivity::{PortPassivity, PortPassivityParameters};
-use crate::coupling::received::{Packet, ReceivedState};
-use crate::coupling::steady_latency::SteadyLatency;
-use crate::coupling::wave::WaveSide;
-use crate::error::{ControlError, Reason};
-use crate::prediction::is_predicted;
-use crate::tasks::coupled_parameters::{CouplingSide, Passivity, Reflected, TeleoperationParameters};
-use crate::tasks::coupled_rows::RowState;
+use crate::contact_compliance::ContactCompliance;
+use crate::coupled_parameters::{CouplingSide, Passivity, Reflected, TeleoperationParameters};
+use crate::coupled_rows::RowState;
+use crate::error::Mistake;
+use crate::port_passivity::{PortPassivity, PortPassivityParameters};
+use crate::received::{Packet, ReceivedState};
+use crate::steady_latency::SteadyLatency;
+use crate::wave::WaveSide;
 use nalgebra::Vector6;
 use opspace_backend::LowPass;
 use opspace_backend::quantity::NonNegative;
+use opspace_control::{ControlContext, ControlError};
 use std::f64::consts::TAU;
 
 /// Store of a passivity control that only observes, J.
@@ -112,16 +112,16 @@ pub(crate) struct Teleoperation {
 
 impl Teleoperation {
     /// Returns a side of a coupling with `[stiffness, damping]` of each row, and the damping of the task. `angular` marks the
-    /// rows in rad and Nm; `sensed` is true if the force is sensed, `measured` if it is not estimated; `lag_s` is the lag of the force sensor's filter; a command
-    /// acts after `command_delay_s`.
+    /// rows in rad and Nm; `sensed` is true if the force is sensed, `measured` if it is not estimated; `lag_s` is the lag of the force sensor's filter.
     pub(crate) fn new(
         (side, p): (CouplingSide, &TeleoperationParameters),
         [spring, damper, damping]: [Vector6<f64>; 3],
         (angular, sensed, measured): (&[bool; 6], bool, bool),
-        [period_s, lag_s, command_delay_s]: [f64; 3],
+        (context, lag_s): (&ControlContext, f64),
         key: &str,
     ) -> Result<Self, ControlError> {
-        let unsensed = |what| ControlError::new(key, Reason::CouplingUnsensed { what });
+        let ControlContext { period_s, command_delay_s, .. } = *context;
+        let unsensed = |what| ControlError::new(key, Mistake::Unsensed { what });
         if side == CouplingSide::Leader && p.handle_feedback.get() > 0.0 && !sensed {
             return Err(unsensed("`handle_feedback` of the leader"));
         }
@@ -132,7 +132,7 @@ impl Teleoperation {
         for &[from_s, until_s] in &p.clutch_open_s {
             let in_order = from_s >= last_s && until_s > from_s && until_s.is_finite();
             if !in_order {
-                let reason = Reason::ClutchTimes { from_s, until_s };
+                let reason = Mistake::ClutchTimes { from_s, until_s };
                 return Err(ControlError::new(format!("{key}.clutch_open_s"), reason));
             }
             last_s = until_s;
@@ -150,7 +150,7 @@ impl Teleoperation {
             _ => None,
         };
         let part = (command_delay_s / period_s).min(1.0);
-        let (lateness, lead) = if is_predicted(command_delay_s) { (0.0, part) } else { (part, 0.0) };
+        let (lateness, lead) = if context.predicts_state() { (0.0, part) } else { (part, 0.0) };
         let mut passivity = PortPassivity::new(&limits, angular, period_s);
         if matches!(p.passivity, Passivity::On(_))
             && side == CouplingSide::Leader

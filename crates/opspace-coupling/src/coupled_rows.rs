@@ -1,17 +1,13 @@
 //! Rows of a coupled task: axes of a frame, or joints, with their displacement since the start.
 
-use crate::context::ControlContext;
-use crate::controller::ControlInput;
-use crate::error::{ControlError, Reason};
-use crate::orientation;
-use crate::tasks::axes::AXIS_NAMES;
-use crate::tasks::characteristic_length::characteristic_length;
-use crate::tasks::controlled_frame::ControlledFrame;
-use crate::tasks::coupled_parameters::{CoupledParameters, DEFAULT_AXES};
-use crate::tasks::selected_joints::selected_joints;
-use crate::tasks::sensed_force::SensedForce;
-use crate::tasks::task_axes::TaskAxes;
+use crate::coupled_parameters::{CoupledParameters, DEFAULT_AXES};
+use crate::error::Mistake;
 use nalgebra::{Matrix6xX, Vector3, Vector6};
+use opspace_control::tasks::selected_joints::selected_joints;
+use opspace_control::{
+    AXIS_NAMES, ControlContext, ControlError, ControlInput, ControlledFrame, Reason, SensedForce, TaskAxes,
+    characteristic_length, orientation,
+};
 use opspace_model::{Data, Model, Placement, frame_jacobian};
 
 /// Coupled rows of a robot, at most six.
@@ -67,11 +63,11 @@ impl CoupledRows {
                 let mut used = [false; 6];
                 for axis in named {
                     if std::mem::replace(&mut used[axis.index()], true) {
-                        return Err(at("axes", Reason::AxisList));
+                        return Err(at("axes", Mistake::AxisList.into()));
                     }
                 }
                 if named.is_empty() {
-                    return Err(at("axes", Reason::AxisList));
+                    return Err(at("axes", Mistake::AxisList.into()));
                 }
                 let controlled = ControlledFrame::Frame(frame);
                 let directions = orientation::from_rpy(p.axes_rpy_rad);
@@ -86,7 +82,7 @@ impl CoupledRows {
             }
             (None, Some(names)) => {
                 if p.axes.is_some() {
-                    return Err(at("axes", Reason::AxesOfJoints));
+                    return Err(at("axes", Mistake::AxesOfJoints.into()));
                 }
                 let joints = selected_joints(names, model, &format!("{key}.joints"))?;
                 let units = model.joint_units().position;
@@ -96,7 +92,7 @@ impl CoupledRows {
                 let rows = rows.collect();
                 (Kind::Joints(joints, Vector6::zeros()), rows)
             }
-            _ => return Err(ControlError::new(key, Reason::FrameOrJoints)),
+            _ => return Err(ControlError::new(key, Mistake::FrameOrJoints)),
         };
         let mut is_measured = false;
         let sensor = match &p.sensor {

@@ -70,7 +70,7 @@
 //! budget. Each start of a program grants half of the store: the energy out is at most the energy in plus half of the
 //! store times the number of starts of both programs.
 
-use crate::coupling::energy_play::EnergyPlay;
+use crate::energy_play::EnergyPlay;
 use nalgebra::Vector6;
 use opspace_backend::quantity::{NonNegative, Positive};
 #[cfg(feature = "schema")]

@@ -4,17 +4,12 @@
 //! an input of the task, so that a log contains all that is needed to compute the run again. Without a partner, and while
 //! the coupling is open, a leader is a compliant handle, and a follower holds its place by the coupling's spring.
 
-use crate::context::ControlContext;
-use crate::controller::ControlInput;
-use crate::coupling::received::{Packet, ReceivedState};
-use crate::error::{ControlError, Reason};
-use crate::references::streamed::given;
-use crate::tasks::build_task::{BuildTask, BuiltTask};
-use crate::tasks::carry::Carry;
-use crate::tasks::coupled_parameters::{CoupledParameters, CouplingSide};
-use crate::tasks::coupled_rows::{CoupledRows, RowState};
-use crate::tasks::task::{Task, TaskInput, TaskSignals};
-use crate::tasks::teleoperation::Teleoperation;
+use crate::carry::Carry;
+use crate::coupled_parameters::{CoupledParameters, CouplingSide};
+use crate::coupled_rows::{CoupledRows, RowState};
+use crate::error::Mistake;
+use crate::received::{Packet, ReceivedState};
+use crate::teleoperation::Teleoperation;
 use nalgebra::{Matrix6, Matrix6xX, Vector6};
 use opspace_backend::signal_names::{
     DISPLACEMENT, INTERNAL_FORCE, PACKET_AGE, PACKETS_LOST, PASSIVITY_TIME, PORT_CLOSED, PORT_ECHO,
@@ -23,6 +18,7 @@ use opspace_backend::signal_names::{
     PORT_VELOCITY, PORT_WAVE, REFERENCE, SENSED_FORCE,
 };
 use opspace_backend::{Signal, SignalRecorder};
+use opspace_control::{ControlContext, ControlError, ControlInput, Task, TaskInput, TaskSignals};
 use opspace_model::{Data, Model};
 use std::any::Any;
 use std::f64::consts::TAU;
@@ -169,19 +165,19 @@ impl CoupledTask {
                     (side, p),
                     [spring, damper, damping],
                     (&angular, rows.is_sensed(), rows.is_measured()),
-                    [context.period_s, lag_s, context.command_delay_s],
+                    (context, lag_s),
                     &format!("{key}.teleoperation"),
                 )?;
                 Some(CouplingLaw::Teleoperation(Box::new(law)))
             }
             (Some(side), None, Some(p)) => {
                 if !rows.is_of_position() || !rows.is_sensed() {
-                    return Err(ControlError::new(key, Reason::CarryRows));
+                    return Err(ControlError::new(key, Mistake::CarryRows));
                 }
                 let law = Carry::new(side, p, context.period_s, &format!("{key}.carry"))?;
                 Some(CouplingLaw::Carry(Box::new(law)))
             }
-            _ => return Err(ControlError::new(key, Reason::CouplingSide)),
+            _ => return Err(ControlError::new(key, Mistake::Side)),
         };
         let timeout_s = match &law {
             Some(CouplingLaw::Carry(_)) => parameters.carry.as_ref().map_or(0.0, |p| p.timeout_s.get()),
@@ -277,7 +273,7 @@ impl CoupledTask {
 
     /// Clutch of the robot's own operator, if one is streamed.
     fn clutch(&self, values: &[f64]) -> Option<bool> {
-        given::<1>(values, values.len().checked_sub(1)?).map(|[open]| open != 0.0)
+        values.last().filter(|open| open.is_finite()).map(|open| *open != 0.0)
     }
 }
 
@@ -334,12 +330,6 @@ fn complete(
             [Vector6::zeros(); 3]
         },
     })
-}
-
-impl BuildTask for CoupledParameters {
-    fn build(&self, name: &str, model: &Model, context: &ControlContext) -> Result<BuiltTask, ControlError> {
-        Ok(BuiltTask::rows(CoupledTask::new(name, self, model, context)?))
-    }
 }
 
 impl CoupledTask {
@@ -456,7 +446,7 @@ impl Task for CoupledTask {
     }
 
     fn kinematic_infeasibility(&self) -> Option<ControlError> {
-        Some(ControlError::new(format!("task.{}.coupled", self.name), Reason::CouplingOfPositions))
+        Some(ControlError::new(format!("task.{}.coupled", self.name), Mistake::Kinematics))
     }
 
     fn acceleration(&self) -> Vector6<f64> {

@@ -16,13 +16,13 @@
 //! nothing and is controlled; across the line, the hands keep their distance (Khatib, *Augmented object and virtual linkage*,
 //! 1995, for two hands that can only push along a line). Each robot computes both tasks with what it has received.
 
-use crate::coupling::received::{Packet, ReceivedState};
-use crate::error::{ControlError, Reason};
-use crate::references::reference::{CartesianReference, Trajectory};
-use crate::references::target::Target;
-use crate::tasks::coupled_parameters::{CarryParameters, CouplingSide};
-use crate::tasks::coupled_rows::RowState;
+use crate::coupled_parameters::{CarryParameters, CouplingSide};
+use crate::coupled_rows::RowState;
+use crate::error::Mistake;
+use crate::received::{Packet, ReceivedState};
 use nalgebra::{Matrix3, Vector3, Vector6};
+use opspace_control::references::reference::Trajectory;
+use opspace_control::{CartesianReference, ControlError, Target};
 use opspace_model::Placement;
 
 /// One side of two robots that carry an object, with its state.
@@ -64,7 +64,7 @@ impl Carry {
     ) -> Result<Self, ControlError> {
         let length = Vector3::from(p.direction).norm();
         if !(length.is_finite() && length > 0.0) {
-            return Err(ControlError::new(format!("{key}.direction"), Reason::ZeroLength));
+            return Err(ControlError::new(format!("{key}.direction"), Mistake::ZeroLength));
         }
         let zero = Vector3::zeros();
         let frequency = p.frequency_rad_per_s.get();
@@ -144,7 +144,7 @@ impl Carry {
         let packet = packet.filter(|packet| packet.closed);
         if self.side == CouplingSide::Leader {
             let time_s = time_s - self.start_s;
-            let target = self.trajectory.blended(&self.trajectory.reference_at(time_s), time_s);
+            let target = self.trajectory.at(time_s);
             self.path = [target.placement.translation, target.velocity.linear, target.acceleration.linear];
         } else if let Some(packet) = packet {
             self.path = packet.reference.map(|vector| linear(&vector));

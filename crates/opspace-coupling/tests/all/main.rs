@@ -1,0 +1,3 @@
+//! Energies of couplings over channels.
+
+mod coupling;
