@@ -225,6 +225,7 @@ const IDENTITY: &[&str] = &[
     "findings",
     "metrics",
     "tasks",
+    "frames",
     "joints",
     "task_order",
     "joint_order",
@@ -239,6 +240,7 @@ const QUANTITIES: &[&str] = &[
     "orientation_max_rad",
     "joint_rms_rad",
     "force_rms_n",
+    "force_error_max_n",
     "force_hold_rms_n",
     "force_moving_rms_n",
     "force_settle_s",
@@ -246,6 +248,11 @@ const QUANTITIES: &[&str] = &[
     "late_contact_losses",
     "passivity_active_s",
     "compliant_work_j",
+    "external_force_max_n",
+    "deflection_max_m",
+    "stiffness_n_per_m",
+    "hysteresis_m",
+    "return_m",
     "slack_rms_m_per_s2",
     "slack_max_m_per_s2",
     "slack_rms_rad_per_s2",
@@ -295,7 +302,7 @@ fn each_key_is_said_or_a_quantity() {
         assert_eq!(lists.iter().filter(|other| *other == key).count(), 1, "{key}");
     }
     // Keys that are absent where they do not apply.
-    let absent = ["assumed", "allowed", "replay", "ignored_compliance"];
+    let absent = ["assumed", "allowed", "replay", "ignored_compliance", "frames"];
     let is_known = |key: &&str| keys.iter().any(|other| other == key) || absent.contains(key);
     let unknown: Vec<&&str> = lists.iter().filter(|key| !is_known(key)).collect();
     assert!(unknown.is_empty(), "{unknown:?}");

@@ -39,6 +39,7 @@ fn of(kind: SchemaKind, extensions: &Extensions) -> Value {
 /// Returns the schema of a task file, with all kinds of tasks. Without a schema, the keys of a kind are known to its program alone.
 fn task(extensions: &Extensions) -> Value {
     let mut generator = SchemaGenerator::default();
+    let mut schema = generator.root_schema_for::<TaskFile>().to_value();
     let beside: Vec<Value> = extensions
         .all::<TaskKind>()
         .filter(|kind| !TaskParameters::KINDS.contains(&kind.name()))
@@ -58,9 +59,13 @@ fn task(extensions: &Extensions) -> Value {
             })
         })
         .collect();
-    let mut schema = generator.into_root_schema_for::<TaskFile>().to_value();
     if let Some(Value::Array(kinds)) = schema.pointer_mut("/$defs/TaskParameters/oneOf") {
         kinds.extend(beside);
+    }
+    if let Some(Value::Object(definitions)) = schema.get_mut("$defs") {
+        for (name, definition) in generator.take_definitions(true) {
+            definitions.entry(name).or_insert(definition);
+        }
     }
     finished(schema, extensions)
 }

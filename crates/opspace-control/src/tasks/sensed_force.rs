@@ -22,6 +22,9 @@ impl SensedForce {
     }
 
     /// Starts the filter at the present reading, and returns it (N, Nm; world axes).
+    ///
+    /// # Panics
+    /// If the measurement has no such sensor.
     pub fn start(&mut self, measurement: &Measurement) -> [f64; 6] {
         let raw = self.raw(measurement);
         self.filter.reset(&raw);
@@ -36,6 +39,9 @@ impl SensedForce {
     }
 
     /// Filters the present reading, and returns the result (N, Nm; world axes).
+    ///
+    /// # Panics
+    /// If the measurement has no such sensor.
     pub fn update(&mut self, measurement: &Measurement) -> [f64; 6] {
         let raw = self.raw(measurement);
         self.filter.update(&raw)

@@ -101,12 +101,12 @@ fn compliant_motion(summary: &Summary) -> Option<String> {
     Some(format!("{name} yields by {} rms", mm(motion_m)))
 }
 
-/// Largest motion along an axis of a frame that is pushed although no task holds it.
+/// Largest motion along an axis of a frame that is pushed although no Cartesian task holds it.
 fn free_motion(summary: &Summary) -> Option<String> {
     let (frame, axes) = summary.frames.iter().next()?;
     let moved = |axis: usize| axes.get(&response_names(axis)[1]).map(|moved_m| (axis, *moved_m));
     let (axis, moved_m) = (0..3).filter_map(moved).max_by(|a, b| a.1.total_cmp(&b.1))?;
-    Some(format!("'{frame}', which no task holds, moves by up to {} along {}", mm(moved_m), AXIS_NAMES[axis]))
+    Some(format!("'{frame}' moves by up to {} along {}", mm(moved_m), AXIS_NAMES[axis]))
 }
 
 fn pose_error(summary: &Summary) -> Option<String> {

@@ -35,7 +35,7 @@ pub fn response_sentences(summary: &Summary) -> Vec<String> {
         Some([forces(axes, &who)?, yielded(axes, has_stiffness), left(axes, friction(name))].concat())
     });
     let frames = summary.frames.iter().filter_map(|(frame, axes)| {
-        let who = format!("'{frame}', which no task holds");
+        let who = format!("'{frame}'");
         Some([forces(axes, &who)?, moved(axes), left(axes, None)].concat())
     });
     tasks.chain(frames).collect()
@@ -96,7 +96,7 @@ fn yielded(axes: &Axes, has_stiffness: bool) -> String {
     }
 }
 
-/// States by how much a frame moved that no task holds.
+/// States by how much a frame moved that no Cartesian task holds.
 fn moved(axes: &Axes) -> String {
     let moved = along(&considerable(axes, 1, NAMED), |axis| Some(mm(value(axes, axis, 1)?)));
     format!(" It moved by up to {moved}.")

@@ -7,6 +7,7 @@ use super::tasks::total;
 use crate::metrics::metric_tables::ForceResponse;
 use crate::run::experiment::Experiment;
 use opspace_control::TaskParameters;
+use opspace_coupling::CoupledParameters;
 use std::collections::BTreeMap;
 
 /// Frame on which objects of the environment act, although no task controls it.
@@ -21,7 +22,10 @@ pub(crate) fn free_frames(experiment: &Experiment) -> Vec<FreeFrame<'_>> {
     let is_controlled = |frame: &str| {
         tasks.iter().any(|(_, task)| match task {
             TaskParameters::Cartesian(task) => task.frame == frame,
-            TaskParameters::Coupled(task) => task.frame.as_deref() == Some(frame),
+            TaskParameters::Registered(task) => {
+                let coupled = task.parameters::<CoupledParameters>();
+                coupled.is_some_and(|task| task.frame.as_deref() == Some(frame))
+            }
             _ => false,
         })
     };
