@@ -110,7 +110,7 @@ fn moving_load_is_unknown() {
         let experiment = Experiment::load(Files::Disk, Path::new(&path), None, options, &settings);
         let experiment = experiment.unwrap_or_else(|error| panic!("{error}"));
         let load = experiment.robot().file.force_sensor["wrist"].load;
-        let found = opspace_experiment::preflight::start_diagnostics(&Extensions::default(), &experiment);
+        let found = opspace_preflight::start_diagnostics(&Extensions::default(), &experiment);
         let found = found.into_iter().find(|finding| finding.code.name() == "unknown-sensor-load");
         (load.is_some(), found.map(|finding| finding.message))
     };

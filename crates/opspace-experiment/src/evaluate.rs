@@ -4,7 +4,7 @@ pub mod baseline;
 pub(crate) mod coupling;
 pub mod coupling_sentences;
 pub mod csv;
-pub(crate) mod direction;
+pub mod direction;
 pub(crate) mod failures;
 pub mod findings;
 pub(crate) mod grid_keys;

@@ -38,7 +38,7 @@ pub(crate) fn choices<'a, S: AsRef<str> + ?Sized + 'a>(
 }
 
 /// Joins the names with commas.
-pub(crate) fn list<'a>(names: impl Iterator<Item = &'a str>) -> String {
+pub fn list<'a>(names: impl Iterator<Item = &'a str>) -> String {
     let names: Vec<&str> = names.collect();
     if names.is_empty() { "none".to_owned() } else { names.join(", ") }
 }

@@ -15,12 +15,12 @@ pub fn format_number(number: f64) -> String {
 }
 
 /// Formats a number with three significant digits and no trailing zeros: `8.35`, `40`, `-0.12`, `1.2e-9`.
-pub(crate) fn format_short(number: f64) -> String {
+pub fn format_short(number: f64) -> String {
     format_trimmed(number, 3)
 }
 
 /// Formats a number with up to `digits` significant digits and no trailing zeros.
-pub(crate) fn format_trimmed(number: f64, digits: usize) -> String {
+pub fn format_trimmed(number: f64, digits: usize) -> String {
     let text = format_digits(number, digits);
     let (digits, exponent) = text.find('e').map_or((text.as_str(), ""), |at| text.split_at(at));
     let digits =

@@ -14,6 +14,7 @@
 //! | simulate an arm with its servos and sensors | [`sim`] |
 //! | record, read and replay runs | [`log`] |
 //! | identify the servos of a robot | [`identify`] |
+//! | find mistakes in them before a run | [`preflight`] |
 //! | run robot and task files | [`experiment`] |
 //!
 //! Example of a compliant position robot: its servo is stiff, but the transformer makes it produce the torques of a
@@ -90,6 +91,7 @@ pub use opspace_identify as identify;
 pub use opspace_log as log;
 pub use opspace_loop as control_loop;
 pub use opspace_model as model;
+pub use opspace_preflight as preflight;
 pub use opspace_sim as sim;
 pub use opspace_transformer as transformer;
 

@@ -13,11 +13,6 @@ use opspace_experiment::files::collision::capsule_warning_texts;
 use opspace_experiment::files::joint_layers::urdf_values_text;
 use opspace_experiment::files::origin::Kind;
 use opspace_experiment::files::robot::load_urdf;
-use opspace_experiment::preflight::{
-    DetectableForce, GainMargin, GearResonance, PathDuration, Reserve, ReserveOf, ServoLoop,
-    SingularPostures, collision_thresholds, coupling_diagnostics, detectable_forces, diagnostics_with,
-    gain_margin, gear_resonances, not_checked, path_durations, reserves, singular_postures, weak_joints,
-};
 use opspace_experiment::run::collision::KeptDistances;
 use opspace_experiment::transformers::check_robot;
 use opspace_experiment::{
@@ -26,6 +21,11 @@ use opspace_experiment::{
 };
 use opspace_model::collision::DropReason;
 use opspace_model::{Model, UrdfOptions, UrdfWarning, model_warnings};
+use opspace_preflight::{
+    DetectableForce, GainMargin, GearResonance, PathDuration, Reserve, ReserveOf, ServoLoop,
+    SingularPostures, collision_thresholds, coupling_diagnostics, detectable_forces, diagnostics_with,
+    gain_margin, gear_resonances, not_checked, path_durations, reserves, singular_postures, weak_joints,
+};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::collections::HashSet;

@@ -1,10 +1,10 @@
 //! Margins and unavoidable errors of a transformer, in `opspace check`.
 
-use opspace_experiment::preflight::{
+use opspace_experiment::{Experiment, Finding};
+use opspace_preflight::{
     GearMargin, GearScale, JointFloor, JointImpedance, Margins, StableRange, TORQUE_HZ, alternatives, floors,
     impedances, margins,
 };
-use opspace_experiment::{Experiment, Finding};
 use serde_json::{Value, json};
 use std::fmt::Write as _;
 

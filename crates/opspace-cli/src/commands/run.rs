@@ -13,13 +13,13 @@ use opspace_experiment::evaluate::headline::headline;
 use opspace_experiment::evaluate::notes::final_notes;
 use opspace_experiment::files::origin::Kind;
 use opspace_experiment::metrics::columns::default_columns;
-use opspace_experiment::preflight::{coupling_diagnostics, problems};
 use opspace_experiment::report::coupling_table::coupling_table;
 use opspace_experiment::run::result_files::{LOG, REPORT, SUMMARY};
 use opspace_experiment::{
     ControllerKind, Experiment, Extensions, FileError, Files, Metric, Progress, RunError, RunSummary,
     Scenario, Summary,
 };
+use opspace_preflight::{checked_for_real_robots, coupling_diagnostics, problems};
 use std::path::{Path, PathBuf};
 
 pub fn run(args: &RunArgs, extensions: &Extensions, console: Console) -> Outcome {
@@ -48,7 +48,7 @@ pub fn run(args: &RunArgs, extensions: &Extensions, console: Console) -> Outcome
         Some(engine) => scenario.on_engine(&engine)?,
     };
     scenario.single().into_iter().for_each(|experiment| say_details(experiment, console));
-    let scenario = if real.is_some() { scenario.checked_for_real_robots()? } else { scenario };
+    let scenario = if real.is_some() { checked_for_real_robots(scenario)? } else { scenario };
     scenario.allowed().iter().for_each(|refusal| console.note(&format!("warning: {refusal}")));
     note_problems(&scenario, args, extensions, console);
     let default = default_folder(&scenario, &args.plant);

@@ -5,7 +5,7 @@ const NAMED: f64 = 0.05;
 
 /// Describes a direction (unit vector over the rows `names`): `z`, or `0.71 x - 0.71 rz`. Its sign is arbitrary: the
 /// largest component is positive.
-pub(crate) fn direction(direction: &[f64], names: &[String]) -> String {
+pub fn direction(direction: &[f64], names: &[String]) -> String {
     let largest = direction.iter().copied().reduce(|a, b| if b.abs() > a.abs() { b } else { a });
     let sign = largest.map_or(1.0, f64::signum);
     let mut text = String::new();

@@ -166,7 +166,7 @@ pub struct RobotDefinition {
     /// Force sensors, sorted by name, and after them the estimated forces, sorted by name.
     pub sensors: Vec<(String, FrameId)>,
     /// Force sensors without a stated load, with the links and tools beyond them, some of which joints move.
-    pub(crate) unknown_loads: BTreeMap<String, Vec<String>>,
+    pub unknown_loads: BTreeMap<String, Vec<String>>,
     /// Capsules of the links, if the robot file has `[collision]`.
     pub(crate) capsules: Option<RobotCapsules>,
 }

@@ -5,7 +5,6 @@ use crate::evaluate::run_summary::{CouplingsEvaluator, RunSummary};
 use crate::evaluate::summary::Summary;
 use crate::extensions::Extensions;
 use crate::files::source::FileError;
-use crate::preflight::checked_for_real_robot;
 use crate::report::coupling_figures::coupling_figures;
 use crate::report::coupling_pages::coupling_page;
 use crate::report::document::RunSection;
@@ -40,17 +39,6 @@ impl Scenario {
     pub fn real_robots(&self) -> Vec<&str> {
         let real = self.members.iter().filter(|member| member.experiment.has_driver());
         real.map(|member| member.name.as_str()).collect()
-    }
-
-    /// Refuses real robots whose margins are too small, unless that is allowed.
-    ///
-    /// # Errors
-    /// The refusals of [`checked_for_real_robot`].
-    pub fn checked_for_real_robots(mut self) -> Result<Self, FileError> {
-        for member in self.members.iter_mut().filter(|member| member.experiment.has_driver()) {
-            member.experiment = checked_for_real_robot(member.experiment.clone())?;
-        }
-        Ok(self)
     }
 
     /// Runs the scenario in simulation in a folder that the caller has locked, with log, summary and page of the robot. Several

@@ -3,7 +3,7 @@
 use opspace_control::{AXIS_NAMES, AxisMode, TaskParameters};
 
 /// Names the compliance of a task, with its key; `None` if it has none.
-pub(crate) fn compliance(parameters: &TaskParameters) -> Option<(String, &'static str)> {
+pub fn compliance(parameters: &TaskParameters) -> Option<(String, &'static str)> {
     let TaskParameters::Cartesian(task) = parameters else { return None };
     if task.impedance.is_some() {
         return Some(("its impedance".to_owned(), "impedance"));

@@ -249,7 +249,7 @@ impl Experiment {
     ///
     /// # Errors
     /// As [`new`](Self::new).
-    pub(crate) fn with_parts(
+    pub fn with_parts(
         &self,
         robot: RobotDefinition,
         task: TaskDefinition,
@@ -306,7 +306,7 @@ impl Experiment {
     }
 
     /// Refuses the experiment, or records the refusal if the user allows its code.
-    pub(crate) fn refuse(&mut self, refusal: FileError) -> Result<(), FileError> {
+    pub fn refuse(&mut self, refusal: FileError) -> Result<(), FileError> {
         let Some(code) = refusal.code().filter(|code| self.options.allow.contains(code)) else {
             return Err(refusal);
         };
@@ -405,7 +405,7 @@ impl Experiment {
     /// Builds the torque controller of the task without the robot's limits and with an update period of `period_s`.
     /// It serves to evaluate the motion that the references require. `None` if the task is incompatible with the
     /// robot.
-    pub(crate) fn unlimited_controller(&self, period_s: f64) -> Option<OperationalSpaceController> {
+    pub fn unlimited_controller(&self, period_s: f64) -> Option<OperationalSpaceController> {
         let (model, facts) = (&self.robot.model, self.control_context(period_s));
         let file = &self.task.file;
         let limits = LimitParameters { enforce: false, horizon_s: None, ..file.limits };
@@ -424,7 +424,7 @@ impl Experiment {
     }
 
     /// Run of this experiment from the joint positions `start` (n), whose references are rolled out.
-    pub(crate) fn rollout_case<'a>(&'a self, start: &'a [f64]) -> RolloutCase<'a> {
+    pub fn rollout_case<'a>(&'a self, start: &'a [f64]) -> RolloutCase<'a> {
         let duration_s = self.duration_s();
         let later = self.task.events.iter().map(|event| event.time_s).filter(|from_s| *from_s < duration_s);
         RolloutCase {
@@ -440,7 +440,7 @@ impl Experiment {
     }
 
     /// Fraction of the joints' velocity limits that the controller uses.
-    pub(crate) fn velocity_fraction(&self) -> f64 {
+    pub fn velocity_fraction(&self) -> f64 {
         let limits = self.task.file.limits;
         if limits.enforce { limits.velocity_fraction.get().min(1.0) } else { 1.0 }
     }
@@ -528,7 +528,7 @@ impl Experiment {
     }
 
     /// Builds the tasks of a file or an event for the robot, after the set `before`; `None` if they are incompatible with it.
-    pub(crate) fn task_set(
+    pub fn task_set(
         &self,
         priority: &[String],
         task: &BTreeMap<String, TaskParameters>,
@@ -587,7 +587,7 @@ impl Experiment {
     }
 
     /// Scene of the physics engine, if it has one.
-    pub(crate) fn scene(&self) -> Option<&Scene> {
+    pub fn scene(&self) -> Option<&Scene> {
         self.physics.scene()
     }
 
@@ -675,7 +675,7 @@ impl Experiment {
     }
 
     /// Detector of collisions that robot.toml asks for.
-    pub(crate) fn collision_detector(&self) -> Option<CollisionDetector> {
+    pub fn collision_detector(&self) -> Option<CollisionDetector> {
         let parameters = self.robot.file.collision_detection.as_ref()?;
         let friction: Vec<_> = self.robot.joints().into_iter().map(|joint| joint.friction).collect();
         Some(CollisionDetector::new(parameters, &friction, &self.robot.torque_limits()))
@@ -799,7 +799,7 @@ impl Experiment {
     }
 
     /// Start positions of the joints (n; rad or m), in joint order.
-    pub(crate) fn start(&self) -> Result<Vec<f64>, FileError> {
+    pub fn start(&self) -> Result<Vec<f64>, FileError> {
         let model = &self.robot.model;
         let mut start = vec![0.0; model.n()];
         for (name, &value) in &self.task.file.start_rad {

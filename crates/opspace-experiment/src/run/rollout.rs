@@ -41,12 +41,14 @@ const LOWER_PRIORITY: f64 = 0.1;
 const LARGEST_STEP: f64 = 0.2;
 
 /// Run whose references are rolled out.
-pub(crate) struct RolloutCase<'a> {
+pub struct RolloutCase<'a> {
+    /// Rigid bodies of the robot.
     pub model: &'a Model,
     /// Joint positions at the start, rad or m (n).
     pub start: &'a [f64],
     /// Number of force sensors.
     pub sensors: usize,
+    /// Duration of control, s.
     pub duration_s: f64,
     /// Control period, s.
     pub period_s: f64,
@@ -59,7 +61,7 @@ pub(crate) struct RolloutCase<'a> {
 }
 
 /// Rollout of a run.
-pub(crate) struct Rollout {
+pub struct Rollout {
     /// Instants in order of time; empty if the references cannot be followed.
     pub instants: Vec<Instant>,
     /// True if the last instant is the end of the run.
@@ -67,7 +69,8 @@ pub(crate) struct Rollout {
 }
 
 /// Demands of the references at an instant of a run.
-pub(crate) struct Instant {
+pub struct Instant {
+    /// Time after the start of control, s.
     pub time_s: f64,
     /// Number of the step, from 0.
     pub step: usize,
@@ -88,18 +91,20 @@ pub(crate) struct Instant {
 }
 
 /// A task at an instant on its path.
-pub(crate) struct PathInstant {
+pub struct PathInstant {
+    /// Place on the path, with its derivatives.
     pub place: PathPlace,
     /// Largest ratio of a speed of the reference to the limit of the task; 0 without limits.
     pub speed_ratio: f64,
 }
 
 /// Demand of a task at an instant.
-pub(crate) struct TaskInstant {
+pub struct TaskInstant {
     /// Norm of the velocity that it demands, over its rows.
     pub velocity: f64,
-    /// Linear (m/s) and angular (rad/s) speed of its reference, and their limits.
+    /// Linear (m/s) and angular (rad/s) speed of its reference; `None` without a reference.
     pub speeds: [Option<f64>; 2],
+    /// Limits of these speeds (m/s, rad/s); `None` without a limit.
     pub speed_limits: [Option<f64>; 2],
     /// Error of its rows; zero for rows without a reference.
     pub error: Vector6<f64>,
@@ -107,7 +112,8 @@ pub(crate) struct TaskInstant {
 
 /// Reference of a joint.
 #[derive(Clone, Copy)]
-pub(crate) struct JointTarget {
+pub struct JointTarget {
+    /// Index of the joint.
     pub joint: usize,
     /// Position, rad or m.
     pub position: f64,
@@ -116,7 +122,8 @@ pub(crate) struct JointTarget {
 }
 
 /// Error of a task's rows at the state of `data`; zero for rows without a reference.
-pub(crate) fn error(task: &dyn Task, model: &Model, data: &Data) -> Vector6<f64> {
+#[must_use]
+pub fn error(task: &dyn Task, model: &Model, data: &Data) -> Vector6<f64> {
     let [velocity, with_error] = [0.0, 1.0].map(|gain| task.kinematic_target(model, data, gain));
     let error = with_error - velocity;
     Vector6::from_fn(|row, _| if row < task.rows() && task.follows_reference(row) { error[row] } else { 0.0 })
@@ -139,7 +146,9 @@ impl Steps {
 }
 
 impl Rollout {
-    pub(crate) fn new(case: &RolloutCase<'_>) -> Self {
+    /// Follows the references of a run without error, as far as this is possible.
+    #[must_use]
+    pub fn new(case: &RolloutCase<'_>) -> Self {
         let steps = Steps::new(case);
         let every = steps.count.div_ceil(KEPT).max(1);
         let (mut instants, mut followed) = (Vec::new(), 0);
@@ -156,7 +165,7 @@ impl Rollout {
     }
 
     /// Repeats the rollout and passes the tasks at the given steps to `visit`, in order of time.
-    pub(crate) fn revisit(case: &RolloutCase<'_>, steps: &[usize], mut visit: impl FnMut(usize, &TaskSet)) {
+    pub fn revisit(case: &RolloutCase<'_>, steps: &[usize], mut visit: impl FnMut(usize, &TaskSet)) {
         let Some(&last) = steps.iter().max() else { return };
         let Some(mut follower) = RolloutState::new(case, Steps::new(case).length_s) else { return };
         for step in 0..=last {

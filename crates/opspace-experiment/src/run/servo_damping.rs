@@ -9,7 +9,7 @@ use opspace_backend::CommandKind;
 use std::fmt;
 
 /// Share of a servo's damping from which a run says that it remains.
-pub(crate) const SERVO_DAMPING_NOTED: f64 = 0.05;
+pub const SERVO_DAMPING_NOTED: f64 = 0.05;
 
 /// Half-width of the interval of kp that an identification usually gives, as a fraction of kp.
 const IDENTIFIED: f64 = 0.03;
@@ -42,7 +42,7 @@ impl fmt::Display for ServoDamping {
 }
 
 /// Remedy of a damping that is left.
-pub(crate) fn help_of_servo_damping(damping: &ServoDamping) -> String {
+pub fn help_of_servo_damping(damping: &ServoDamping) -> String {
     let least = 100.0 * IDENTIFIED / (1.0 + IDENTIFIED);
     let mut help = String::new();
     if damping.interval.half_width > IDENTIFIED {

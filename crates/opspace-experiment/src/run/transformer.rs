@@ -32,12 +32,12 @@ impl Experiment {
     }
 
     /// Requirements and properties of the transformer in use; `None` if commands pass unchanged.
-    pub(crate) fn transformer_traits(&self) -> Option<TransformerTraits> {
+    pub fn transformer_traits(&self) -> Option<TransformerTraits> {
         self.transformer_name().map(|name| self.traits_of(&name))
     }
 
     /// Requirements and properties of a transformer; those of one without any if the name is unknown.
-    pub(crate) fn traits_of(&self, name: &TransformerName) -> TransformerTraits {
+    pub fn traits_of(&self, name: &TransformerName) -> TransformerTraits {
         self.task.tables.get(name.as_str()).map_or_else(TransformerTraits::default, TransformerEntry::traits)
     }
 
@@ -56,7 +56,7 @@ impl Experiment {
     }
 
     /// True if the transformer follows from the declared properties of the robot: none is requested or set.
-    pub(crate) fn chooses_transformer(&self) -> bool {
+    pub fn chooses_transformer(&self) -> bool {
         self.options.transformer.is_none() && self.profile.transformer.is_none()
     }
 
@@ -91,7 +91,9 @@ impl Experiment {
         Ok(changed)
     }
 
-    pub(crate) fn measures_current(&self) -> bool {
+    /// True if the robot measures the currents of its motors.
+    #[must_use]
+    pub fn measures_current(&self) -> bool {
         self.robot.file.interface.measured.contains(&Measured::MotorCurrent)
     }
 
@@ -120,7 +122,7 @@ impl Experiment {
     ///
     /// # Errors
     /// A servo that the transformer cannot invert.
-    pub(crate) fn transformer(&self) -> Result<Box<dyn Transformer>, FileError> {
+    pub fn transformer(&self) -> Result<Box<dyn Transformer>, FileError> {
         let observes = self.velocity_source() == VelocitySource::Observer;
         let (name, _) = self.chosen_transformer();
         let setup = self.setup(&name)?;
@@ -170,7 +172,7 @@ impl Experiment {
     }
 
     /// Timing of the drives.
-    pub(crate) fn drive_timing(&self) -> DriveTiming {
+    pub fn drive_timing(&self) -> DriveTiming {
         drive_timing(&self.robot, &self.profile)
     }
 
@@ -183,11 +185,15 @@ impl Experiment {
     ///
     /// # Errors
     /// A profile without servos of the required kind.
-    pub(crate) fn servos(&self) -> Result<Vec<ServoParameters>, FileError> {
+    pub fn servos(&self) -> Result<Vec<ServoParameters>, FileError> {
         self.robot.servos_for(&self.profile_name, self.command_kind())
     }
 
-    pub(crate) fn servo_gains(&self) -> Result<Vec<ServoGains>, FileError> {
+    /// Gains of the servos that take the setpoints, joint by joint.
+    ///
+    /// # Errors
+    /// A profile without servos of the required kind.
+    pub fn servo_gains(&self) -> Result<Vec<ServoGains>, FileError> {
         let period_s = self.profile.servo_period_s();
         Ok(self.servos()?.iter().map(|servo| servo.gains(period_s)).collect())
     }

@@ -15,7 +15,7 @@ use opspace_model::{Data, JointKind, Model, kinematics};
 use std::f64::consts::TAU;
 
 /// Largest error at which a goal counts as reached, m; rotations are scaled to m.
-pub(crate) const REACHED_M: f64 = 1e-3;
+pub const REACHED_M: f64 = 1e-3;
 
 /// Distance of the posture from the ends of the joint ranges, rad (m).
 const MARGIN: f64 = 0.02;
@@ -24,7 +24,8 @@ const MARGIN: f64 = 0.02;
 const SPREAD: usize = 18;
 
 /// Search for postures of a robot.
-pub(crate) struct PostureSearch<'a> {
+pub struct PostureSearch<'a> {
+    /// Kinematics of the robot.
     pub model: &'a Model,
     /// Lower and upper end of the range of each joint, rad or m (n).
     pub ranges: Vec<(f64, f64)>,
@@ -33,7 +34,7 @@ pub(crate) struct PostureSearch<'a> {
 impl PostureSearch<'_> {
     /// Start postures of the search: those given, and postures distributed over the joint ranges. The last one given is the
     /// position of joints without a range.
-    pub(crate) fn starts(&self, given: &[&[f64]]) -> Vec<Vec<f64>> {
+    pub fn starts(&self, given: &[&[f64]]) -> Vec<Vec<f64>> {
         let mut starts: Vec<Vec<f64>> = given.iter().map(|start| start.to_vec()).collect();
         let fallback = given.last().map_or_else(|| vec![0.0; self.ranges.len()], |start| start.to_vec());
         starts.extend((0..SPREAD).map(|k| {
@@ -52,7 +53,7 @@ impl PostureSearch<'_> {
 
     /// Kinematics of the posture nearest to the task's target that is found from `start`, by damped least squares
     /// (Levenberg and Marquardt). Joints that are at an end of their range and would move beyond it are excluded.
-    pub(crate) fn solve(&self, task: &dyn Task, start: &[f64]) -> Data {
+    pub fn solve(&self, task: &dyn Task, start: &[f64]) -> Data {
         const ITERATIONS: usize = 300;
         let (model, n) = (self.model, self.model.n());
         let clamped = |joint: usize, q: f64| {
@@ -223,7 +224,7 @@ fn room(ranges: &[(f64, f64)], q: &[f64]) -> f64 {
 }
 
 /// Norm of an error over the rows of a task with the given unit, in this unit.
-pub(crate) fn norm_in(task: &dyn Task, error: &Vector6<f64>, unit: &str) -> f64 {
+pub fn norm_in(task: &dyn Task, error: &Vector6<f64>, unit: &str) -> f64 {
     let rows = (0..task.rows()).filter(|&row| task.row_unit(row).0 == unit);
     rows.map(|row| (error[row] / task.row_unit(row).1).powi(2)).sum::<f64>().sqrt()
 }

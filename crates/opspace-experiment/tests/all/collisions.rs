@@ -1,17 +1,17 @@
 //! Capsules and obstacles in files: errors, diagnostics, logs without meshes, and runs.
 
 use opspace_backend::CommandKind;
-use opspace_experiment::preflight::start_diagnostics;
 use opspace_experiment::run::replay::replay;
 use opspace_experiment::setup::own_body::OwnBody;
 use opspace_experiment::setup::posture_at::posture_at;
 use opspace_experiment::{
     Code, Experiment, Extensions, FileError, Files, Finding, Progress, RobotDefinition, RunOptions,
-    diagnostics,
 };
 use opspace_log::Recording;
 use opspace_model::collision::{CollisionData, collision_distances};
 use opspace_model::{Data, Postures, forward_kinematics, frame_placement};
+use opspace_preflight::diagnostics;
+use opspace_preflight::start_diagnostics;
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
 

@@ -4,9 +4,9 @@
 use opspace_backend::CommandKind;
 use opspace_experiment::evaluate;
 use opspace_experiment::evaluate::metrics::Metrics;
-use opspace_experiment::preflight::gear_resonances;
 use opspace_experiment::{ControllerKind, Experiment, FileError, Files, Progress, RunOptions};
 use opspace_log::Recording;
+use opspace_preflight::gear_resonances;
 use std::f64::consts::TAU;
 use std::io::Cursor;
 use std::path::Path;

@@ -4,11 +4,11 @@
 
 use crate::coupled_common::project;
 use opspace_backend::CommandKind;
-use opspace_experiment::preflight::{
-    Quantity, Variation, diagnostics, floors, gear_margin, impedances, margins_with, refusals,
-};
 use opspace_experiment::{Code, Experiment, Files, Progress, RunOptions};
 use opspace_loop::RunOutcome;
+use opspace_preflight::{
+    Quantity, Variation, diagnostics, floors, gear_margin, impedances, margins_with, refusals,
+};
 use opspace_transformer::{ServoLaw, TransformerName};
 use std::io::Cursor;
 use std::path::Path;

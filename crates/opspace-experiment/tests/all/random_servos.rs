@@ -5,10 +5,10 @@
 #![expect(clippy::unwrap_used, reason = "a test that can't go on has failed")]
 
 use opspace_backend::CommandKind;
-use opspace_experiment::preflight::floors;
 use opspace_experiment::{Experiment, Files, Progress, RunOptions};
 use opspace_log::Recording;
 use opspace_loop::RunOutcome;
+use opspace_preflight::floors;
 use opspace_transformer::{ServoParameters, TransformerName};
 use std::io::Cursor;
 use std::path::Path;

@@ -1,8 +1,8 @@
 //! Joints that reach a limit first: with a payload, with target forces, and with speed.
 
-use opspace_experiment::preflight::{Reserve, ReserveOf, diagnostics, reserves};
 use opspace_experiment::{Code, Experiment, Files, RunOptions};
 use opspace_model::{Data, frame_placement, kinematics, potential_energy};
+use opspace_preflight::{Reserve, ReserveOf, diagnostics, reserves};
 use std::path::Path;
 
 fn experiment(task: &str, settings: &[&str]) -> Experiment {

@@ -4,10 +4,10 @@
 
 use opspace_backend::CommandKind;
 use opspace_experiment::Progress;
-use opspace_experiment::preflight::{ServoLoop, gain_margin};
 use opspace_experiment::{Experiment, Files, RunOptions};
 use opspace_log::Recording;
 use opspace_loop::RunOutcome;
+use opspace_preflight::{ServoLoop, gain_margin};
 use std::io::Cursor;
 use std::path::Path;
 

@@ -2,9 +2,9 @@
 #![expect(clippy::unwrap_used, reason = "a test that can't go on has failed")]
 
 use opspace_control::{ControlInput, Measurement, Targets};
-use opspace_experiment::preflight::singular_postures;
 use opspace_experiment::{Experiment, Files, RunOptions};
 use opspace_model::{Data, Postures, update};
+use opspace_preflight::singular_postures;
 use std::path::Path;
 
 /// Gain of a damped inverse that counts as one without damping.

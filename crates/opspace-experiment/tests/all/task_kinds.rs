@@ -2,12 +2,12 @@
 
 use nalgebra::{Matrix6xX, Vector6};
 use opspace_control::{Coordinate, CoordinateGains, CoordinateTask, TaskParameters};
-use opspace_experiment::preflight::not_checked;
 use opspace_experiment::{
     Experiment, Extensions, FileError, Files, RobotDefinition, RunOptions, Source, TaskDefinition, TaskKind,
-    diagnostics,
 };
 use opspace_model::{Data, Model};
+use opspace_preflight::diagnostics;
+use opspace_preflight::not_checked;
 use serde::Deserialize;
 use std::path::Path;
 

@@ -8,7 +8,8 @@ use super::random_arms::RandomArm;
 use super::random_servos::{Random, load};
 use nalgebra::DVector;
 use opspace_control::{CartesianReference, PathPlace, PathReference, TaskParameters};
-use opspace_experiment::{Code, Experiment, diagnostics};
+use opspace_experiment::{Code, Experiment};
+use opspace_preflight::diagnostics;
 use std::fs;
 use std::path::{Path, PathBuf};
 

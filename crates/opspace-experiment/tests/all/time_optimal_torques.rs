@@ -14,8 +14,9 @@ use nalgebra::{DVector, Matrix3, Vector3};
 use opspace_control::{
     CartesianReference, PathBounds, Target, TaskParameters, Trajectory, ViableSpeeds, orientation,
 };
-use opspace_experiment::{Code, Experiment, Progress, Scenario, diagnostics};
+use opspace_experiment::{Code, Experiment, Progress, Scenario};
 use opspace_model::{Data, Model, frame_placement, gravity, kinematics, rnea};
+use opspace_preflight::diagnostics;
 use opspace_transformer::FrictionParameters;
 use std::fs;
 use std::path::{Path, PathBuf};

@@ -2,11 +2,12 @@
 
 use crate::arms::{ARMS, Arm, Posture};
 use nalgebra::Vector3;
-use opspace_experiment::preflight::gain_margin;
 use opspace_experiment::{
-    ControllerKind, Experiment, FileError, Progress, RunOptions, Source, TaskDefinition, diagnostics,
+    ControllerKind, Experiment, FileError, Progress, RunOptions, Source, TaskDefinition,
 };
 use opspace_log::Recording;
+use opspace_preflight::diagnostics;
+use opspace_preflight::gain_margin;
 use rand::{Rng, RngExt};
 use std::io::Cursor;
 use std::path::Path;

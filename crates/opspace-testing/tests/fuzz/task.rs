@@ -12,9 +12,10 @@ use opspace_experiment::files::source::FileError;
 use opspace_experiment::run::replay::replay;
 use opspace_experiment::{
     ControllerKind, Experiment, Files, Progress, RobotDefinition, RunOptions, Scenario, Source,
-    TaskDefinition, diagnostics,
+    TaskDefinition,
 };
 use opspace_log::Recording;
+use opspace_preflight::diagnostics;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 

@@ -2,8 +2,9 @@
 
 pub use crate::task_texts::{HAND, TIP};
 use opspace_backend::CommandKind;
-use opspace_experiment::{Code, Experiment, Files, Finding, Progress, RunOptions, Summary, diagnostics};
+use opspace_experiment::{Code, Experiment, Files, Finding, Progress, RunOptions, Summary};
 use opspace_log::Recording;
+use opspace_preflight::diagnostics;
 use opspace_transformer::TransformerName;
 use std::fs;
 use std::io::Cursor;

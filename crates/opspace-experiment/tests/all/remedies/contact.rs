@@ -4,8 +4,8 @@ use super::case::{HAND, TIP, TaskCase, number_after, only};
 use crate::coupled_common::project;
 use crate::task_texts::{PRESS, table};
 use opspace_backend::CommandKind;
-use opspace_experiment::preflight::not_checked;
 use opspace_experiment::{Code, ControllerKind};
+use opspace_preflight::not_checked;
 use std::fs;
 use tempfile::TempDir;
 

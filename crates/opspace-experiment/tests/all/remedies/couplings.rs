@@ -3,7 +3,7 @@
 use super::case::only;
 use crate::coupled_common::teleoperation;
 use opspace_experiment::Code;
-use opspace_experiment::preflight::coupling_diagnostics;
+use opspace_preflight::coupling_diagnostics;
 
 pub fn no_passivity_control(code: Code) {
     let off = "couplings.hands.teleoperation.passivity=\"off\"";

@@ -1,8 +1,8 @@
 //! Remedies for limits that contradict each other, the start, the references or the weight.
 
 use super::case::{HAND, JOINTS, TIP, TaskCase, number_after, number_before};
-use opspace_experiment::preflight::weak_joints;
 use opspace_experiment::{Code, Files, RobotDefinition};
+use opspace_preflight::weak_joints;
 
 pub fn fraction_above_one(code: Code) {
     for key in ["velocity_fraction", "torque_fraction"] {

@@ -2,8 +2,8 @@
 
 use super::case::{HAND, TaskCase, after, number_after, only};
 use opspace_backend::CommandKind;
-use opspace_experiment::preflight::{JointImpedance, gain_margin, gear_margin, impedances, margins_with};
 use opspace_experiment::{Code, Experiment, Finding};
+use opspace_preflight::{JointImpedance, gain_margin, gear_margin, impedances, margins_with};
 
 /// Joints of the ASIMO-like arm.
 const ASIMO: [&str; 4] = ["shoulder_pitch", "shoulder_roll", "shoulder_yaw", "elbow"];
