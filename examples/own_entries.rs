@@ -8,11 +8,12 @@
 use nalgebra::{Matrix6xX, Vector6};
 use opspace_cli::{Command, Extensions, clap, main_with};
 use opspace_control::{Coordinate, CoordinateGains, CoordinateTask, ScalarReference};
-use opspace_experiment::report::figure::{Figure, Panel, Series};
-use opspace_experiment::{Better, Code, Column, FigureKind, Finding, LogMetric, Metric, Place, TaskKind};
+use opspace_experiment::{Better, Code, Column, Finding, LogMetric, Metric, Place, TaskKind};
 use opspace_log::Recording;
 use opspace_model::{Data, Model};
 use opspace_preflight::Check;
+use opspace_report::FigureKind;
+use opspace_report::figure::{Figure, Panel, Series};
 use serde::Deserialize;
 use std::ops::Range;
 use std::process::ExitCode;

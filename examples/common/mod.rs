@@ -3,6 +3,7 @@
 use opspace::experiment::run::replay::replay;
 use opspace::experiment::{Experiment, RunError, RunResult};
 use opspace::log::Recording;
+use opspace::report::folder::in_folder;
 use std::error::Error;
 use std::fs::{self, File};
 use std::io::BufWriter;
@@ -18,7 +19,7 @@ pub fn record(
     if folder.exists() {
         fs::remove_dir_all(&folder)?;
     }
-    let summary = experiment.in_folder(&folder, run)?;
+    let summary = in_folder(experiment, &folder, run)?;
     let replayed = replay(experiment, &Recording::read(folder.join("run.mcap"))?)?;
     assert_eq!(replayed.differing, 0, "{:?}", replayed.first_difference);
     assert!(replayed.compared > 0 && replayed.unmatched.is_empty(), "{:?}", replayed.unmatched);

@@ -5,6 +5,7 @@
 use crate::cli_common::{command, opspace, project, read, read_json, run, scratch};
 use opspace_experiment::{Experiment, Files, Progress, RunError, RunOptions};
 use opspace_log::Recording;
+use opspace_report::folder::in_folder;
 use serde_json::Value;
 use std::fs;
 use std::path::Path;
@@ -116,17 +117,16 @@ fn summary_is_that_of_the_log_the_run_wrote() {
     };
     let progress = Progress::default();
     let other = folder.path().join("other");
-    experiment(2).in_folder(&other, |log| experiment(2).run(log, &progress)).unwrap();
+    in_folder(&experiment(2), &other, |log| experiment(2).run(log, &progress)).unwrap();
     let disturbed = folder.path().join("disturbed");
-    let summary = experiment(1)
-        .in_folder(&disturbed, |log| {
-            let result = experiment(1).run(log, &progress);
-            fs::rename(other.join("run.mcap"), disturbed.join("run.mcap")).unwrap();
-            result
-        })
-        .unwrap();
+    let summary = in_folder(&experiment(1), &disturbed, |log| {
+        let result = experiment(1).run(log, &progress);
+        fs::rename(other.join("run.mcap"), disturbed.join("run.mcap")).unwrap();
+        result
+    })
+    .unwrap();
     let alone = folder.path().join("alone");
-    let expected = experiment(1).in_folder(&alone, |log| experiment(1).run(log, &progress)).unwrap();
+    let expected = in_folder(&experiment(1), &alone, |log| experiment(1).run(log, &progress)).unwrap();
     assert_eq!(summary.metrics, expected.metrics);
 }
 

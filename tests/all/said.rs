@@ -5,9 +5,9 @@
 use crate::cli_common::{Ran, opspace, project, read, read_json, scratch};
 use opspace_backend::{Backend, GroundTruth, Sample};
 use opspace_experiment::codes::Effect;
-use opspace_experiment::report::document::RunSection;
 use opspace_experiment::{Code, Entry, Experiment, Files, Metric, Progress, RunOptions};
 use opspace_log::Recording;
+use opspace_report::document::RunSection;
 use serde_json::Value;
 use std::fs;
 use std::io::Cursor;

@@ -9,6 +9,7 @@ use opspace_experiment::run::result_files::{ResultFolder, replace_file};
 use opspace_experiment::suites::suite_rows::{SUITE_ROWS, SuiteRow, SuiteRows, SuiteRowsFile};
 use opspace_experiment::{Experiment, Progress, RunSummary, Scenario, Summary};
 use opspace_log::LogFile;
+use opspace_report::run_in_folder;
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::{self, BufWriter};
 use std::path::Path;
@@ -31,7 +32,7 @@ fn run_with_log(run: &Scenario, path: &Path, watch: &Progress) -> Result<RunSumm
     }
     // The rest of a run that was cut off.
     clear_run_of_robots(path)?;
-    let summary = run.run_in_folder(&ResultFolder::open(path)?, watch)?;
+    let summary = run_in_folder(run, &ResultFolder::open(path)?, watch)?;
     if summary.is_interrupted() {
         clear_run_of_robots(path)?;
     }

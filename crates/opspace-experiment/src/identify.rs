@@ -3,7 +3,6 @@
 //! [`opspace_identify`] performs the identification. This module reads the robot from its file, and writes the
 //! results as a section of robot.toml, as a complete robot.toml, as JSON and as an HTML page.
 
-mod html;
 mod toml_output;
 
 use crate::evaluate::table::{Cell, Table};
@@ -91,8 +90,10 @@ pub struct Structure {
 /// Results of the identification of a robot.
 #[derive(Clone, Debug)]
 pub struct IdentificationResults {
-    robot: RobotDefinition,
-    profile_name: String,
+    /// Robot whose joints were moved.
+    pub robot: RobotDefinition,
+    /// Name of its profile.
+    pub profile_name: String,
     profile: ProfileParameters,
     /// Identified joints, in the order of identification.
     pub joints: Vec<JointIdentification>,

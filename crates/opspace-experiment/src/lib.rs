@@ -1,4 +1,4 @@
-//! Robot and task files, experiments assembled from them, suites, metrics and reports.
+//! Robot and task files, experiments assembled from them, runs, metrics and suites.
 //!
 //! ```
 //! use opspace_experiment::run::replay::replay;
@@ -34,8 +34,6 @@ pub mod finding;
 pub mod identify;
 pub mod metrics;
 pub mod plants;
-pub mod report;
-pub mod results;
 pub mod run;
 pub mod setup;
 pub mod suggest;
@@ -57,7 +55,6 @@ pub use files::task_kinds::TaskKind;
 pub use finding::{Causes, Finding, Place};
 pub use metrics::metric::{Better, Column, LogMetric, Metric};
 pub use plants::PlantEntry;
-pub use report::FigureKind;
 pub use run::error::RunError;
 pub use run::execute::{Progress, RunResult};
 pub use run::experiment::{Experiment, RunOptions};

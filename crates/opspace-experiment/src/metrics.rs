@@ -3,4 +3,4 @@
 pub mod columns;
 pub mod coupling_metrics;
 pub mod metric;
-pub(crate) mod metric_tables;
+pub mod metric_tables;

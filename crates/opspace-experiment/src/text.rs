@@ -47,7 +47,7 @@ fn format_digits(number: f64, digits: usize) -> String {
 }
 
 /// Names of things in a sentence: `x, y and z`.
-pub(crate) fn listed(names: &[String]) -> String {
+pub fn listed(names: &[String]) -> String {
     match names {
         [names @ .., last] if !names.is_empty() => format!("{} and {last}", names.join(", ")),
         _ => names.concat(),
@@ -55,7 +55,7 @@ pub(crate) fn listed(names: &[String]) -> String {
 }
 
 /// Text that begins with a capital letter.
-pub(crate) fn capitalised(text: &str) -> String {
+pub fn capitalised(text: &str) -> String {
     let mut text = text.to_owned();
     if let Some(first) = text.get_mut(..1) {
         first.make_ascii_uppercase();

@@ -16,6 +16,7 @@
 //! | identify the servos of a robot | [`identify`] |
 //! | find mistakes in them before a run | [`preflight`] |
 //! | run robot and task files | [`experiment`] |
+//! | draw figures and pages of runs, and keep them in folders | [`report`] |
 //!
 //! Example of a compliant position robot: its servo is stiff, but the transformer makes it produce the torques of a
 //! task.
@@ -92,6 +93,7 @@ pub use opspace_log as log;
 pub use opspace_loop as control_loop;
 pub use opspace_model as model;
 pub use opspace_preflight as preflight;
+pub use opspace_report as report;
 pub use opspace_sim as sim;
 pub use opspace_transformer as transformer;
 

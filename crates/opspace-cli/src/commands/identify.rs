@@ -14,6 +14,7 @@ use opspace_experiment::{Files, RobotDefinition, Source};
 use opspace_identify::ExcitationPlan;
 use opspace_identify::session::AbortReason;
 use opspace_model::files::open_file;
+use opspace_report::identification_page::identification_page;
 use std::io;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -88,7 +89,7 @@ fn write_results(folder: &Path, identified: &IdentificationResults) -> Result<Ve
     let mut files = vec![
         (SERVO_FILE.to_owned(), identified.servo_toml()),
         (IDENTIFICATION.to_owned(), pretty(&identified.json())),
-        (REPORT.to_owned(), identified.page()),
+        (REPORT.to_owned(), identification_page(identified)),
     ];
     let urdf = identified.urdf_name();
     if let Some(robot) = identified.robot_toml(&urdf)? {

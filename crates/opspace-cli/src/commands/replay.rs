@@ -6,11 +6,11 @@ use crate::console::{Console, Exit, Failure, Outcome, note};
 use crate::output::{Format, log_path, logs_of_experiment, open_log, pretty, read_log, write_named};
 use crate::outputs::check_outputs;
 use opspace_backend::signal_names::TICK_CHANNEL;
-use opspace_experiment::report::html::Page;
-use opspace_experiment::report::what_if::torque_difference;
 use opspace_experiment::run::replay::{ReplayReport, compare_run_on_log, replay_log};
 use opspace_experiment::{Experiment, Extensions, RunError, Summary};
 use opspace_log::{Difference, Recording};
+use opspace_report::html::Page;
+use opspace_report::what_if::torque_difference;
 use serde_json::{Map, Value, json};
 use std::path::Path;
 

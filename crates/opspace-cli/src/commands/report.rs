@@ -6,11 +6,12 @@ use crate::output::{Format, log_path, logs_of_experiment, open_log, pretty, writ
 use crate::outputs::check_outputs;
 use opspace_experiment::evaluate::position_control::position_control_notes;
 use opspace_experiment::metrics::columns::default_columns;
-use opspace_experiment::report::document::{RunSection, page, title_of_runs};
 use opspace_experiment::run::membership::Membership;
 use opspace_experiment::run::result_files::REPORT;
 use opspace_experiment::{Experiment, Extensions, RunError, Scenario, Summary};
 use opspace_log::{LogFile, OutcomeRecord, Recording};
+use opspace_report::document::{RunSection, page, title_of_runs};
+use opspace_report::summary_and_page;
 use std::path::{Path, PathBuf};
 
 /// Page, and the summaries in it as JSON.
@@ -113,7 +114,7 @@ fn of_experiment(
     let report = || {
         let scenario = Scenario::of_logs(extensions, &recordings)?;
         let summaries = scenario.experiments().zip(&logs).map(|(experiment, log)| summary(experiment, log));
-        let (summary, page) = scenario.summary_and_page(&logs, summaries.collect::<Result<_, _>>()?)?;
+        let (summary, page) = summary_and_page(&scenario, &logs, summaries.collect::<Result<_, _>>()?)?;
         Ok(Report { page, json: pretty(&summary) })
     };
     report().map_err(bad(folder))

@@ -13,13 +13,15 @@ use opspace_experiment::evaluate::headline::headline;
 use opspace_experiment::evaluate::notes::final_notes;
 use opspace_experiment::files::origin::Kind;
 use opspace_experiment::metrics::columns::default_columns;
-use opspace_experiment::report::coupling_table::coupling_table;
 use opspace_experiment::run::result_files::{LOG, REPORT, SUMMARY};
 use opspace_experiment::{
     ControllerKind, Experiment, Extensions, FileError, Files, Metric, Progress, RunError, RunSummary,
     Scenario, Summary,
 };
 use opspace_preflight::{checked_for_real_robots, coupling_diagnostics, problems};
+use opspace_report::coupling_table::coupling_table;
+use opspace_report::run_in_folder;
+use opspace_report::run_on_drivers;
 use std::path::{Path, PathBuf};
 
 pub fn run(args: &RunArgs, extensions: &Extensions, console: Console) -> Outcome {
@@ -67,9 +69,9 @@ pub fn run(args: &RunArgs, extensions: &Extensions, console: Console) -> Outcome
     let summary = with_bar((&scenario.name(), scenario.ticks()), &progress, console, || {
         if real.is_some() {
             let left_behind = |summary| exit_with(view.say_left_behind(summary, folder));
-            scenario.run_on_drivers(extensions, &results, &progress, &left_behind)
+            run_on_drivers(&scenario, extensions, &results, &progress, &left_behind)
         } else {
-            scenario.run_in_folder(&results, &progress)
+            run_in_folder(&scenario, &results, &progress)
         }
     })?;
     view.say(&summary, folder)
@@ -194,7 +196,7 @@ fn move_to_start(
 ) -> Result<Option<Exit>, Failure> {
     let folder = &folder.join(MOVE_TO_START);
     let left_behind = |summary| exit_with(view.say_left_behind(summary, folder));
-    let moved = experiment.move_to_start(extensions, folder, view.progress, &left_behind)?;
+    let moved = opspace_report::move_to_start(experiment, extensions, folder, view.progress, &left_behind)?;
     let Some(moved) = moved.filter(|moved| exit_code_of_robot(moved) != Exit::Done) else { return Ok(None) };
     let RunView { args, columns, console, .. } = view;
     args.output.json.print(|| pretty(&moved), || table(console, std::slice::from_ref(&moved), columns))?;

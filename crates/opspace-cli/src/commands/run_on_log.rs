@@ -15,6 +15,7 @@ use opspace_experiment::{
     TaskDefinition,
 };
 use opspace_log::Recording;
+use opspace_report::folder::in_locked_folder;
 use opspace_transformer::TransformerName;
 use std::path::{Path, PathBuf};
 
@@ -135,7 +136,7 @@ pub fn record_on_log(
     let results = prepare(output, &default, &files, &inputs, console)?;
     let progress = interrupt::watch();
     let summary = with_bar((&task, experiment.ticks()), &progress, console, || {
-        experiment.in_locked_folder(&results, |sink| experiment.run_on_log(recording, sink, &progress))
+        in_locked_folder(experiment, &results, |sink| experiment.run_on_log(recording, sink, &progress))
     })?;
     Ok((summary, results.path().to_owned()))
 }

@@ -20,7 +20,7 @@ use opspace_sim::{EnvironmentObjectParameters, HeldObjectParameters, OperatorMot
 use std::f64::consts::{PI, TAU};
 
 /// Frequencies between which the felt stiffness is summarised, Hz: above, the inertia of arm and hand dominates.
-pub(crate) const FELT_HZ: [f64; 2] = [0.5, 2.0];
+pub const FELT_HZ: [f64; 2] = [0.5, 2.0];
 
 /// Frequency above which the motion of a hand is neither the operator's nor his tremor, Hz.
 const FAST_HZ: f64 = 20.0;
@@ -32,7 +32,7 @@ const WINDOW_S: [f64; 2] = [0.25, 0.5];
 const TOUCH_N: f64 = 0.1;
 
 /// Motion and forces of one robot, at each row of its true state.
-pub(crate) struct Track<'a> {
+pub struct Track<'a> {
     experiment: &'a Experiment,
     control: Control,
     frame: Option<(FrameId, Matrix3<f64>)>,
@@ -40,7 +40,7 @@ pub(crate) struct Track<'a> {
     parameters: Option<&'a CoupledParameters>,
     home: Option<Vector3<f64>>,
     /// Times since the start of control, s.
-    pub(crate) time_s: Vec<f64>,
+    pub time_s: Vec<f64>,
     /// True position of the frame in the world, m.
     position: Vec<Vector3<f64>>,
     /// Force of the first operator on the frame, in the world, N.
@@ -54,37 +54,40 @@ pub(crate) struct Track<'a> {
     object: Option<String>,
     pub(crate) object_rows: Vec<[Vector3<f64>; 2]>,
     object_home: Option<Vector3<f64>>,
-    pub(crate) ticks: Ticks,
+    /// Signals of the coupled task.
+    pub ticks: Ticks,
 }
 
 /// Signals of the coupled task, at each cycle.
 #[derive(Default)]
-pub(crate) struct Ticks {
+pub struct Ticks {
     /// Name and unit of each row.
     rows: Vec<(String, String)>,
-    pub(crate) time_s: Vec<f64>,
+    /// Times of the cycles after the start of control, s.
+    pub time_s: Vec<f64>,
     /// Position that is sent, by rows.
-    pub(crate) sent: Vec<Vec<f64>>,
+    pub sent: Vec<Vec<f64>>,
     /// Displacement and reference, by rows.
     displacement: Vec<Vec<f64>>,
     reference: Vec<Vec<f64>>,
     pub(crate) closed: Vec<bool>,
     /// Force that is sent, by rows.
-    pub(crate) force: Vec<Vec<f64>>,
+    pub force: Vec<Vec<f64>>,
     /// Energy that has entered and left the coupling, J.
-    pub(crate) energy_j: Vec<[f64; 2]>,
+    pub energy_j: Vec<[f64; 2]>,
     /// Packets lost so far.
-    pub(crate) packets_lost: Vec<f64>,
+    pub packets_lost: Vec<f64>,
     /// Time for which the passivity control was active so far, s.
-    pub(crate) passivity_s: Vec<f64>,
+    pub passivity_s: Vec<f64>,
 }
 
 /// Metrics of a coupling while segments of both logs arrive.
-pub(crate) struct CouplingEvaluator<'a> {
-    pub(crate) coupling: &'a Coupling,
+pub struct CouplingEvaluator<'a> {
+    /// Coupling of the scenario.
+    pub coupling: &'a Coupling,
     members: [usize; 2],
     /// Leader and follower.
-    pub(crate) tracks: [Track<'a>; 2],
+    pub tracks: [Track<'a>; 2],
     settle_s: f64,
 }
 
@@ -317,7 +320,7 @@ impl<'a> CouplingEvaluator<'a> {
     }
 
     /// Work of the environment on both robots, at a row of the leader, J.
-    pub(crate) fn work_at(&self, row: usize) -> f64 {
+    pub fn work_at(&self, row: usize) -> f64 {
         let [leader, follower] = &self.tracks;
         let of_follower = follower.row_at(leader.time_s[row]).map_or(0.0, |row| follower.work_j[row]);
         leader.work_j[row] + of_follower
@@ -330,7 +333,7 @@ impl<'a> CouplingEvaluator<'a> {
     }
 
     /// Name and unit of each row of the coupling; none before the first segment.
-    pub(crate) fn rows(&self) -> Vec<(String, String)> {
+    pub fn rows(&self) -> Vec<(String, String)> {
         self.tracks[0].ticks.rows.clone()
     }
 

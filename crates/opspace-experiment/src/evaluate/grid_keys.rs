@@ -32,13 +32,13 @@ const UNITS: [(&str, &str); 22] = [
 
 /// Key of a setting, with a short name.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct GridKey {
+pub struct GridKey {
     /// Key as in a setting.
-    pub(crate) key: String,
+    pub key: String,
     /// Words of the key that tell it from the others: `stiffness`.
-    pub(crate) name: String,
+    pub name: String,
     /// Unit as printed; empty if it has none.
-    pub(crate) unit: &'static str,
+    pub unit: &'static str,
 }
 
 impl GridKey {
@@ -66,7 +66,7 @@ impl GridKey {
     }
 
     /// Gives keys the shortest names that tell them apart.
-    pub(crate) fn named(keys: &[&str]) -> Vec<Self> {
+    pub fn named(keys: &[&str]) -> Vec<Self> {
         let all: Vec<Vec<String>> = keys.iter().map(|key| key.segments()).collect();
         let end = |key: &[String], length: usize| key[key.len().saturating_sub(length)..].join(" ");
         let named = |(key, segments): (&&str, &Vec<String>)| {
@@ -84,12 +84,12 @@ impl GridKey {
     }
 
     /// Value of the setting as text; `None` if the run does not set it.
-    pub(crate) fn text<'a>(&self, run: &'a Summary) -> Option<&'a str> {
+    pub fn text<'a>(&self, run: &'a Summary) -> Option<&'a str> {
         settings(run).filter(|(key, _)| *key == self.key).last().map(|(_, value)| value)
     }
 
     /// Value of the setting; `None` if it is no number.
-    pub(crate) fn number(&self, run: &Summary) -> Option<f64> {
+    pub fn number(&self, run: &Summary) -> Option<f64> {
         self.text(run)?.parse().ok().filter(|number: &f64| number.is_finite())
     }
 
@@ -108,19 +108,19 @@ impl GridKey {
     }
 
     /// Name and unit: `stiffness (N/m)`.
-    pub(crate) fn title(&self) -> String {
+    pub fn title(&self) -> String {
         if self.unit.is_empty() { self.name.clone() } else { format!("{} ({})", self.name, self.unit) }
     }
 }
 
 /// Keys and values of the settings of a run; expectations do not change it.
-pub(crate) fn settings(run: &Summary) -> impl Iterator<Item = (&str, &str)> {
+pub fn settings(run: &Summary) -> impl Iterator<Item = (&str, &str)> {
     let pairs = run.overrides.iter().filter_map(|setting| setting.split_once('='));
     pairs.map(|(key, value)| (key.trim(), value.trim())).filter(|(key, _)| !key.starts_with("expect."))
 }
 
 /// Label of a run without the values of a grid.
-pub(crate) fn own_label(run: &Summary) -> Option<String> {
+pub fn own_label(run: &Summary) -> Option<String> {
     let of_grid: Vec<&str> =
         settings(run).filter_map(|(key, value)| part_of_label(run, key, value)).collect();
     let parts = run.label.as_deref()?.split(", ").filter(|part| !of_grid.contains(part));

@@ -76,7 +76,9 @@ fn force(summary: &Summary) -> Option<String> {
     Some(format!("force error {} rms{more}", newtons(contact.force_rms_n?)))
 }
 
-pub(crate) fn operator(summary: &Summary) -> Option<String> {
+/// States by how much an operator moves the arm, and the force that this takes; `None` without an operator.
+#[must_use]
+pub fn operator(summary: &Summary) -> Option<String> {
     let metrics = &summary.metrics;
     let (motion_m, force_n) = (metrics.hand_motion_rms_m?, metrics.hand_force_rms_n?);
     Some(format!("the operator moves the arm by {} rms with {} rms", mm(motion_m), newtons(force_n)))

@@ -11,7 +11,7 @@ mod damped_directions;
 mod drifts;
 mod escapes;
 mod estimates;
-pub(crate) mod frame_responses;
+pub mod frame_responses;
 mod hand;
 mod hold_counts;
 mod holds;
@@ -21,14 +21,14 @@ mod joints;
 mod limited_references;
 mod near_pairs;
 mod objects;
-pub(crate) mod response;
+pub mod response;
 mod ripple;
-pub(crate) mod run_log;
+pub mod run_log;
 mod saturated_torques;
-pub(crate) mod slack;
-pub(crate) mod task_axes;
-pub(crate) mod tasks;
-pub(crate) mod times;
+pub mod slack;
+pub mod task_axes;
+pub mod tasks;
+pub mod times;
 mod torque_errors;
 mod unreached_goals;
 
@@ -78,7 +78,7 @@ pub fn metrics(experiment: &Experiment, recording: &Recording) -> Metrics {
 /// Computes the statistics of the control cycles' durations from a log.
 #[must_use]
 pub fn timing(recording: &Recording, realtime_factor: Option<f64>) -> Timing {
-    let mut times = CycleTimes::new();
+    let mut times = CycleTimes::default();
     times.add(recording);
     times.timing(realtime_factor)
 }
@@ -133,7 +133,7 @@ impl<'a> Evaluator<'a> {
             escapes: Escapes::default(),
             damped: DampedDirections::new(experiment),
             interruptions: Interruptions::default(),
-            times: CycleTimes::new(),
+            times: CycleTimes::default(),
             added: added.filter_map(|metric| Some((metric.key, metric.start()?))).collect(),
         }
     }

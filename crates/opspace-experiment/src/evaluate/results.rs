@@ -26,7 +26,7 @@ pub struct Group<'a> {
 
 impl<'a> Group<'a> {
     /// Creates the group of a single run.
-    pub(crate) fn of(run: &'a Summary) -> Self {
+    pub fn of(run: &'a Summary) -> Self {
         Self { runs: vec![run] }
     }
 
@@ -42,7 +42,7 @@ impl<'a> Group<'a> {
     }
 
     /// Median of a metric with its interval, in the unit of its column.
-    pub(crate) fn of_column(&self, metric: &Metric, column: &Column) -> Option<Spread> {
+    pub fn of_column(&self, metric: &Metric, column: &Column) -> Option<Spread> {
         self.spread(|run| Some(column.factor * value(run, metric)?))
     }
 
@@ -175,7 +175,7 @@ pub(crate) fn profile(summary: &Summary) -> String {
 }
 
 /// Value of a metric in a summary, in its own unit.
-pub(crate) fn value(summary: &Summary, metric: &Metric) -> Option<f64> {
+pub fn value(summary: &Summary, metric: &Metric) -> Option<f64> {
     summary.metrics.get(metric.key).or_else(|| summary.timing.value(metric.key))
 }
 

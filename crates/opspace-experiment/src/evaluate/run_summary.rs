@@ -179,16 +179,19 @@ impl RunSummary {
 }
 
 /// Evaluates a scenario while segments of its robots' logs arrive.
-pub(crate) struct CouplingsEvaluator<'a> {
+pub struct CouplingsEvaluator<'a> {
     scenario: &'a Scenario,
-    pub(crate) couplings: Vec<CouplingEvaluator<'a>>,
+    /// Evaluators of the couplings, in the order of the scenario.
+    pub couplings: Vec<CouplingEvaluator<'a>>,
     holds: Vec<RobotHold>,
     /// Cause of the present hold of each robot.
     held: Vec<Option<HoldCause>>,
 }
 
 impl<'a> CouplingsEvaluator<'a> {
-    pub(crate) fn new(scenario: &'a Scenario) -> Self {
+    /// Creates the evaluator of a scenario, without any segment.
+    #[must_use]
+    pub fn new(scenario: &'a Scenario) -> Self {
         Self {
             scenario,
             couplings: scenario.couplings.iter().map(|c| CouplingEvaluator::new(scenario, c)).collect(),
@@ -198,7 +201,7 @@ impl<'a> CouplingsEvaluator<'a> {
     }
 
     /// Adds the next segment of the log of a robot.
-    pub(crate) fn add(&mut self, member: usize, recording: &Recording, is_last: bool) {
+    pub fn add(&mut self, member: usize, recording: &Recording, is_last: bool) {
         self.couplings.iter_mut().for_each(|coupling| coupling.add(member, recording, is_last));
         self.add_holds(member, recording);
     }
@@ -236,7 +239,7 @@ impl<'a> CouplingsEvaluator<'a> {
     }
 
     /// Returns the summary; `robots` are those of the robots, in their order.
-    pub(crate) fn finish(mut self, robots: Vec<Summary>) -> RunSummary {
+    pub fn finish(mut self, robots: Vec<Summary>) -> RunSummary {
         self.holds.sort_by(|a, b| a.from_s.total_cmp(&b.from_s));
         let scenario = self.scenario;
         let names = scenario.couplings.iter().map(|coupling| coupling.name.clone());

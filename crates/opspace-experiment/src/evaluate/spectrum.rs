@@ -8,7 +8,7 @@ use std::sync::Arc;
 const MIN_SAMPLES: usize = 64;
 
 /// Spectrum that is estimated while samples arrive. Every sample is in a block: the last block overlaps more.
-pub(crate) struct Welch {
+pub struct Welch {
     block: usize,
     transform: Arc<dyn RealToComplex<f64>>,
     /// Samples from the beginning of the last block on.
@@ -23,7 +23,7 @@ pub(crate) struct Welch {
 
 /// Spectrum of a signal; line `k` has the frequency k/n of the sampling rate.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Spectrum {
+pub struct Spectrum {
     /// Number of samples of a block.
     pub n: usize,
     /// Squared magnitude of each line of the transform of a windowed block, mean over the blocks.

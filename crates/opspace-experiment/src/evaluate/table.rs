@@ -244,7 +244,7 @@ fn noise(unit: &str) -> f64 {
 }
 
 /// Factor from a unit to the one that is shown in a report, and its name: millimetres and milliradians.
-pub(crate) fn shown_unit(unit: &str) -> (f64, &str) {
+pub fn shown_unit(unit: &str) -> (f64, &str) {
     match unit {
         "m" => (1e3, "mm"),
         "rad" => (1e3, "mrad"),

@@ -283,7 +283,7 @@ impl TaskDefinition {
 
     /// Tasks that have a priority at some time of the run: those at the start in the order of priority, and then those
     /// to which an event gives one, each as it is then.
-    pub(crate) fn tasks_of_the_run(&self) -> Vec<(&str, &TaskParameters)> {
+    pub fn tasks_of_the_run(&self) -> Vec<(&str, &TaskParameters)> {
         let sets = std::iter::once((&self.file.priority, &self.file.task))
             .chain(self.events.iter().map(|event| (&event.priority, &event.task)));
         let mut tasks: Vec<(&str, &TaskParameters)> = Vec::new();

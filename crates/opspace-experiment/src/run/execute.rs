@@ -66,11 +66,11 @@ pub struct RunResult<W> {
 type SharedWriter<W> = Arc<Mutex<Option<Writer<W>>>>;
 
 /// Closes the log of a run from another thread, if the run itself cannot.
-pub(crate) struct LogCloser<W>(SharedWriter<W>);
+pub struct LogCloser<W>(SharedWriter<W>);
 
 impl<W> LogCloser<W> {
     /// Writes the outcome of the run to the log and closes it.
-    pub(crate) fn close(&self, record: OutcomeRecord) -> Result<(), RunError> {
+    pub fn close(&self, record: OutcomeRecord) -> Result<(), RunError> {
         let writer = take(&self.0)?;
         writer.finish_with(record).map(|_written| ()).map_err(RunError::from)
     }
@@ -116,7 +116,7 @@ impl<W> OpenLog<'_, W> {
     }
 
     /// Returns what closes the log from another thread.
-    pub(crate) fn closer(&self) -> LogCloser<W> {
+    pub fn closer(&self) -> LogCloser<W> {
         LogCloser(Arc::clone(&self.writer))
     }
 
@@ -169,7 +169,7 @@ impl Experiment {
     }
 
     /// Checks that a real robot is the one of robot.toml, and at the start position of the task.
-    pub(crate) fn check_robot(&self, backend: &mut dyn Backend) -> Result<(), RunError> {
+    pub fn check_robot(&self, backend: &mut dyn Backend) -> Result<(), RunError> {
         if backend.capabilities().world == World::Real {
             self.compare_capabilities(backend.capabilities())?;
             self.check_start(backend)?;

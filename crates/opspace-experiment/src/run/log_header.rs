@@ -25,7 +25,7 @@ pub const RUN: &str = "opspace.run";
 /// Key of the metadata record for the world of the run: real or simulated.
 const WORLD: &str = "world";
 /// Entry that states whether the transformer was an option of the run.
-pub(crate) const ASKED_FOR: &str = "transformer_asked_for";
+pub const ASKED_FOR: &str = "transformer_asked_for";
 /// Entry with the refusals that the user has allowed, as JSON; logs of earlier versions have none.
 const ALLOWED: &str = "allowed";
 /// Entry with the settings of the experiment with several robots.

@@ -37,7 +37,7 @@ impl Experiment {
     }
 
     /// Opens the robot of `[driver]`, calls `body`, and closes the robot. After an error or a panic, the robot is stopped.
-    pub(crate) fn with_driver<T>(
+    pub fn with_driver<T>(
         &self,
         extensions: &Extensions,
         body: impl FnOnce(&mut dyn Backend) -> Result<T, RunError>,

@@ -144,7 +144,7 @@ fn is_at(q: f64, start: f64) -> bool {
 }
 
 /// Reads the current joint positions of a robot (n; rad or m).
-pub(crate) fn positions(backend: &mut dyn Backend) -> Result<Vec<f64>, RunError> {
+pub fn positions(backend: &mut dyn Backend) -> Result<Vec<f64>, RunError> {
     let mut sample = Sample::new(backend.capabilities());
     let read = read_once(backend, &mut sample).and_then(|()| match sample.q.iter().all(|q| q.is_finite()) {
         true => Ok(()),

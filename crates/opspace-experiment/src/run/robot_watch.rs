@@ -18,7 +18,7 @@ const GIVE_UP_S: f64 = 3.0;
 const LOOK: Duration = Duration::from_millis(10);
 
 /// Watch on the robots of a scenario.
-pub(crate) struct RobotWatch<'a> {
+pub struct RobotWatch<'a> {
     progress: &'a Progress,
     stops: Vec<RemoteStop>,
     period_s: f64,
@@ -28,11 +28,7 @@ pub(crate) struct RobotWatch<'a> {
 
 impl<'a> RobotWatch<'a> {
     /// Returns the watch on these robots of the scenario, in their order; `None` if all are simulated.
-    pub(crate) fn new(
-        scenario: &Scenario,
-        robots: &[&mut dyn Backend],
-        progress: &'a Progress,
-    ) -> Option<Self> {
+    pub fn new(scenario: &Scenario, robots: &[&mut dyn Backend], progress: &'a Progress) -> Option<Self> {
         if robots.iter().all(|robot| robot.capabilities().world == World::Simulated) {
             return None;
         }
@@ -48,7 +44,7 @@ impl<'a> RobotWatch<'a> {
     /// Watches the robots until they are `done`, and calls their remote stops if no cycle is completed: for longer than the
     /// longest dropout that robot.toml tolerates, or than 0.1 s if a stop was requested. Returns the time without a cycle, s,
     /// if that does not help.
-    pub(crate) fn watch(mut self, done: &AtomicBool) -> Option<f64> {
+    pub fn watch(mut self, done: &AtomicBool) -> Option<f64> {
         let (mut ticks, mut since) = (self.ticks(), Instant::now());
         let mut is_silent = false;
         while !done.load(Ordering::Acquire) {

@@ -42,11 +42,11 @@ pub struct Scenario {
     /// Couplings, in the order of their names; none with one robot.
     pub couplings: Vec<Coupling>,
     /// Objects that hands of the robots hold, by name; all robots are then in one plant.
-    pub(crate) objects: BTreeMap<String, HeldObjectParameters>,
+    pub objects: BTreeMap<String, HeldObjectParameters>,
     /// Bounds on metrics of the couplings.
     pub(crate) expect: BTreeMap<String, Expectation>,
     /// Start of the statistics of the couplings, s after the start of control.
-    pub(crate) settle_s: f64,
+    pub settle_s: f64,
     /// Seed of all random numbers.
     pub(crate) seed: u64,
     /// Settings with which it was loaded; with several robots, without that of the seed.
@@ -73,6 +73,13 @@ impl From<Experiment> for Scenario {
 }
 
 impl Scenario {
+    /// Names of the robots that are real, because their robot.toml selects a driver.
+    #[must_use]
+    pub fn real_robots(&self) -> Vec<&str> {
+        let real = self.members.iter().filter(|member| member.experiment.has_driver());
+        real.map(|member| member.name.as_str()).collect()
+    }
+
     /// Reads a task file for one robot, as [`Experiment::load_with`] does, or the file of an experiment with several robots, as
     /// [`load_robots`](Self::load_robots) does. `backend` replaces the command interface of robot.toml, and `options.backend`
     /// is not used. Of the options, an experiment takes profile, seed, duration, label and allowed refusals; its file states
@@ -299,7 +306,7 @@ impl Scenario {
     }
 
     /// Runs the scenario on these robots, in their order, as [`drive`](Self::drive) does.
-    pub(crate) fn drive_robots<S: Sink>(
+    pub fn drive_robots<S: Sink>(
         &self,
         robots: &mut [&mut dyn Backend],
         progress: &Progress,
@@ -339,7 +346,7 @@ impl Scenario {
     }
 
     /// Arms of the simulation: each in a plant of its own, or all in one if hands hold an object.
-    pub(crate) fn simulated_arms(&self) -> Result<Vec<SimulatedArm>, FileError> {
+    pub fn simulated_arms(&self) -> Result<Vec<SimulatedArm>, FileError> {
         if self.objects.is_empty() {
             return self.experiments().map(Experiment::simulated_arm).collect();
         }

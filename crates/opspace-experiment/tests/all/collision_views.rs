@@ -7,15 +7,15 @@ use nalgebra::Vector3;
 use opspace_backend::CommandKind;
 use opspace_backend::signal_names::{LEAST_DISTANCE, PHASE, Q, TICK_CHANNEL};
 use opspace_experiment::metrics::columns::default_columns;
-use opspace_experiment::report::document::{
-    ClosestPair, CollisionMoment, EnvironmentShape, PlacedObject, PlacedShape, page,
-};
-use opspace_experiment::report::html::Page;
 use opspace_loop::Phase;
 use opspace_model::collision::{
     Capsule, CollisionData, CollisionShape, HalfSpace, LinkCapsule, collision_distances,
 };
 use opspace_model::{Data, forward_kinematics, frame_placement};
+use opspace_report::document::{
+    ClosestPair, CollisionMoment, EnvironmentShape, PlacedObject, PlacedShape, page,
+};
+use opspace_report::html::Page;
 
 /// Rounding of coordinates and distances of an arm, m.
 const ROUNDING_M: f64 = 1e-12;

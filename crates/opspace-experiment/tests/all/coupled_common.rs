@@ -5,6 +5,7 @@ use opspace_experiment::RunSummary;
 use opspace_experiment::run::result_files::ResultFolder;
 use opspace_experiment::{Extensions, Files, Progress, Scenario};
 use opspace_log::Recording;
+use opspace_report::run_in_folder;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -97,7 +98,7 @@ pub fn run(experiment: &Scenario) -> CoupledRun {
 pub fn run_in(experiment: &Scenario, folder: &Path) -> CoupledRun {
     let results = ResultFolder::open(folder).unwrap_or_else(|error| panic!("{error}"));
     let summary =
-        experiment.run_in_folder(&results, &Progress::default()).unwrap_or_else(|error| panic!("{error}"));
+        run_in_folder(experiment, &results, &Progress::default()).unwrap_or_else(|error| panic!("{error}"));
     assert_eq!(summary.not_saved, Vec::<String>::new());
     let names = experiment.members.iter().map(|member| member.name.clone());
     let read = |name: &str| {

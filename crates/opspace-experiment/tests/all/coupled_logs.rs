@@ -7,6 +7,7 @@ use opspace_experiment::run::membership::Membership;
 use opspace_experiment::run::replay::replay;
 use opspace_experiment::{Experiment, Extensions, Scenario};
 use opspace_log::{LogFile, OutcomeRecord, Recording};
+use opspace_report::summary_and_page;
 use std::fs;
 
 /// A channel with everything that it can have, a clutch, and a bus that loses cycles.
@@ -83,7 +84,7 @@ fn experiment_is_rebuilt_from_its_logs() {
     let summaries = rebuilt.members.iter().zip(&files).map(|(member, log)| {
         member.experiment.summary_of_file(log, &OutcomeRecord::of(log.recording()), None).unwrap()
     });
-    let (mut summary, page) = rebuilt.summary_and_page(&files, summaries.collect()).unwrap();
+    let (mut summary, page) = summary_and_page(&rebuilt, &files, summaries.collect()).unwrap();
     for (name, robot) in &mut summary.robots {
         robot.timing.realtime_factor = before.summary.robots[name].timing.realtime_factor;
     }

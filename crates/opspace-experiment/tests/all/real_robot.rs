@@ -11,6 +11,8 @@ use opspace_experiment::run::replay::replay;
 use opspace_experiment::run::result_files::ResultFolder;
 use opspace_experiment::{Experiment, Extensions, Files, Metrics, Progress, RunError, RunOptions};
 use opspace_log::Recording;
+use opspace_report::move_to_start;
+use opspace_report::run_on_drivers;
 use opspace_sim::SimulatedArm;
 use std::cell::RefCell;
 use std::io::Cursor;
@@ -176,7 +178,7 @@ fn real_robot_moves_slowly_to_start_first() {
 
         let folder = tempfile::tempdir().unwrap();
         let moved =
-            experiment.move_to_start(&extensions, folder.path(), &progress, &|_| {}).unwrap().unwrap();
+            move_to_start(&experiment, &extensions, folder.path(), &progress, &|_| {}).unwrap().unwrap();
         assert_eq!(moved.faulted, None, "{backend:?}");
         let recording = Recording::read(folder.path().join("run.mcap")).unwrap();
         let q: Vec<&[f64]> = recording.tick().unwrap().signal("q").unwrap().rows().collect();
@@ -186,7 +188,7 @@ fn real_robot_moves_slowly_to_start_first() {
         for (q, start) in arm.borrow().arm.true_q().iter().zip(&start) {
             assert!((q - start).abs() < AT_START_RAD, "{backend:?}: {q} and {start}");
         }
-        assert_eq!(experiment.move_to_start(&extensions, folder.path(), &progress, &|_| {}).unwrap(), None);
+        assert_eq!(move_to_start(&experiment, &extensions, folder.path(), &progress, &|_| {}).unwrap(), None);
         assert_eq!(run().unwrap().record.fault, None, "{backend:?}");
     }
 }
@@ -220,7 +222,7 @@ fn robot_without_driver_cannot_move_to_start() {
     let experiment = experiment("tasks/joint-tracking.toml", CommandKind::Position, &[]);
     let folder = tempfile::tempdir().unwrap();
     let refused =
-        experiment.move_to_start(&Extensions::default(), folder.path(), &Progress::default(), &|_| {});
+        move_to_start(&experiment, &Extensions::default(), folder.path(), &Progress::default(), &|_| {});
     let words = refused.map(|_| ()).unwrap_err().to_string();
     assert!(words.contains(ROBOT) && words.contains("no [driver]"), "{words}");
 }
@@ -246,7 +248,7 @@ fn one_of_coupled_robots_is_real() {
         let (arm, extensions) = arm_away_from_start(leader, offset_rad);
         arm.borrow_mut().clock_start_s = 0.0;
         let results = ResultFolder::open(folder.path()).unwrap();
-        experiment.run_on_drivers(&extensions, &results, &Progress::default(), &|_| {})
+        run_on_drivers(&experiment, &extensions, &results, &Progress::default(), &|_| {})
     };
     let away = on_drivers(0.3).unwrap_err().to_string();
     assert!(away.contains("start"), "{away}");
@@ -271,6 +273,6 @@ fn one_of_coupled_robots_is_real() {
     let carry = load("two-arms-carry", &["left.robot.driver.name=one-arm"]);
     let results = ResultFolder::open(folder.path()).unwrap();
     let refused =
-        carry.run_on_drivers(&Extensions::default(), &results, &Progress::default(), &|_| {}).unwrap_err();
+        run_on_drivers(&carry, &Extensions::default(), &results, &Progress::default(), &|_| {}).unwrap_err();
     assert!(refused.to_string().contains("robot 'left' is real"), "{refused}");
 }

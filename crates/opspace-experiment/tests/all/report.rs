@@ -5,11 +5,9 @@ use std::process::Command;
 
 use opspace_experiment::evaluate::spread::Spread;
 use opspace_experiment::evaluate::table::{Cell, Table};
-use opspace_experiment::report::figure::{
-    Comparison, ComparisonRow, Figure, Panel, Scale, Series, Style, decimate,
-};
-use opspace_experiment::report::html::Page;
 use opspace_experiment::text::format_number;
+use opspace_report::figure::{Comparison, ComparisonRow, Figure, Panel, Scale, Series, Style, decimate};
+use opspace_report::html::Page;
 use roxmltree::{Document, Node, ParsingOptions};
 
 const SVG: &str = "http://www.w3.org/2000/svg";

@@ -3,12 +3,12 @@
 
 use opspace_backend::CommandKind;
 use opspace_experiment::metrics::columns::default_columns;
-use opspace_experiment::report::document::{RunSection, page};
-use opspace_experiment::report::figure::{Figure, Panel, Style};
 use opspace_experiment::{Experiment, Files, Progress, RunOptions, Scenario, Summary};
 use opspace_log::{OutcomeRecord, Recording};
 use opspace_loop::Phase;
 use opspace_model::{Data, frame_placement, kinematics};
+use opspace_report::document::{RunSection, page};
+use opspace_report::figure::{Figure, Panel, Style};
 use std::io::Cursor;
 use std::path::Path;
 
@@ -400,7 +400,7 @@ fn segments_of_a_run_have_the_rows_of_its_log() {
 /// Compared: the ends, the extremes and a gap of a long line before and after it was thinned.
 #[test]
 fn thinned_line_keeps_its_extremes() {
-    use opspace_experiment::report::figure::Series;
+    use opspace_report::figure::Series;
     let x: Vec<f64> = (0..100_000).map(f64::from).collect();
     let mut y: Vec<f64> = x.iter().map(|x| (x * 1e-3).sin()).collect();
     (y[31_234], y[77_777]) = (40.0, -30.0);

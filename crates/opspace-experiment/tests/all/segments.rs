@@ -2,10 +2,10 @@
 #![expect(clippy::unwrap_used, reason = "a test that can't go on has failed")]
 
 use opspace_backend::CommandKind;
-use opspace_experiment::report::document::RunSection;
-use opspace_experiment::report::figure::Series;
 use opspace_experiment::{Experiment, Files, Progress, RunOptions, Scenario, Summary};
 use opspace_log::{LogFile, Recording};
+use opspace_report::document::RunSection;
+use opspace_report::figure::Series;
 use serde_json::Value;
 use std::io::Cursor;
 use std::path::Path;

@@ -3,11 +3,11 @@
 
 use opspace_backend::CommandKind;
 use opspace_experiment::metrics::columns::default_columns;
-use opspace_experiment::report::document::{RunSection, page};
 use opspace_experiment::{
     Experiment, FileError, Files, Progress, RobotDefinition, RunOptions, Source, TaskDefinition,
 };
 use opspace_log::Recording;
+use opspace_report::document::{RunSection, page};
 use opspace_transformer::{ServoParameters, TransformerName};
 use std::io::Cursor;
 use std::path::Path;

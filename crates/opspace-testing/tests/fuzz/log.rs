@@ -7,13 +7,13 @@ use crate::mcap_file::{RecordEdit, Records};
 use crate::root;
 use bolero::{ValueGenerator, produce};
 use opspace_experiment::metrics::columns::default_columns;
-use opspace_experiment::report::document::{RunSection, page};
 use opspace_experiment::run::replay::replay;
 use opspace_experiment::{Experiment, Files, Progress, RunOptions};
 use opspace_log::{
     ChannelData, CsvWriter, LogComparison, LogError, LogFile, MAGIC, OutcomeRecord, Pace, Recording,
     Recovery, record,
 };
+use opspace_report::document::{RunSection, page};
 use std::io::Cursor;
 
 /// Most memory for one log, bytes: that of a chunk of the largest size, and a copy of it.

@@ -9,9 +9,9 @@ use opspace_experiment::evaluate::csv::csv;
 use opspace_experiment::evaluate::notes::notes;
 use opspace_experiment::evaluate::results::{failures, group_rows, table};
 use opspace_experiment::metrics::columns::columns_named;
-use opspace_experiment::report::document::page;
 use opspace_experiment::suites::suite_rows::{SuiteHeader, SuiteRow, SuiteRows};
 use opspace_experiment::{Files, Progress, RunSummary, Suite};
+use opspace_report::document::page;
 use serde_json::{Value, json};
 
 /// Most memory for one file, bytes.

@@ -11,13 +11,15 @@ use opspace_coupling::CoupledParameters;
 use std::collections::BTreeMap;
 
 /// Frame on which objects of the environment act, although no task controls it.
-pub(crate) struct FreeFrame<'a> {
-    pub(crate) frame: &'a str,
-    pub(crate) axes: AxesOfTask,
+pub struct FreeFrame<'a> {
+    /// Name of the frame.
+    pub frame: &'a str,
+    /// Axes of the world, in each task set.
+    pub axes: AxesOfTask,
 }
 
 /// Frames on which objects of the environment act, although neither a Cartesian nor a coupled task controls them, in the order of the objects.
-pub(crate) fn free_frames(experiment: &Experiment) -> Vec<FreeFrame<'_>> {
+pub fn free_frames(experiment: &Experiment) -> Vec<FreeFrame<'_>> {
     let tasks = experiment.task().tasks_of_the_run();
     let is_controlled = |frame: &str| {
         tasks.iter().any(|(_, task)| match task {
@@ -42,7 +44,7 @@ pub(crate) fn free_frames(experiment: &Experiment) -> Vec<FreeFrame<'_>> {
 }
 
 /// Adds the rows of a segment of a log to the response of a frame.
-pub(crate) fn add(run: &Run<'_>, FreeFrame { frame, axes }: &FreeFrame<'_>, response: &mut Response) {
+pub fn add(run: &Run<'_>, FreeFrame { frame, axes }: &FreeFrame<'_>, response: &mut Response) {
     let Some(forces) = run.forces_on(frame).filter(|forces| !forces.is_empty()) else { return };
     let counted = run.settled(run.joints.0);
     for row in axes.rows(run) {

@@ -33,18 +33,18 @@ const CORRELATED: f64 = 0.5;
 
 /// Force and displacement along the axes of a task at one time; an axis that is not considered is NaN.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct ResponseSample {
+pub struct ResponseSample {
     /// Time after the start of control, s.
-    pub(crate) time_s: f64,
+    pub time_s: f64,
     /// External force on the frame, N.
-    pub(crate) force_n: Vector3<f64>,
+    pub force_n: Vector3<f64>,
     /// Displacement from the first sample, m: of the deviation from the reference on motion axes, of the position on compliant axes.
-    pub(crate) moved_m: Vector3<f64>,
+    pub moved_m: Vector3<f64>,
 }
 
 /// Forces and displacements of a task while segments of a log arrive.
 #[derive(Clone, Debug)]
-pub(crate) struct Response {
+pub struct Response {
     samples: Vec<ResponseSample>,
     spacing_s: f64,
     /// Largest magnitudes of force (N) and displacement (m) of all rows, also of those between two samples.
@@ -64,21 +64,21 @@ enum AxisResponse {
 
 /// Numbers of the response of one axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct AxisNumbers {
+pub struct AxisNumbers {
     /// Largest magnitude of the external force, N.
-    pub(crate) force_max_n: f64,
+    pub force_max_n: f64,
     /// Largest magnitude of the displacement, m.
-    pub(crate) deflection_max_m: f64,
+    pub deflection_max_m: f64,
     /// True if the axis follows a reference, from which the force deflects it.
-    pub(crate) deflects: bool,
+    pub deflects: bool,
     /// Slope of the least-squares line of the displacement over the force, inverted, N/m.
-    pub(crate) stiffness_n_per_m: Option<f64>,
+    pub stiffness_n_per_m: Option<f64>,
     /// Largest difference of the displacement at one force, while it rises and while it falls, m; `None` without a stiffness.
-    pub(crate) hysteresis_m: Option<f64>,
+    pub hysteresis_m: Option<f64>,
     /// Displacement at the end without force, magnitude, m.
     pub(crate) return_m: Option<f64>,
     /// Stiffness of the impedance, N/m; `None` without one.
-    pub(crate) desired_n_per_m: Option<f64>,
+    pub desired_n_per_m: Option<f64>,
 }
 
 impl Default for Response {
@@ -90,7 +90,7 @@ impl Default for Response {
 impl Response {
     /// Adds the external force on the frame in the axes of the task (N), the axes, and the deviation from the reference in these axes
     /// (m; `None` without a reference). Rows of a task that controls a force are left out.
-    pub(crate) fn add(
+    pub fn add(
         &mut self,
         time_s: f64,
         row: &TaskRow,
@@ -139,12 +139,12 @@ impl Response {
     }
 
     /// Samples in the order of time.
-    pub(crate) fn samples(&self) -> &[ResponseSample] {
+    pub fn samples(&self) -> &[ResponseSample] {
         &self.samples
     }
 
     /// Returns the numbers of each axis; `None` if nothing pushed the frame. An axis without a force has a deflection alone.
-    pub(crate) fn numbers(&self) -> Option<[AxisNumbers; 3]> {
+    pub fn numbers(&self) -> Option<[AxisNumbers; 3]> {
         let (_, modes) = self.first?;
         let [forces, displacements] = self.largest;
         if forces.iter().all(|force| *force < PUSHED_N) {
@@ -174,7 +174,7 @@ impl Response {
     }
 
     /// Forces (N) and displacements (m) along an axis, without the samples at which other axes alone are pushed.
-    pub(crate) fn points(&self, axis: usize) -> Vec<(f64, f64)> {
+    pub fn points(&self, axis: usize) -> Vec<(f64, f64)> {
         let is_of_another = |force_n: &Vector3<f64>| {
             force_n.iter().any(|other| other.abs() >= PUSHED_N && force_n[axis].abs() < ALONG * other.abs())
         };
@@ -228,7 +228,7 @@ impl Response {
 
 /// Least-squares line of the displacement over the force: displacement without force (m) and compliance (m/N); `None` if they are
 /// not correlated.
-pub(crate) fn line(points: &[(f64, f64)]) -> Option<(f64, f64)> {
+pub fn line(points: &[(f64, f64)]) -> Option<(f64, f64)> {
     let count = points.len() as f64;
     let mean = |of: fn(&(f64, f64)) -> f64| points.iter().map(of).sum::<f64>() / count;
     let (force, moved) = (mean(|point| point.0), mean(|point| point.1));

@@ -14,35 +14,39 @@ pub(crate) const CONTACT_N: f64 = 0.1;
 
 /// Beginning and end of control, as far as a log was read.
 #[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct Control {
+pub struct Control {
     /// Time of the first cycle of control on the robot's clock, s.
-    pub(crate) start_s: Option<f64>,
+    pub start_s: Option<f64>,
     /// True after the robot was stopped.
     pub(crate) is_over: bool,
 }
 
 /// Segment of a log that is evaluated, with its experiment.
-pub(crate) struct Run<'a> {
-    pub(crate) experiment: &'a Experiment,
-    pub(crate) recording: &'a Recording,
-    pub(crate) tick: &'a ChannelData,
+pub struct Run<'a> {
+    /// Experiment of the run.
+    pub experiment: &'a Experiment,
+    /// All rows of the segment.
+    pub recording: &'a Recording,
+    /// Rows of the control cycles.
+    pub tick: &'a ChannelData,
     /// Times (s) and positions (n; rad or m) of the joints: true ones if the log contains them, otherwise measured
     /// ones.
-    pub(crate) joints: (&'a [f64], Column<'a>),
+    pub joints: (&'a [f64], Column<'a>),
     /// Time of the first cycle of control on the robot's clock, s.
-    pub(crate) start_s: f64,
+    pub start_s: f64,
     pub(crate) from_s: f64,
-    pub(crate) to_s: f64,
+    /// Time of the last cycle of control on the robot's clock, s; infinite while the log goes on.
+    pub to_s: f64,
     /// Intervals in which the robot is held, or its torques ramp in after a hold, s.
     held_s: Vec<[f64; 2]>,
     /// Tolerance within which two times are equal, s: times are rounded multiples of a servo period.
-    pub(crate) same_s: f64,
+    pub same_s: f64,
 }
 
 impl<'a> Run<'a> {
     /// Returns the segment `recording`, which follows those with which `control` was called before. `None` before
     /// control begins.
-    pub(crate) fn new(
+    pub fn new(
         experiment: &'a Experiment,
         recording: &'a Recording,
         control: &mut Control,
@@ -83,7 +87,7 @@ impl<'a> Run<'a> {
     }
 
     /// Indices of the times in the evaluated interval: after settling, up to the last control cycle.
-    pub(crate) fn settled(&self, times: &[f64]) -> Range<usize> {
+    pub fn settled(&self, times: &[f64]) -> Range<usize> {
         let begin = times.partition_point(|&t| t < self.from_s - self.same_s);
         let end = times.partition_point(|&t| t <= self.to_s + self.same_s);
         begin..end.max(begin)
@@ -96,7 +100,7 @@ impl<'a> Run<'a> {
     }
 
     /// True at a time in a hold, or in the torque ramp after it.
-    pub(crate) fn is_held(&self, time_s: f64) -> bool {
+    pub fn is_held(&self, time_s: f64) -> bool {
         let begun = self.held_s.partition_point(|[begin_s, _]| *begin_s <= time_s + self.same_s);
         self.held_s[..begun].last().is_some_and(|[_, end_s]| time_s <= end_s + self.same_s)
     }
@@ -112,7 +116,7 @@ impl<'a> Run<'a> {
     }
 
     /// Index of the interface cycle at row `k` of the joints; `None` if the cycle was missed.
-    pub(crate) fn tick_of(&self, k: usize) -> Option<usize> {
+    pub fn tick_of(&self, k: usize) -> Option<usize> {
         let (times, _) = self.joints;
         let ticks = &self.tick.time_s;
         let tick = ticks.partition_point(|&t| t < times[k] - self.same_s);
@@ -121,14 +125,14 @@ impl<'a> Run<'a> {
 
     /// Index of the last cycle that was not missed, at row `k` of the joints or before; the first one of the segment if
     /// there is none.
-    pub(crate) fn tick_up_to(&self, k: usize) -> Option<usize> {
+    pub fn tick_up_to(&self, k: usize) -> Option<usize> {
         let ticks = &self.tick.time_s;
         let after = ticks.partition_point(|&t| t <= self.joints.0[k] + self.same_s);
         (!ticks.is_empty()).then(|| after.saturating_sub(1))
     }
 
     /// Indices of the rows of the joints from the first control cycle to the last.
-    pub(crate) fn controlled(&self) -> Range<usize> {
+    pub fn controlled(&self) -> Range<usize> {
         let times = self.joints.0;
         let begin = times.partition_point(|&t| t < self.start_s - self.same_s);
         begin..self.settled(times).end.max(begin)
@@ -249,6 +253,6 @@ pub(crate) fn finite(number: f64) -> Option<f64> {
 }
 
 /// Norm over the selected elements.
-pub(crate) fn masked_norm(v: &Vector3<f64>, counted: &[bool]) -> f64 {
+pub fn masked_norm(v: &Vector3<f64>, counted: &[bool]) -> f64 {
     v.iter().zip(counted).filter(|(_, counted)| **counted).map(|(x, _)| x * x).sum::<f64>().sqrt()
 }

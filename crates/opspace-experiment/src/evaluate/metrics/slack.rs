@@ -6,7 +6,7 @@ use opspace_backend::signal_names;
 use opspace_log::Column;
 
 /// Units of the slack of translations and of rotations.
-pub(crate) const UNITS: [&str; 2] = ["m/s²", "rad/s²"];
+pub const UNITS: [&str; 2] = ["m/s²", "rad/s²"];
 
 /// Slack of a task while segments of the log arrive: of its translations and of its rotations.
 #[derive(Default)]
@@ -36,12 +36,12 @@ impl SlackOfTask {
 }
 
 /// Returns true if elements of a signal have a unit.
-pub(crate) fn has(slack: &Column<'_>, unit: &str) -> bool {
+pub fn has(slack: &Column<'_>, unit: &str) -> bool {
     slack.units().iter().any(|own| own == unit)
 }
 
 /// Norm over the elements of a row that have a unit.
-pub(crate) fn size(slack: &Column<'_>, k: usize, unit: &str) -> f64 {
+pub fn size(slack: &Column<'_>, k: usize, unit: &str) -> f64 {
     let of_unit = slack.row(k).iter().zip(slack.units()).filter(|(_, own)| *own == unit);
     of_unit.map(|(value, _)| value * value).sum::<f64>().sqrt()
 }

@@ -12,14 +12,17 @@ use opspace_model::{FrameId, Model, Placement};
 
 /// Axes of a task by mode, their frame, and the target of the force axes.
 #[derive(Clone, Copy, PartialEq)]
-pub(crate) struct TaskAxes {
+pub struct TaskAxes {
     pub(crate) directions: AxesFrame,
-    pub(crate) motion: [bool; 6],
-    pub(crate) compliant: [bool; 3],
+    /// Axes that follow a reference: x, y, z, and the rotations about them.
+    pub motion: [bool; 6],
+    /// Compliant axes of translation.
+    pub compliant: [bool; 3],
     pub(crate) compliant_rotations: [bool; 3],
-    pub(crate) force: [bool; 3],
+    /// Axes of translation whose force is controlled.
+    pub force: [bool; 3],
     /// Target force, N; `None` for a streamed task, which gets its target from outside.
-    pub(crate) target: Option<Vector3<f64>>,
+    pub target: Option<Vector3<f64>>,
     /// True if the target is not zero, or unknown: the task is to touch something.
     pub(crate) presses: bool,
     /// Stiffness of the impedance along the motion axes, N/m; `None` without a constant one.
@@ -70,7 +73,7 @@ impl TaskAxes {
     }
 
     /// True if the axes are those of the coordinates of the pose: of the world, or of the frame that the task is relative to.
-    pub(crate) fn are_those_of_the_pose(&self) -> bool {
+    pub fn are_those_of_the_pose(&self) -> bool {
         self.directions == AxesFrame::Fixed(Matrix3::identity())
     }
 }
@@ -84,21 +87,21 @@ fn stiffness_n_per_m(task: &CartesianParameters, axis: usize) -> Option<f64> {
 
 /// Row of the joints during control, with the pose of a task's controlled frame and the task's axes.
 #[derive(Clone, Copy)]
-pub(crate) struct TaskRow {
+pub struct TaskRow {
     /// Index of the row.
-    pub(crate) k: usize,
+    pub k: usize,
     /// Pose in the world, or in the coordinates of the frame that the task is relative to.
-    pub(crate) pose: Placement,
+    pub pose: Placement,
     /// Axes of the task in the coordinates of the pose, one per column; the identity where the task has no priority.
-    pub(crate) rotation: Matrix3<f64>,
+    pub rotation: Matrix3<f64>,
     /// Axes of the task in the world, one per column.
-    pub(crate) in_world: Matrix3<f64>,
+    pub in_world: Matrix3<f64>,
     /// `None` where the task has no priority.
-    pub(crate) axes: Option<TaskAxes>,
+    pub axes: Option<TaskAxes>,
 }
 
 /// Axes of a task in each task set of an experiment: that at the start, and those after each event.
-pub(crate) struct AxesOfTask {
+pub struct AxesOfTask {
     name: String,
     controlled: ControlledFrame,
     /// Axes in each set; `None` where the task has no priority.
@@ -106,7 +109,9 @@ pub(crate) struct AxesOfTask {
 }
 
 impl AxesOfTask {
-    pub(crate) fn new(experiment: &Experiment, name: &str, controlled: ControlledFrame) -> Self {
+    /// Collects the axes of a Cartesian task, or of the centre of mass, in each task set.
+    #[must_use]
+    pub fn new(experiment: &Experiment, name: &str, controlled: ControlledFrame) -> Self {
         let (file, model) = (&experiment.task().file, &experiment.robot().model);
         let events = experiment.task().events.iter().map(|event| (&event.priority, &event.task));
         let sets = std::iter::once((&file.priority, &file.task)).chain(events);
@@ -145,19 +150,13 @@ impl AxesOfTask {
         Self { name: String::new(), controlled: ControlledFrame::Frame(frame), sets }
     }
 
-    /// Axes of a task without a priority.
-    #[cfg(test)]
-    pub(crate) fn nowhere() -> Self {
-        Self { name: String::new(), controlled: ControlledFrame::CenterOfMass, sets: Vec::new() }
-    }
-
     /// Axes whose force the task controls in some task set.
-    pub(crate) fn force_axes(&self) -> [bool; 3] {
+    pub fn force_axes(&self) -> [bool; 3] {
         [0, 1, 2].map(|axis| self.sets.iter().flatten().any(|axes| axes.force[axis]))
     }
 
     /// Axes of the task if they are the same during the whole run.
-    pub(crate) fn constant(&self, run: &Run<'_>) -> Option<TaskAxes> {
+    pub fn constant(&self, run: &Run<'_>) -> Option<TaskAxes> {
         let first = (*self.sets.first()?)?;
         let is_logged =
             [MODES, AXES].iter().any(|name| run.tick.signal(&signal_names::of(&self.name, name)).is_some());
@@ -165,7 +164,7 @@ impl AxesOfTask {
     }
 
     /// Rows of the joints during control.
-    pub(crate) fn rows(&self, run: &Run<'_>) -> Vec<TaskRow> {
+    pub fn rows(&self, run: &Run<'_>) -> Vec<TaskRow> {
         let signal = |name: &str| run.tick.signal(&signal_names::of(&self.name, name));
         let (set_in_force, modes, turned) = (run.tick.signal(TASK_SET), signal(MODES), signal(AXES));
         let axes_at = |k: usize| {
@@ -203,7 +202,7 @@ impl AxesOfTask {
 }
 
 /// Converts a logged orientation: a quaternion, real part first.
-pub(crate) fn orientation(wxyz: &[f64]) -> Matrix3<f64> {
+pub fn orientation(wxyz: &[f64]) -> Matrix3<f64> {
     let quaternion = Quaternion::new(wxyz[0], wxyz[1], wxyz[2], wxyz[3]);
     UnitQuaternion::from_quaternion(quaternion).to_rotation_matrix().into_inner()
 }

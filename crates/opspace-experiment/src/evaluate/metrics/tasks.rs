@@ -356,11 +356,7 @@ impl CartesianErrors {
 }
 
 /// Target of the force axes at a row, N: as logged on axes in contact, otherwise as in the file; `None` if it is not known.
-pub(crate) fn force_target(
-    axes: &TaskAxes,
-    logged: Option<&[f64]>,
-    made: Option<&[f64]>,
-) -> Option<Vector3<f64>> {
+pub fn force_target(axes: &TaskAxes, logged: Option<&[f64]>, made: Option<&[f64]>) -> Option<Vector3<f64>> {
     let (Some(logged), Some(made)) = (logged, made) else { return axes.target };
     let mut target = axes.target.unwrap_or_else(|| Vector3::from_column_slice(&logged[..3]));
     for axis in (0..3).filter(|&axis| made[axis] == 1.0) {
@@ -549,7 +545,7 @@ impl CompliantMotion {
 impl Run<'_> {
     /// True forces of the objects of the environment that act on the body of a frame; `None` if the log has no true
     /// state.
-    pub(crate) fn forces_on(&self, frame: &str) -> Option<Vec<Column<'_>>> {
+    pub fn forces_on(&self, frame: &str) -> Option<Vec<Column<'_>>> {
         Some(self.named_forces_on(frame)?.into_iter().map(|(_, force)| force).collect())
     }
 
@@ -572,6 +568,6 @@ fn logged_row<'a>(column: Option<Column<'a>>, k: Option<usize>) -> Option<&'a [f
 }
 
 /// Sum of the forces in row `k`, world axes.
-pub(crate) fn total(forces: &[Column<'_>], k: usize) -> Vector3<f64> {
+pub fn total(forces: &[Column<'_>], k: usize) -> Vector3<f64> {
     forces.iter().map(|force| Vector3::from_column_slice(force.row(k))).sum()
 }

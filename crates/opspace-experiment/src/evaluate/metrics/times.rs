@@ -13,17 +13,19 @@ const DIGITS: u8 = 3;
 
 /// Histogram of the durations of the control cycles, to three significant digits.
 #[derive(Clone, Debug)]
-pub(crate) struct CycleTimes {
+pub struct CycleTimes {
     times_ns: Option<Histogram<u64>>,
 }
 
-impl CycleTimes {
-    pub(crate) fn new() -> Self {
+impl Default for CycleTimes {
+    fn default() -> Self {
         Self { times_ns: Histogram::new_with_max(MAX_NS, DIGITS).ok() }
     }
+}
 
+impl CycleTimes {
     /// Adds the cycles of a segment of a log.
-    pub(crate) fn add(&mut self, segment: &Recording) {
+    pub fn add(&mut self, segment: &Recording) {
         let (Some(tick), Some(timing)) = (segment.channel(TICK_CHANNEL), segment.channel(TIMING_CHANNEL))
         else {
             return;
@@ -41,7 +43,7 @@ impl CycleTimes {
     }
 
     /// Histogram with at least one cycle.
-    pub(crate) fn histogram(&self) -> Option<&Histogram<u64>> {
+    pub fn histogram(&self) -> Option<&Histogram<u64>> {
         self.times_ns.as_ref().filter(|times_ns| !times_ns.is_empty())
     }
 

@@ -1,0 +1,34 @@
+//! Motion of a real robot to the start position of a task, with a folder of results.
+
+use crate::scenario_run::{LeftBehind, run_robots};
+use opspace_experiment::evaluate::summary::Summary;
+use opspace_experiment::extensions::Extensions;
+use opspace_experiment::run::error::RunError;
+use opspace_experiment::run::execute::Progress;
+use opspace_experiment::run::experiment::Experiment;
+use opspace_experiment::run::real_robot::positions;
+use opspace_experiment::run::result_files::ResultFolder;
+use opspace_experiment::run::scenario::Scenario;
+use std::path::Path;
+
+/// Opens the robot of `[driver]` and moves it slowly to the start position of the task
+/// ([`Experiment::motion_to_start`]). Writes log, summary and report of the motion to `folder`. `None`
+/// if the robot is already there. The robot is watched as in [`run_on_drivers`].
+///
+/// # Errors
+/// As [`Experiment::run_on_driver`].
+pub fn move_to_start(
+    experiment: &Experiment,
+    extensions: &Extensions,
+    folder: &Path,
+    progress: &Progress,
+    left_behind: LeftBehind<'_>,
+) -> Result<Option<Summary>, RunError> {
+    experiment.with_driver(extensions, |backend| {
+        let Some(motion) = experiment.motion_to_start(&positions(backend)?)? else { return Ok(None) };
+        motion.check_robot(backend)?;
+        let folder = ResultFolder::open(folder)?;
+        let summary = run_robots(&Scenario::from(motion), &mut [backend], &folder, progress, left_behind)?;
+        Ok(summary.robots.into_values().next())
+    })
+}
