@@ -13,7 +13,7 @@ use std::path::Path;
 
 /// Opens the robot of `[driver]` and moves it slowly to the start position of the task
 /// ([`Experiment::motion_to_start`]). Writes log, summary and report of the motion to `folder`. `None`
-/// if the robot is already there. The robot is watched as in [`run_on_drivers`].
+/// if the robot is already there. The robot is watched as in [`run_on_drivers`](crate::run_on_drivers).
 ///
 /// # Errors
 /// As [`Experiment::run_on_driver`].
