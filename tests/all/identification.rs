@@ -2,9 +2,9 @@
 //! simulation.
 
 use opspace_experiment::Progress;
-use opspace_experiment::identify::{IdentificationJob, IdentificationResults, Request};
 use opspace_experiment::{Files, RobotDefinition, Source};
 use opspace_identify::{ExcitationPlan, TorqueScale};
+use opspace_setup::identify::{IdentificationJob, IdentificationResults, Request};
 use std::path::Path;
 
 const ROBOT: &str = "robots/asimo-arm";

@@ -3,5 +3,8 @@
 #![expect(clippy::print_stdout, reason = "the command is what it is for")]
 
 fn main() {
-    println!("the unit tests of {} are run by: cargo test -p opspace-testing --test control-units", env!("CARGO_PKG_NAME"));
+    println!(
+        "the unit tests of {} are run by: cargo test -p opspace-testing --test control-units",
+        env!("CARGO_PKG_NAME")
+    );
 }

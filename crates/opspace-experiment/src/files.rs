@@ -16,7 +16,7 @@ pub(crate) mod numbers;
 pub mod origin;
 pub mod overrides;
 pub(crate) mod renamed;
-pub(crate) mod required_keys;
+pub mod required_keys;
 pub mod robot;
 pub mod robot_part;
 pub(crate) mod sensor_loads;

@@ -29,6 +29,6 @@ pub mod scenario;
 mod segments;
 pub mod servo_damping;
 mod start;
-pub(crate) mod start_positions;
+pub mod start_positions;
 mod transformer;
 mod viewer_scene;

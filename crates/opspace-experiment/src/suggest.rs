@@ -25,7 +25,7 @@ where
 }
 
 /// Returns a hint with the most similar of the known names and a list of all of them.
-pub(crate) fn choices<'a, S: AsRef<str> + ?Sized + 'a>(
+pub fn choices<'a, S: AsRef<str> + ?Sized + 'a>(
     name: &str,
     known: impl IntoIterator<Item = &'a S>,
 ) -> String {

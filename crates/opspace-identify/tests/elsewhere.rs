@@ -3,5 +3,8 @@
 #![expect(clippy::print_stdout, reason = "the command is what it is for")]
 
 fn main() {
-    println!("the tests of {} are run by: cargo test -p opspace-testing --test identify --test identify-units", env!("CARGO_PKG_NAME"));
+    println!(
+        "the tests of {} are run by: cargo test -p opspace-testing --test identify --test identify-units",
+        env!("CARGO_PKG_NAME")
+    );
 }

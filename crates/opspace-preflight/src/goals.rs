@@ -8,8 +8,8 @@ use opspace_control::reach;
 use opspace_control::{AXIS_NAMES, BuildTask, CartesianReference, ControlledFrame, Task, TaskReference};
 use opspace_experiment::codes::Code;
 use opspace_experiment::finding::Finding;
+use opspace_experiment::postures::posture_at::{PostureSearch, REACHED_M, norm_in};
 use opspace_experiment::run::rollout::{Instant, Rollout, error};
-use opspace_experiment::setup::posture_at::{PostureSearch, REACHED_M, norm_in};
 use opspace_model::{Data, FrameId, kinematics};
 
 /// Number of parts into which a run's instants are divided; the worst instant of each part is examined.

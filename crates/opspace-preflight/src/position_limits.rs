@@ -11,8 +11,8 @@ use nalgebra::Rotation3;
 use opspace_control::{AxisMode, ControlledFrame};
 use opspace_experiment::codes::Code;
 use opspace_experiment::finding::Finding;
+use opspace_experiment::postures::posture_at::norm_in;
 use opspace_experiment::run::rollout::{Instant, Rollout, RolloutCase};
-use opspace_experiment::setup::posture_at::norm_in;
 
 /// Distance beyond the range of a joint that may be rounding, rad or m.
 const ROUNDING: f64 = 1e-6;

@@ -12,8 +12,8 @@ use opspace_backend::GravityCompensation;
 use opspace_control::{AXIS_NAMES, ControlledFrame};
 use opspace_experiment::codes::Code;
 use opspace_experiment::finding::Finding;
+use opspace_experiment::postures::tip::tip;
 use opspace_experiment::run::rollout::{Instant, Rollout};
-use opspace_experiment::setup::tip::tip;
 use opspace_model::{Data, FrameId, Inertia, Model, Placement, frame_jacobian, kinematics, rnea};
 use std::fmt;
 

@@ -14,7 +14,6 @@ mod event_times;
 pub mod figure;
 pub mod folder;
 pub mod html;
-pub mod identification_page;
 mod kinds;
 mod lines;
 mod move_to_start;

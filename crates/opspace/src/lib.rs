@@ -15,6 +15,7 @@
 //! | record, read and replay runs | [`log`] |
 //! | identify the servos of a robot | [`identify`] |
 //! | find mistakes in them before a run | [`preflight`] |
+//! | write the files of a new robot | [`setup`] |
 //! | run robot and task files | [`experiment`] |
 //! | draw figures and pages of runs, and keep them in folders | [`report`] |
 //!
@@ -94,6 +95,7 @@ pub use opspace_loop as control_loop;
 pub use opspace_model as model;
 pub use opspace_preflight as preflight;
 pub use opspace_report as report;
+pub use opspace_setup as setup;
 pub use opspace_sim as sim;
 pub use opspace_transformer as transformer;
 

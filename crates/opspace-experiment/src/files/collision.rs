@@ -185,7 +185,7 @@ pub fn generated_capsules(urdf: &Source) -> Result<GeneratedCapsules, FileError>
 }
 
 /// Returns the mass properties of the shapes of each link that has some, with these densities, in the frame of the link.
-pub(crate) fn link_solids(urdf: &Source, densities: Densities) -> Result<Vec<(String, Inertia)>, FileError> {
+pub fn link_solids(urdf: &Source, densities: Densities) -> Result<Vec<(String, Inertia)>, FileError> {
     let mut solids = Vec::new();
     for link in shapes_of(urdf)? {
         let solid = solid_inertia(&link, Some(Path::new(urdf.name())), densities)
@@ -196,7 +196,7 @@ pub(crate) fn link_solids(urdf: &Source, densities: Densities) -> Result<Vec<(St
 }
 
 /// Returns the inertias that a URDF states for its links, in their frames.
-pub(crate) fn link_inertias(urdf: &Source) -> Result<Vec<(String, Inertia)>, FileError> {
+pub fn link_inertias(urdf: &Source) -> Result<Vec<(String, Inertia)>, FileError> {
     Ok(shapes_of(urdf)?.into_iter().filter_map(|link| Some((link.link, link.inertia?))).collect())
 }
 

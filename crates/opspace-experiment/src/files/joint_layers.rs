@@ -39,7 +39,7 @@ pub struct UrdfValue {
 }
 
 /// Returns the values of the drives that a URDF states: torque limits and friction.
-pub(crate) fn urdf_values(model: &Model, dynamics: &[JointDynamics]) -> Vec<UrdfValue> {
+pub fn urdf_values(model: &Model, dynamics: &[JointDynamics]) -> Vec<UrdfValue> {
     let mut values = Vec::new();
     for (joint, dynamics) in model.joints().iter().zip(dynamics) {
         let effort = Some(joint.limits.effort).filter(|effort| *effort > 0.0 && *effort <= LARGEST_EFFORT);

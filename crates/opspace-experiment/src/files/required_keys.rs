@@ -1,9 +1,9 @@
 //! Keys of robot.toml without a default: each with its meaning, its typical range, and where one finds it.
 
 /// Key of robot.toml without a default.
-pub(crate) struct Required {
+pub struct Required {
     /// Path below the file, the joint, the profile or the servo.
-    pub(crate) path: &'static [&'static str],
+    pub path: &'static [&'static str],
     /// Meaning, with unit.
     pub(crate) meaning: &'static str,
     /// Typical range, with units; empty if there is none.
@@ -31,14 +31,14 @@ impl Required {
     }
 
     /// Line of a robot.toml in which the value is still missing.
-    pub(crate) fn line(&self) -> String {
+    pub fn line(&self) -> String {
         let key = self.path.last().copied().unwrap_or_default();
         format!("{:<29} # {}\n", format!("# {key} ="), self.meaning)
     }
 }
 
 /// All keys without a default.
-pub(crate) fn all() -> impl Iterator<Item = &'static Required> {
+pub fn all() -> impl Iterator<Item = &'static Required> {
     let servos = OF_SERVO.iter().chain(&OF_VELOCITY_SERVO);
     let single = [&SETPOINTS, &VELOCITY_LIMIT];
     OF_FILE.iter().chain(single).chain(&OF_JOINT).chain(&OF_PROFILE).chain(servos)

@@ -395,7 +395,7 @@ impl RobotDefinition {
     }
 
     /// Value at a path of the robot file, with the values of its groups, defaults and URDF, as TOML.
-    pub(crate) fn value_of(&self, path: &[&str]) -> Option<toml_edit::Value> {
+    pub fn value_of(&self, path: &[&str]) -> Option<toml_edit::Value> {
         let value = with_expanded(&self.source, &self.model, &self.urdf_values, "", |_, expanded, _| {
             Ok(inner(&expanded, path).map(|value| inline_text(value.get_ref())))
         });

@@ -64,16 +64,20 @@ pub(crate) fn load_part(source: &Source, urdf: &Source, keys: &PartKeys) -> Resu
 }
 
 /// Part of a URDF.
-pub(crate) struct PartOf<'a> {
+pub struct PartOf<'a> {
     /// All joints of the URDF; not needed if all of it is used, and nothing is locked.
     pub joints: &'a [UrdfJoint],
+    /// Part of the robot that is used; all of it if `None`.
     pub used: Option<&'a UsedPart>,
+    /// Positions of the joints that do not move, rad or m, by name.
     pub locked_joints: &'a BTreeMap<String, f64>,
 }
 
 /// Error in a URDF, or in the file that chooses a part of it.
-pub(crate) enum UrdfOrFile {
+pub enum UrdfOrFile {
+    /// The URDF is at fault.
     Urdf(UrdfError),
+    /// The robot file is at fault.
     File(FileError),
 }
 
@@ -92,7 +96,7 @@ impl UrdfOrFile {
 ///
 /// # Errors
 /// As [`load_part`].
-pub(crate) fn load_part_of(
+pub fn load_part_of(
     source: &Source,
     urdf: &Source,
     part: &PartOf<'_>,
@@ -107,7 +111,7 @@ pub(crate) fn load_part_of(
 }
 
 /// Error in a URDF, at its line.
-pub(crate) fn urdf_error(urdf: &Source, error: &UrdfError) -> FileError {
+pub fn urdf_error(urdf: &Source, error: &UrdfError) -> FileError {
     let line = error.line().and_then(|line| usize::try_from(line).ok());
     let found = FileError::at_line(urdf, line, error.kind().to_string(), None);
     match error.kind() {

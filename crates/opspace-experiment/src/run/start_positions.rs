@@ -14,7 +14,7 @@ const LEAST_DEGREES: f64 = 7.0;
 const LARGEST_START: f64 = 1e4;
 
 /// Checks a start position of a joint, rad or m. The error is a message and a help.
-pub(crate) fn check_start(limits: &Limits, value: f64) -> Result<(), (String, String)> {
+pub fn check_start(limits: &Limits, value: f64) -> Result<(), (String, String)> {
     let (lower, upper) = (limits.lower.max(-LARGEST_START), limits.upper.min(LARGEST_START));
     if value >= lower && value <= upper {
         return Ok(());

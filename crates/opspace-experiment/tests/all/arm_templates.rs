@@ -1,11 +1,11 @@
 //! Templates of common arms, on chains with their shapes.
 #![expect(clippy::unwrap_used, reason = "a test that can't go on has failed")]
 
-use opspace_experiment::setup::arm_shape::ArmShape;
-use opspace_experiment::setup::arm_template::ArmTemplate;
-use opspace_experiment::setup::new_robot::{DriveValues, KnownMasses, NewFiles, Part, new_files};
 use opspace_experiment::{FileError, RobotDefinition, Source};
 use opspace_model::Model;
+use opspace_setup::arm_shape::ArmShape;
+use opspace_setup::arm_template::ArmTemplate;
+use opspace_setup::new_robot::{DriveValues, KnownMasses, NewFiles, Part, new_files};
 use std::f64::consts::FRAC_PI_2;
 use std::fmt::Write as _;
 

@@ -1,9 +1,9 @@
 //! Capsules and obstacles in files: errors, diagnostics, logs without meshes, and runs.
 
 use opspace_backend::CommandKind;
+use opspace_experiment::postures::own_body::OwnBody;
+use opspace_experiment::postures::posture_at::posture_at;
 use opspace_experiment::run::replay::replay;
-use opspace_experiment::setup::own_body::OwnBody;
-use opspace_experiment::setup::posture_at::posture_at;
 use opspace_experiment::{
     Code, Experiment, Extensions, FileError, Files, Finding, Progress, RobotDefinition, RunOptions,
 };

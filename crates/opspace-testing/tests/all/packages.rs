@@ -23,14 +23,16 @@ fn files(folder: &Path) -> Vec<PathBuf> {
     all
 }
 
-/// Compared: the files that `opspace-experiment` embeds, and the original files of the project.
+/// Compared: the files that crates embed, and the original files of the project.
 #[test]
 fn embedded_files_are_those_of_the_project() {
-    let embedded = root().join("crates/opspace-experiment/embedded");
-    let copies = files(&embedded);
-    assert!(copies.len() >= 7, "{copies:?}");
-    for copy in copies {
-        assert_equal(&copy, &root().join(copy.strip_prefix(&embedded).expect("within the folder")));
+    for (name, least) in [("opspace-experiment", 7), ("opspace-setup", 3)] {
+        let embedded = root().join("crates").join(name).join("embedded");
+        let copies = files(&embedded);
+        assert!(copies.len() >= least, "{copies:?}");
+        for copy in copies {
+            assert_equal(&copy, &root().join(copy.strip_prefix(&embedded).expect("within the folder")));
+        }
     }
 }
 

@@ -8,12 +8,12 @@ use crate::states::{Sample, evaluate};
 use crate::{CORPUS, text, texts};
 use opspace_experiment::Source;
 use opspace_experiment::files::robot::load_urdf;
-use opspace_experiment::setup::robot_template::{NewRobot, robot_toml};
 use opspace_model::collision::{
     CollisionData, CollisionError, CollisionModel, collision_distances, generate_capsules,
 };
 use opspace_model::urdf::link_shapes;
 use opspace_model::{Data, Model, UrdfOptions, forward_kinematics, model_warnings, neutral};
+use opspace_setup::robot_template::{NewRobot, robot_toml};
 
 /// Most memory for one file, bytes.
 const MOST_BYTES: usize = 64 << 20;

@@ -4,13 +4,13 @@
 //! states its servos, or the bandwidth of their loops, from which they follow with the inertias of the URDF. A template of a robot
 //! of this repository consists of what differs from the robot.toml of that robot.
 
-use crate::files::source::{FileError, Source, parse};
-use crate::setup::arm_shape::ArmShape;
-use crate::setup::assumed_drives::{VELOCITY_LOOP_HZ, rounded};
-use crate::setup::robot_template::{NewRobot, assumed_links, link_tables};
-use crate::setup::tip::tip;
-use crate::suggest::choices;
+use crate::arm_shape::ArmShape;
+use crate::assumed_drives::{VELOCITY_LOOP_HZ, rounded};
+use crate::robot_template::{NewRobot, assumed_links, link_tables};
 use opspace_backend::CommandKind;
+use opspace_experiment::files::source::{FileError, Source, parse};
+use opspace_experiment::postures::tip::tip;
+use opspace_experiment::suggest::choices;
 use opspace_model::{JointKind, Model};
 use serde::Deserialize;
 use std::fmt::Write as _;
@@ -38,9 +38,9 @@ const TEMPLATES: [(&str, &str); 16] = [
 
 /// Name and text of the robots of this repository that are templates.
 const BASES: [(&str, &str); 3] = [
-    ("robots/panda", include_str!("../../embedded/robots/panda/robot.toml")),
-    ("robots/ur5e", include_str!("../../embedded/robots/ur5e/robot.toml")),
-    ("robots/asimo-arm", include_str!("../../embedded/robots/asimo-arm/robot.toml")),
+    ("robots/panda", include_str!("../embedded/robots/panda/robot.toml")),
+    ("robots/ur5e", include_str!("../embedded/robots/ur5e/robot.toml")),
+    ("robots/asimo-arm", include_str!("../embedded/robots/asimo-arm/robot.toml")),
 ];
 
 /// Tables and keys of a robot.toml that are about its own URDF.

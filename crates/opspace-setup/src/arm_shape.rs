@@ -8,8 +8,8 @@
 //! mass     of all links from the first joint on
 //! ```
 
-use crate::files::source::Source;
 use nalgebra::Vector3;
+use opspace_experiment::files::source::Source;
 use opspace_model::urdf::link_shapes;
 use opspace_model::{JointKind, Model, Placement};
 use serde::{Deserialize, Deserializer};

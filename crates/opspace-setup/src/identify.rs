@@ -3,17 +3,18 @@
 //! [`opspace_identify`] performs the identification. This module reads the robot from its file, and writes the
 //! results as a section of robot.toml, as a complete robot.toml, as JSON and as an HTML page.
 
+pub mod page;
 mod toml_output;
 
-use crate::evaluate::table::{Cell, Table};
-use crate::files::robot::RobotDefinition;
-use crate::files::source::FileError;
-use crate::run::execute::Progress;
-use crate::run::start_positions::check_start;
-use crate::suggest::choices;
 use nalgebra::DMatrix;
 use opspace_backend::quantity::Positive;
 use opspace_backend::{Backend, CommandKind};
+use opspace_experiment::evaluate::table::{Cell, Table};
+use opspace_experiment::files::robot::RobotDefinition;
+use opspace_experiment::files::source::FileError;
+use opspace_experiment::run::execute::Progress;
+use opspace_experiment::run::start_positions::check_start;
+use opspace_experiment::suggest::choices;
 use opspace_identify::response::Point;
 use opspace_identify::session::{AbortReason, ExcitationSession};
 use opspace_identify::{ExcitationPlan, Identification, KnownParameters, TorqueScale, identify};

@@ -1,16 +1,16 @@
 //! robot.toml of a new robot: one that lists all required values and guesses none, and one with assumed values.
 
-use crate::files::joint_layers::UrdfValue;
-use crate::files::mount::MountFile;
-use crate::files::required_keys::{self, Required};
-use crate::files::robot_part::UsedPart;
-use crate::setup::assumed_bodies::{AssumedBody, BodySource, DENSITIES, numbers};
-use crate::setup::assumed_drives::{
+use crate::assumed_bodies::{AssumedBody, BodySource, DENSITIES, numbers};
+use crate::assumed_drives::{
     ACCELERATION, AssumedDrive, COULOMB_SHARE, DriveKind, GEAR_RAD_PER_M, HOBBY_KG_M2_PER_NM,
     HOBBY_STEPS_PER_TURN, HOBBY_STIFFNESS_PER_M, HOBBY_STIFFNESS_PER_RAD, HOBBY_VISCOUS_S,
     HOBBY_VISCOUS_S_PER_M, KP_PER_S, LIMIT_OVER_NEED, NEIGHBOUR_SHARE, ROTOR_KG_M2_PER_NM, ROTOR_KG_PER_N,
     VELOCITY_LOOP_HZ, VISCOUS_SHARE, rounded,
 };
+use opspace_experiment::files::joint_layers::UrdfValue;
+use opspace_experiment::files::mount::MountFile;
+use opspace_experiment::files::required_keys::{self, Required};
+use opspace_experiment::files::robot_part::UsedPart;
 use opspace_model::{Joint, JointKind, Model};
 use std::f64::consts::TAU;
 use std::fmt::Write as _;

@@ -6,8 +6,8 @@
 //! plausible, and otherwise follows from the need: many URDFs state efforts that no such drive has. It is the *size* of the drive,
 //! from which rotor and friction follow. Small arms get [hobby servos](DriveKind::HobbyServo).
 
-use crate::setup::tip::{arms, tip};
 use nalgebra::{Matrix3, Vector3};
+use opspace_experiment::postures::tip::{arms, tip};
 use opspace_model::{
     Data, Inertia, Joint, JointDynamics, JointKind, Model, Postures, crba, forward_kinematics, gravity,
 };

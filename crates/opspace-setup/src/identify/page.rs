@@ -1,11 +1,11 @@
 //! Page about an identification: Bode plots of T and D* for each joint, and friction over speed.
 
-use crate::figure::{Figure, Panel, Scale, Series, Style};
-use crate::html::Page;
+use super::{IdentificationResults, JointIdentification};
 use nalgebra::Complex;
-use opspace_experiment::identify::{IdentificationResults, JointIdentification};
 use opspace_identify::TorqueScale;
 use opspace_identify::interval::SetpointFilterModel;
+use opspace_report::figure::{Figure, Panel, Scale, Series, Style};
+use opspace_report::html::Page;
 
 /// Number of points of a drawn curve.
 const CURVE: usize = 300;

@@ -6,11 +6,11 @@
 //!
 //! No link beyond the second joint is heavier than the heaviest before it: a wrist is lighter than its shoulder.
 
-use crate::files::collision::link_solids;
-use crate::files::source::{FileError, Source};
-use crate::setup::assumed_drives::rounded;
-use crate::setup::tip::tip;
+use crate::assumed_drives::rounded;
 use nalgebra::{Matrix3, SymmetricEigen, Vector3};
+use opspace_experiment::files::collision::link_solids;
+use opspace_experiment::files::source::{FileError, Source};
+use opspace_experiment::postures::tip::tip;
 use opspace_model::collision::Densities;
 use opspace_model::{Inertia, MasslessJoint, Model, Placement};
 

@@ -1,8 +1,8 @@
 //! Identification results in the format of robot.toml: the servo section, and a complete file.
 
 use super::{IdentificationResults, JointIdentification};
-use crate::files::source::{FileError, KeyPath};
-use crate::transformers::gain_interval::ASSUMED;
+use opspace_experiment::files::source::{FileError, KeyPath};
+use opspace_experiment::transformers::gain_interval::ASSUMED;
 use opspace_identify::identification::Servo;
 use opspace_identify::interval::SetpointFilterModel;
 use opspace_identify::{Interval95, TorqueScale};

@@ -1,25 +1,25 @@
 //! Files of a new robot from its URDF.
 
-use crate::files::collision::{generated_capsules, link_inertias};
-use crate::files::joint_layers::urdf_values;
-use crate::files::mount::MountFile;
-use crate::files::robot::RobotDefinition;
-use crate::files::robot_part::{PartOf, UsedPart, load_part_of, urdf_error};
-use crate::files::source::{FileError, Source};
-use crate::files::task::TaskDefinition;
-use crate::run::experiment::{Experiment, RunOptions};
-use crate::setup::arm_template::ArmTemplate;
-use crate::setup::assumed_bodies::{AssumedBody, BodySource, assumed_bodies, floored_bodies, numbers};
-use crate::setup::assumed_drives::{
+use crate::arm_template::ArmTemplate;
+use crate::assumed_bodies::{AssumedBody, BodySource, assumed_bodies, floored_bodies, numbers};
+use crate::assumed_drives::{
     DriveKind, HOBBY_LENGTH_M, HOBBY_MASS_KG, PAYLOAD_SHARE, assumed_drives, servo_gains, velocity_gains,
 };
-use crate::setup::first_motion::{Clearance, ControlledAxes, FirstMotion, first_motion};
-use crate::setup::first_task::first_task_toml;
-use crate::setup::robot_template::{NewRobot, assumed_robot_toml, robot_toml};
-use crate::setup::tip::{arms, joints_beyond, other_ends, tip};
-use crate::suggest::choices;
+use crate::first_motion::{Clearance, ControlledAxes, FirstMotion, first_motion};
+use crate::first_task::first_task_toml;
+use crate::robot_template::{NewRobot, assumed_robot_toml, robot_toml};
 use nalgebra::{Matrix3, Vector3};
 use opspace_backend::CommandKind;
+use opspace_experiment::files::collision::{generated_capsules, link_inertias};
+use opspace_experiment::files::joint_layers::urdf_values;
+use opspace_experiment::files::mount::MountFile;
+use opspace_experiment::files::robot::RobotDefinition;
+use opspace_experiment::files::robot_part::{PartOf, UsedPart, load_part_of, urdf_error};
+use opspace_experiment::files::source::{FileError, Source};
+use opspace_experiment::files::task::TaskDefinition;
+use opspace_experiment::postures::tip::{arms, joints_beyond, other_ends, tip};
+use opspace_experiment::run::experiment::{Experiment, RunOptions};
+use opspace_experiment::suggest::choices;
 use opspace_model::collision::CapsuleWarning;
 use opspace_model::{
     FrameId, Inertia, JointDynamics, Limits, Model, ParsedUrdf, UrdfJoint, UrdfWarning, urdf_joints,

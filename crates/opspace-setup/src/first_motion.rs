@@ -1,11 +1,11 @@
 //! A first motion of a robot: a start pose away from limits, singularities and self-contact, and a displacement of the tip
 //! that the arm can do there.
 
-use crate::files::source::Source;
-use crate::setup::assumed_drives::LARGEST_POSITION;
-use crate::setup::own_body::{Contacts, OwnBody};
-use crate::setup::tip::{arms, tip};
+use crate::assumed_drives::LARGEST_POSITION;
 use nalgebra::{DMatrix, DVector, Dyn, Matrix3, Matrix6xX, SVD, Vector3};
+use opspace_experiment::files::source::Source;
+use opspace_experiment::postures::own_body::{Contacts, OwnBody};
+use opspace_experiment::postures::tip::{arms, tip};
 use opspace_model::{
     Data, FrameId, JointKind, Model, Postures, forward_kinematics, frame_jacobian, frame_placement, gravity,
 };

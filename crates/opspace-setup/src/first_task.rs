@@ -1,6 +1,6 @@
 //! First task of a new robot: its tip moves and returns.
 
-use crate::setup::first_motion::{ControlledAxes, FirstMotion};
+use crate::first_motion::{ControlledAxes, FirstMotion};
 use opspace_model::Model;
 use std::fmt::Write as _;
 use toml_edit::{Key, Value};

@@ -1,8 +1,8 @@
 //! Search for a posture in which a task's target is reached: inverse kinematics within the joint ranges, from several starts.
 
 use crate::files::toml_path::dotted;
+use crate::postures::own_body::OwnBody;
 use crate::run::rollout::error;
-use crate::setup::own_body::OwnBody;
 use nalgebra::{DVector, Matrix6, Matrix6xX, Vector6};
 use opspace_backend::quantity::Positive;
 use opspace_control::references::reference::Waypoint;
@@ -245,7 +245,7 @@ fn rounded(q: f64) -> f64 {
 mod tests {
     use super::{Quality, REACHED_M, posture_at, room};
     use crate::files::source::Source;
-    use crate::setup::own_body::OwnBody;
+    use crate::postures::own_body::OwnBody;
     use opspace_model::{Model, Placement};
 
     /// Two links of 1 m whose joints turn about y, on a column of 0.5 m without inertia. The elbow turns further to one side.
