@@ -3,7 +3,7 @@
 //! [`opspace_identify`] performs the identification. This module reads the robot from its file, and writes the
 //! results as a section of robot.toml, as a complete robot.toml, as JSON and as an HTML page.
 
-pub mod page;
+pub mod identification_page;
 mod toml_output;
 
 use nalgebra::DMatrix;

@@ -13,7 +13,7 @@ use opspace_experiment::{Files, RobotDefinition, Source};
 use opspace_identify::ExcitationPlan;
 use opspace_identify::session::AbortReason;
 use opspace_model::files::open_file;
-use opspace_setup::identify::page::identification_page;
+use opspace_setup::identify::identification_page::identification_page;
 use opspace_setup::identify::{IdentificationJob, IdentificationResults, Request};
 use std::io;
 use std::path::{Path, PathBuf};

@@ -95,7 +95,7 @@ impl UrdfOrFile {
 /// Mistakes in the choice are reported in `source`.
 ///
 /// # Errors
-/// As [`load_part`].
+/// A choice of links or joints that the URDF does not have, or that is no arm.
 pub fn load_part_of(
     source: &Source,
     urdf: &Source,
