@@ -335,11 +335,14 @@ fn axis_of(panel: &Panel) -> &str {
 /// True if two lines cannot be told apart in a figure: references begin at the measured position of each run.
 fn looks_equal(one: &Series, other: &Series) -> bool {
     const FRACTION_OF_RANGE: f64 = 2e-3;
-    let finite = || one.y.iter().copied().filter(|y| y.is_finite());
-    let range = finite().fold(f64::NEG_INFINITY, f64::max) - finite().fold(f64::INFINITY, f64::min);
-    let near =
-        |(a, b): (&f64, &f64)| (a - b).abs() <= FRACTION_OF_RANGE * range || (a.is_nan() && b.is_nan());
-    one.x == other.x && one.y.len() == other.y.len() && one.y.iter().zip(&other.y).all(near)
+    let along = |one: &[f64], other: &[f64]| {
+        let finite = || one.iter().copied().filter(|value| value.is_finite());
+        let range = finite().fold(f64::NEG_INFINITY, f64::max) - finite().fold(f64::INFINITY, f64::min);
+        let near =
+            |(a, b): (&f64, &f64)| (a - b).abs() <= FRACTION_OF_RANGE * range || (a.is_nan() && b.is_nan());
+        one.len() == other.len() && one.iter().zip(other).all(near)
+    };
+    along(&one.x, &other.x) && along(&one.y, &other.y)
 }
 
 #[cfg(test)]

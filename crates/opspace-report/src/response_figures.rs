@@ -96,7 +96,7 @@ impl TaskResponse<'_> {
         let panels: Vec<Panel> = drawn.iter().map(|&axis| self.panel(axis, &numbers[axis])).collect();
         (!panels.is_empty()).then(|| Figure {
             title: format!("Force over displacement of task '{}'", self.name),
-            caption: "External force on the frame over its deviation from the reference, along the axes of the task. In the colour of the text: the desired stiffness. Thin: the least-squares line, whose slope is the stiffness measured. Hysteresis: largest \
+            caption: "External force on the frame over its deviation from the reference, along the axes of the task. In the colour of the text: the desired stiffness. Thin: the line with the stiffness measured. Hysteresis: largest \
                       difference of the displacement at one force, while it rises and while it falls; friction and, under fast pushes, damping cause it."
                 .to_owned(),
             remark: remarks.collect::<Vec<_>>().join(" "),
@@ -146,7 +146,7 @@ impl TaskResponse<'_> {
             series.push(over_forces("desired stiffness", Style::Desired, (0.0, 1.0 / stiffness)));
         }
         if let Some(fitted) = line(&points).filter(|_| numbers.stiffness_n_per_m.is_some()) {
-            series.push(over_forces("least-squares line", Style::Thin, fitted));
+            series.push(over_forces("measured stiffness", Style::Thin, fitted));
         }
         let name = AXIS_NAMES[axis];
         Panel {

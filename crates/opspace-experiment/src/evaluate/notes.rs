@@ -447,7 +447,7 @@ mod tests {
         run.tasks.insert("rest".to_owned(), rest);
         let expected = [
             ["hand", "position error", "8.65", "13.25", "6.20", "mm"],
-            ["hand", "contact peak (first second of contact)", "–", "15.40", "–", "N"],
+            ["hand", "force in the first second of contact", "–", "15.40", "–", "N"],
         ];
         assert_eq!(task_table(&run).texts(), expected);
         let [note] = &task_notes(&run)[..] else { panic!("one note") };

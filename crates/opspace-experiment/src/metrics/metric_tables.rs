@@ -377,8 +377,8 @@ metric_table! {
              axis, of its position on others.";
         stiffness_n_per_m: f64, Neither,
             Some(Column::new("stiffness", "stiffness", "N/m", 1.0).needs(Needs::Frame)),
-            "Stiffness along that axis, N/m: the inverse slope of the least-squares line of displacement over force; `None` if the \
-             two are not correlated.";
+            "Stiffness along that axis, N/m: the ratio of the standard deviations of force and displacement while a force \
+             acts, so that friction and damping count as little as possible; `None` if the two are not correlated.";
         hysteresis_m: f64, Smaller,
             Some(Column::new("hysteresis", "hysteresis", "mm", 1e3).needs(Needs::Frame)),
             "Largest difference of the displacement at one force, while it rises and while it falls, m.";

@@ -47,11 +47,13 @@ fn each_code_has_a_page_and_each_page_a_code() {
     }
 }
 
-/// Each code is used by a source file of this crate or is that of a warning about a model: no page without a kind.
+/// Each code is used by a source file of this crate or of the diagnostics, or is that of a warning about a model: no page without a kind.
 #[test]
 fn each_code_is_reported_by_something() {
-    let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("../opspace-experiment/src");
-    let source = sources(&source);
+    let crates = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
+    let source =
+        ["opspace-experiment/src", "opspace-preflight/src"].map(|folder| sources(&crates.join(folder)));
+    let source = source.concat();
     let of_models = of_models();
     for code in Code::ALL {
         let used = source.contains(&format!("Code::{code:?}"));
