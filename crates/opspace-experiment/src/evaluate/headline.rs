@@ -84,18 +84,24 @@ pub fn operator(summary: &Summary) -> Option<String> {
     Some(format!("the operator moves the arm by {} rms with {} rms", mm(motion_m), newtons(force_n)))
 }
 
-/// Deflection of the axis with a stiffness on which the largest force acts.
+/// Deflection of the axis on which the largest force acts, with its stiffness; axes that have one come first.
 fn response(summary: &Summary) -> Option<String> {
     let (name, (axis, force_n, moved_m, stiffness)) = first(summary, |task| {
         let of_axis = |axis: usize| {
             let [force, moved, stiffness, ..] =
                 response_names(axis).map(|name| task.axes.get(&name).copied());
-            Some((axis, force?, moved?, stiffness?))
+            Some((axis, force.filter(|force| *force > 0.0)?, moved?, stiffness))
         };
-        (0..3).filter_map(of_axis).max_by(|a, b| a.1.total_cmp(&b.1))
+        let rank = |(_, force, _, stiffness): &(usize, f64, f64, Option<f64>)| (stiffness.is_some(), *force);
+        (0..3).filter_map(of_axis).max_by(|a, b| {
+            let ((a, a_n), (b, b_n)) = (rank(a), rank(b));
+            a.cmp(&b).then(a_n.total_cmp(&b_n))
+        })
     })?;
     let (moved, axis, force) = (mm(moved_m), AXIS_NAMES[axis], newtons(force_n));
-    Some(format!("{name} yields by {moved} along {axis} under {force} ({} N/m)", number(stiffness, 1.0)))
+    let stiffness =
+        stiffness.map_or_else(String::new, |stiffness| format!(" ({} N/m)", number(stiffness, 1.0)));
+    Some(format!("{name} yields by {moved} along {axis} under {force}{stiffness}"))
 }
 
 fn compliant_motion(summary: &Summary) -> Option<String> {
@@ -201,6 +207,10 @@ mod tests {
         run.tasks.insert("flange".to_owned(), pushed);
         let yields = "flange yields by 47.6 mm along z under 20 N (417 N/m)";
         assert!(headline(&run)[0].ends_with(yields), "{:?}", headline(&run));
+        for task in run.tasks.values_mut() {
+            task.axes.remove(&response_names(2)[2]);
+        }
+        assert!(headline(&run)[0].ends_with("47.6 mm along z under 20 N"), "{:?}", headline(&run));
         run.tasks.clear();
         (run.metrics.hand_motion_rms_m, run.metrics.hand_force_rms_n) = (Some(0.0225), Some(1.57));
         run.metrics.torque_error_interval = None;
