@@ -194,7 +194,10 @@ fn sweep_is_drawn() {
     let captions = captions(&probe);
     let swept: Vec<&String> = captions.iter().filter(|caption| caption.contains(" over stiffness")).collect();
     assert_eq!(swept.len(), 2, "{captions:?}");
-    assert!(captions[0].contains("Force error rms at rest") && captions[1].contains("Contact peak"));
+    assert!(
+        captions[0].contains("Force error rms at rest")
+            && captions[1].contains("Force max in first second of contact")
+    );
     let texts = texts(&probe, "at rest over stiffness");
     for text in
         ["kp 0.9", "kp 1.1", "1000", "10000", "50000", "stiffness (N/m)", "force error (N)", "ik-lead"]
