@@ -9,10 +9,15 @@ use opspace_transformer::FrictionParameters;
 /// Compensated over true friction above which a joint moves by itself: the smooth compensation stays below its full value.
 const OVER: f64 = 1.01;
 
-/// Finds the joint whose friction is compensated by most more than the simulated joint has.
+/// Finds the joint whose friction is compensated by most more than the simulated joint has; `None` with a friction observer, which
+/// takes the surplus back.
 pub(crate) fn overcompensation(case: &PreflightCase<'_>) -> Option<Finding> {
     let experiment = case.experiment;
-    let gain = experiment.task().file.friction_compensation.gain.get();
+    let compensation = &experiment.task().file.friction_compensation;
+    if compensation.observer_rad_per_s.is_some() {
+        return None;
+    }
+    let gain = compensation.gain.get();
     let simulated = experiment.robot().file.simulated.as_ref()?;
     let scale = simulated.true_over_nominal.friction.get();
     let coulomb_nm = |friction: &FrictionParameters| friction.coulomb_nm.get();

@@ -347,11 +347,20 @@ fn looks_equal(one: &Series, other: &Series) -> bool {
 
 #[cfg(test)]
 mod tests {
-    use super::{columns, compliance, side_by_side};
+    use super::{NOT_DRAWN, SUBJECTS, columns, compliance, side_by_side};
     use crate::figure::{Scale, Style};
     use crate::test_summary::summary;
     use opspace_experiment::evaluate::summary::Summary;
-    use opspace_experiment::metrics::columns::{columns_named, default_columns};
+    use opspace_experiment::metrics::columns::{columns_named, default_columns, with_columns};
+
+    /// Checks that each key which is chosen by hand is that of a metric with a column.
+    #[test]
+    fn chosen_keys_are_metrics_with_columns() {
+        let known: Vec<&str> = with_columns(&[]).map(|(metric, _)| metric.key).collect();
+        for key in SUBJECTS.iter().chain(&NOT_DRAWN) {
+            assert!(known.contains(key), "{key}");
+        }
+    }
 
     /// Run of a grid: pressing on a surface, with a deviation of kp.
     fn press(controller: &str, stiffness: f64, kp: f64, seed: u64) -> Summary {

@@ -5,6 +5,7 @@ use crate::lines::{COLUMNS, time_panel};
 use nalgebra::Vector3;
 use opspace_backend::signal_names::{self, REFERENCE};
 use opspace_control::{AXIS_NAMES, TaskParameters};
+use opspace_experiment::evaluate::metrics::response::keep_every_second;
 use opspace_experiment::evaluate::metrics::run_log::{Run, masked_norm};
 use opspace_experiment::evaluate::metrics::task_axes::AxesOfTask;
 use opspace_experiment::run::experiment::Experiment;
@@ -89,11 +90,7 @@ impl Path<'_> {
         }
         self.samples.push(sample);
         if self.samples.len() > MAX_SAMPLES {
-            let mut place = 0;
-            self.samples.retain(|_| {
-                place += 1;
-                place % 2 == 1
-            });
+            keep_every_second(&mut self.samples);
             self.stride *= 2;
         }
     }

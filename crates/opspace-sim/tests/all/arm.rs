@@ -316,6 +316,7 @@ fn mass_weighs_on_arm_and_sensor() {
 /// moment of the load; while the arm is pushed, by mass times gravity minus acceleration.
 #[test]
 fn force_sensor_reads_the_load_beyond_it() {
+    const ROUNDING_N: f64 = 1e-9;
     let centre = Vector3::new(0.02, -0.01, 0.06);
     let setup = |load: &str| {
         let mut setup = arm_with_contact(
@@ -348,7 +349,7 @@ fn force_sensor_reads_the_load_beyond_it() {
     let weight = Vector3::new(0.0, 0.0, -0.5 * 9.81);
     assert!((loads[190] - weight).norm() < 1e-3, "{}", loads[190]);
     // A tare is the mean of the first readings.
-    assert!((loads[0] - weight).norm() < 1e-9, "{}", loads[0]);
+    assert!((loads[0] - weight).norm() < ROUNDING_N, "{}", loads[0]);
     let (mut largest, mut error) = (0.0_f64, 0.0_f64);
     for k in 5..places.len() - 5 {
         // Mean acceleration over ten milliseconds, and the mean of the readings there.

@@ -129,11 +129,7 @@ impl Response {
         }
         self.samples.push(sample);
         if self.samples.len() > MAX_SAMPLES {
-            let mut place = 0;
-            self.samples.retain(|_| {
-                place += 1;
-                place % 2 == 1
-            });
+            keep_every_second(&mut self.samples);
             self.spacing_s *= 2.0;
         }
     }
@@ -224,6 +220,15 @@ impl Response {
         }
         response
     }
+}
+
+/// Drops every second sample, from the second one on.
+pub fn keep_every_second<T>(samples: &mut Vec<T>) {
+    let mut place = 0;
+    samples.retain(|_| {
+        place += 1;
+        place % 2 == 1
+    });
 }
 
 /// Line of the displacement over the force while a force acts, with the ratio of their standard deviations as its slope: displacement

@@ -253,6 +253,8 @@ pub fn overcompensated_friction(code: Code) {
             .set(format!("friction_compensation.gain={gain:?}"))
     };
     let finding = of(0.8).only(code);
+    let observed = of(0.8).set("friction_compensation.observer_rad_per_s=60.0");
+    assert!(observed.found().iter().all(|other| other.code != code), "the observer takes the surplus back");
     let enough = number_after(&finding.help, "friction_compensation.gain = ");
     assert!(enough <= 0.5 && enough > 0.45, "{enough}");
     of(0.8).is_helped(code, &[of(enough)]);
