@@ -13,8 +13,9 @@
 use opspace::backend::signal_names::LIMITS_SOLVER;
 use opspace::backend::{Backend, Capabilities, Command, DeviceFault, Sample};
 use opspace::control_loop::{Phase, Run, drive};
-use opspace::experiment::{Experiment, Extensions, Files, Suite};
+use opspace::experiment::{Experiment, Extensions, Files};
 use opspace::sim::SimulatedArm;
+use opspace::suite::Suite;
 use std::path::Path;
 use std::time::Instant;
 

@@ -12,12 +12,13 @@ use opspace_backend::{Backend, Capabilities, Command, CommandKind, DeviceFault, 
 use opspace_control::{CartesianTarget, Controller, Coordinate, CoordinateGains, CoordinateTask};
 use opspace_experiment::files::task::NamedRecording;
 use opspace_experiment::{
-    ControllerKind, Experiment, Extensions, FileError, Files, Progress, RunOptions, Scenario, Source, Suite,
+    ControllerKind, Experiment, Extensions, FileError, Files, Progress, RunOptions, Scenario, Source,
     TaskDefinition, TaskKind, TransformerEntry,
 };
 use opspace_loop::{Fault, Phase, Run, RunOutcome, TargetSender, drive, target_stream};
 use opspace_model::{Data, Model};
 use opspace_sim::SimulatedArm;
+use opspace_suite::Suite;
 use opspace_testing::allocation::{allocations, allocations_so_far};
 use std::cell::RefCell;
 use std::collections::BTreeSet;

@@ -1,7 +1,7 @@
 //! The part of a suite that a process runs, given or read from the environment of a batch system.
 
 use crate::console::{Exit, Failure};
-use opspace_experiment::suites::shard::Shard;
+use opspace_suite::shard::Shard;
 
 /// Value of `--shard`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -7,19 +7,19 @@ use crate::console::{
 use crate::output::{Format, pretty, write, write_named};
 use crate::result_folder::{LOGS, ROWS};
 use crate::run_progress::exit_code;
-use opspace_experiment::evaluate::baseline::{Baseline, BaselineComparison, TOLERANCE, Verdict};
 use opspace_experiment::evaluate::coupling_sentences::coupling_sentences;
-use opspace_experiment::evaluate::csv::csv;
 use opspace_experiment::evaluate::results::{group_rows, has_value};
 use opspace_experiment::metrics::columns::columns_named;
 use opspace_experiment::run::result_files::{REPORT, ResultFolder};
-use opspace_experiment::suites::suite_rows::{SUITE_ROWS, SuiteRows};
 use opspace_experiment::{Experiment, Extensions, Metric, RunSummary, Source, Summary};
 use opspace_log::LogFile;
 use opspace_model::files::open_file;
 use opspace_report::coupling_pages::coupling_suite_page;
 use opspace_report::coupling_table::{coupling_notes, coupling_table};
 use opspace_report::document::{RunSection, page};
+use opspace_suite::baseline::{Baseline, BaselineComparison, TOLERANCE, Verdict};
+use opspace_suite::csv::csv;
+use opspace_suite::suite_rows::{SUITE_ROWS, SuiteRows};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 

@@ -1,9 +1,7 @@
 //! Metrics of runs, summaries, and tables of metrics.
 
-pub mod baseline;
 pub mod coupling;
 pub mod coupling_sentences;
-pub mod csv;
 pub mod direction;
 pub(crate) mod failures;
 pub mod findings;

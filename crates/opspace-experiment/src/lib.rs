@@ -1,4 +1,4 @@
-//! Robot and task files, experiments assembled from them, runs, metrics and suites.
+//! Robot and task files, experiments assembled from them, runs and metrics.
 //!
 //! ```
 //! use opspace_experiment::run::replay::replay;
@@ -36,7 +36,6 @@ pub mod plants;
 pub mod postures;
 pub mod run;
 pub mod suggest;
-pub mod suites;
 pub mod text;
 pub mod transformers;
 
@@ -58,7 +57,6 @@ pub use run::error::RunError;
 pub use run::execute::{Progress, RunResult};
 pub use run::experiment::{Experiment, RunOptions};
 pub use run::scenario::Scenario;
-pub use suites::suite::Suite;
 pub use transformers::entry::{TransformerEntry, TransformerTraits};
 pub use transformers::setup::TransformerSetup;
 

@@ -16,6 +16,7 @@
 //! | identify the servos of a robot | [`identify`] |
 //! | find mistakes in them before a run | [`preflight`] |
 //! | write the files of a new robot | [`setup`] |
+//! | run a suite, and compare its results | [`suite`] |
 //! | run robot and task files | [`experiment`] |
 //! | draw figures and pages of runs, and keep them in folders | [`report`] |
 //!
@@ -97,6 +98,7 @@ pub use opspace_preflight as preflight;
 pub use opspace_report as report;
 pub use opspace_setup as setup;
 pub use opspace_sim as sim;
+pub use opspace_suite as suite;
 pub use opspace_transformer as transformer;
 
 #[cfg(feature = "urdf-rs")]

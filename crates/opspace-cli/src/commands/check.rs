@@ -17,7 +17,7 @@ use opspace_experiment::run::collision::KeptDistances;
 use opspace_experiment::transformers::check_robot;
 use opspace_experiment::{
     Code, ControllerKind, Experiment, Extensions, FileError, Files, Finding, RobotDefinition, RunOptions,
-    Scenario, Source, Suite,
+    Scenario, Source,
 };
 use opspace_model::collision::DropReason;
 use opspace_model::{Model, UrdfOptions, UrdfWarning, model_warnings};
@@ -26,6 +26,7 @@ use opspace_preflight::{
     SingularPostures, collision_thresholds, coupling_diagnostics, detectable_forces, diagnostics_with,
     gain_margin, gear_resonances, not_checked, path_durations, reserves, singular_postures, weak_joints,
 };
+use opspace_suite::Suite;
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::collections::HashSet;

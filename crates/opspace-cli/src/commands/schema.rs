@@ -10,8 +10,8 @@ use opspace_experiment::files::experiment_file::ExperimentFile;
 use opspace_experiment::files::robot::RobotFile;
 use opspace_experiment::files::task::TaskFile;
 use opspace_experiment::metrics::columns::column_schema;
-use opspace_experiment::suites::suite::SuiteFile;
 use opspace_experiment::{Entry, Extensions, TaskKind, TransformerEntry};
+use opspace_suite::suite::SuiteFile;
 use schemars::{Schema, SchemaGenerator, schema_for};
 use serde_json::{Value, json};
 

@@ -186,7 +186,7 @@ pub fn has_value(summaries: &[Summary], metric: &Metric) -> bool {
 }
 
 /// False if a run of the experiment cannot have a value for a metric.
-pub(crate) fn is_possible(needs: Needs, experiment: &Experiment) -> bool {
+pub fn is_possible(needs: Needs, experiment: &Experiment) -> bool {
     let tasks = experiment.task().tasks_of_the_run();
     let task = |kind: fn(&TaskParameters) -> bool| tasks.iter().any(|(_, task)| kind(task));
     let torques = experiment.options().controller == ControllerKind::Osc;

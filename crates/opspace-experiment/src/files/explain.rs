@@ -84,7 +84,9 @@ fn unknown<'a>(raw: &'a str, prefix: &str) -> Option<(&'a str, Vec<&'a str>)> {
     Some((name, expected.split('`').skip(1).step_by(2).collect()))
 }
 
-pub(crate) fn did_you_mean(name: &str, allowed: &[&str]) -> String {
+/// Returns the end of an error about an unknown name: the nearest allowed one, else all that are allowed.
+#[must_use]
+pub fn did_you_mean(name: &str, allowed: &[&str]) -> String {
     let listed = match allowed {
         [] => "no key or value is allowed here".to_owned(),
         _ => format!("allowed here: {}", list(allowed)),

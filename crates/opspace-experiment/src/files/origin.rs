@@ -55,7 +55,7 @@ impl Files {
     ///
     /// # Errors
     /// As [`read`](Self::read).
-    pub(crate) fn read_named(self, path: &Path, by: &Source, key: impl KeyPath) -> Result<Source, FileError> {
+    pub fn read_named(self, path: &Path, by: &Source, key: impl KeyPath) -> Result<Source, FileError> {
         self.read(path).map_err(|error| {
             let message = format!("`{}`: {}", error.path(), error.message());
             FileError::at_key(by, key, message, error.help().map(str::to_owned))
@@ -139,7 +139,7 @@ impl Kind {
     ///
     /// # Errors
     /// If the text is clearly of another kind.
-    pub(crate) fn require(self, source: &Source) -> Result<(), FileError> {
+    pub fn require(self, source: &Source) -> Result<(), FileError> {
         match Self::of(source.text()) {
             Some(kind) if kind != self => {
                 let message = format!("is {}; {} is expected here", kind.name(), self.name());

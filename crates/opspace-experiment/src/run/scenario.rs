@@ -101,7 +101,7 @@ impl Scenario {
     }
 
     /// Reads the file of an experiment with several robots or a task file, as [`load`](Self::load) does, whatever the file is.
-    pub(crate) fn load_as(
+    pub fn load_as(
         has_several: bool,
         (extensions, files): (&Extensions, Files),
         (path, robot): (&Path, Option<&Path>),

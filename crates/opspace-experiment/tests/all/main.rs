@@ -1,8 +1,6 @@
-//! Tests of files, preflight, experiments, metrics and reports.
+//! Tests of files, experiments, runs and metrics.
 
-mod arm_templates;
 mod codes;
-mod collision_views;
 mod collisions;
 mod coupled_clutch;
 mod coupled_common;
@@ -14,13 +12,11 @@ mod coupled_logs;
 mod coupled_restarts;
 mod coupled_robots;
 mod device_limits;
-mod diagnostics;
 mod drive_faults;
 mod drives;
 mod limited_setpoints;
 mod limits_matrix;
 mod log_header;
-mod margins;
 mod metric_table;
 mod metrics;
 mod moment_axes;
@@ -33,21 +29,13 @@ mod random_arms;
 mod random_servos;
 mod real_robot;
 mod recorded;
-mod remedies;
-mod report;
-mod reserves;
 mod robot_file;
-mod run_figures;
-mod segments;
-mod servo_gain;
-mod singular_postures;
 mod source;
 mod streamed;
 mod surface_axes;
 mod tapped_arm;
 mod task_kinds;
 mod task_metrics;
-mod task_texts;
 mod time_optimal_paths;
 mod time_optimal_torques;
 mod unreached_goals;

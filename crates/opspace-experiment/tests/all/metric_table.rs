@@ -7,10 +7,11 @@ use opspace_experiment::evaluate::results::table;
 use opspace_experiment::metrics::columns::{columns_named, default_columns};
 use opspace_experiment::metrics::metric::Column;
 use opspace_experiment::{
-    Better, Experiment, Extensions, Files, LogMetric, Metric, Metrics, Progress, RunOptions, Suite, Summary,
+    Better, Experiment, Extensions, Files, LogMetric, Metric, Metrics, Progress, RunOptions, Summary,
 };
 use opspace_log::Recording;
 use opspace_loop::Phase;
+use opspace_suite::Suite;
 use std::fmt::Write;
 use std::ops::Range;
 use std::path::Path;

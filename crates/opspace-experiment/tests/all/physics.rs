@@ -2,9 +2,10 @@
 
 use opspace_experiment::run::log_header::RUN;
 use opspace_experiment::run::replay::replay;
-use opspace_experiment::{Experiment, Files, Progress, RunOptions, Suite};
+use opspace_experiment::{Experiment, Files, Progress, RunOptions};
 use opspace_log::{OutcomeRecord, Recording};
 use opspace_sim::{PhysicsEngine, Plant, PlantConfig, PlantError, RigidPlant, Scene};
+use opspace_suite::Suite;
 use std::io::Cursor;
 use std::path::Path;
 use std::sync::Arc;

@@ -301,7 +301,7 @@ mod tests {
 
     /// Settings of the runs of a suite, in order; and whether each run has a file of its own.
     fn settings(path: &Path) -> (Vec<String>, bool) {
-        let suite = opspace_experiment::Suite::load(Files::Disk, path).unwrap();
+        let suite = opspace_suite::Suite::load(Files::Disk, path).unwrap();
         let runs = suite.runs.iter().map(|run| {
             let text = match run.single() {
                 Some(experiment) => format!(

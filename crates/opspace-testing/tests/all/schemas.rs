@@ -11,12 +11,13 @@ use opspace_coupling::CoupledParameters;
 use opspace_experiment::files::experiment_file::ExperimentFile;
 use opspace_experiment::files::source::parse;
 use opspace_experiment::files::task::TaskFile;
-use opspace_experiment::suites::suite::SuiteFile;
 use opspace_experiment::transformers::check_robot;
 use opspace_experiment::{
     ControllerKind, Experiment, Extensions, FileError, Files, RobotDefinition, RunOptions, Scenario, Source,
-    Suite, TaskDefinition,
+    TaskDefinition,
 };
+use opspace_suite::Suite;
+use opspace_suite::suite::SuiteFile;
 use reader_only::READER_ONLY;
 use schema_file::{SchemaFile, is_nullable};
 use std::collections::BTreeSet;

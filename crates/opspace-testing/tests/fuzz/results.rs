@@ -4,14 +4,15 @@ use crate::edits::{apply, edited};
 use crate::inputs::for_each_input;
 use crate::limits::Target;
 use crate::{CORPUS, root};
-use opspace_experiment::evaluate::baseline::Baseline;
-use opspace_experiment::evaluate::csv::csv;
 use opspace_experiment::evaluate::notes::notes;
 use opspace_experiment::evaluate::results::{failures, group_rows, table};
 use opspace_experiment::metrics::columns::columns_named;
-use opspace_experiment::suites::suite_rows::{SuiteHeader, SuiteRow, SuiteRows};
-use opspace_experiment::{Files, Progress, RunSummary, Suite};
+use opspace_experiment::{Files, Progress, RunSummary};
 use opspace_report::document::page;
+use opspace_suite::Suite;
+use opspace_suite::baseline::Baseline;
+use opspace_suite::csv::csv;
+use opspace_suite::suite_rows::{SuiteHeader, SuiteRow, SuiteRows};
 use serde_json::{Value, json};
 
 /// Most memory for one file, bytes.

@@ -5,7 +5,8 @@ use crate::inputs::for_each_input;
 use crate::limits::Target;
 use crate::messages::check_error;
 use crate::{CORPUS, files, root, texts};
-use opspace_experiment::{Files, Suite};
+use opspace_experiment::Files;
+use opspace_suite::Suite;
 use std::fs;
 use std::path::Path;
 

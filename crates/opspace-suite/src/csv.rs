@@ -1,6 +1,6 @@
 //! Table of runs as CSV, for notebooks and spreadsheets.
 
-use crate::evaluate::run_summary::RunSummary;
+use opspace_experiment::evaluate::run_summary::RunSummary;
 use serde_json::{Map, Value};
 use std::collections::HashMap;
 

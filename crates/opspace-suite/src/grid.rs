@@ -1,7 +1,7 @@
 //! Grid of a suite: lists of values for settings, each combination of which is run.
 
-use crate::files::source::{FileError, KeyPath, Source};
-use crate::files::toml_path::dotted;
+use opspace_experiment::files::source::{FileError, KeyPath, Source};
+use opspace_experiment::files::toml_path::dotted;
 #[cfg(feature = "schema")]
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Serialize};
@@ -161,7 +161,7 @@ impl JsonSchema for Grid {
 #[cfg(test)]
 mod tests {
     use super::{Grid, GridMode};
-    use crate::files::source::Source;
+    use opspace_experiment::files::source::Source;
 
     fn points(text: &str, mode: GridMode) -> Result<Vec<(Vec<String>, String)>, String> {
         let source = Source::new("suite.toml", format!("[grid]\n{text}"));

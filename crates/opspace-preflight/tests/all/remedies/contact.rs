@@ -1,7 +1,7 @@
 //! Remedies for collisions, objects of the environment, and contact.
 
 use super::case::{HAND, TIP, TaskCase, number_after, only};
-use crate::coupled_common::project;
+use crate::project;
 use crate::task_texts::{PRESS, table};
 use opspace_backend::CommandKind;
 use opspace_experiment::{Code, ControllerKind};

@@ -3,10 +3,10 @@
 //! The first line identifies the suite, and each other line is a [`SuiteRow`]. A line that was cut off, by the end of the
 //! process in the middle of it for example, is ignored when the file is read.
 
-use crate::evaluate::run_summary::RunSummary;
-use crate::run::result_files::write_file;
-use crate::suites::shard::Shard;
-use crate::suites::suite::{MAX_RUNS, Suite};
+use crate::shard::Shard;
+use crate::suite::{MAX_RUNS, Suite};
+use opspace_experiment::evaluate::run_summary::RunSummary;
+use opspace_experiment::run::result_files::write_file;
 use opspace_model::files::open_file;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -208,7 +208,7 @@ fn line(value: &impl Serialize) -> String {
 #[cfg(test)]
 mod tests {
     use super::{OF_ONE_ROBOT, OF_SEVERAL_ROBOTS, SuiteHeader, SuiteRow, SuiteRows};
-    use crate::evaluate::summary::Summary;
+    use opspace_experiment::evaluate::summary::Summary;
     use serde_json::{Value, json};
 
     fn header() -> SuiteHeader {
@@ -264,7 +264,8 @@ mod tests {
     #[test]
     fn lines_that_are_no_rows_are_ignored() {
         let line = |run: usize, log: Option<&str>, task: &str| {
-            let summary = Summary { task: task.to_owned(), ..summary() };
+            let mut summary = summary();
+            summary.task = task.to_owned();
             super::line(&SuiteRow::new(run, log.map(str::to_owned), summary.into()))
         };
         let first = line(1, None, "a");

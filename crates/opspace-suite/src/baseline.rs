@@ -7,12 +7,12 @@
 //! the mean magnitude of the old values. A single pair has no interval, and only the tolerance counts. The intervals
 //! are not corrected for the number of metrics.
 
-use crate::evaluate::summary::Summary;
-use crate::evaluate::table::{Cell, Table};
-use crate::extensions::Entry;
-use crate::metrics::metric::{Better, Metric};
-use crate::run::experiment::Experiment;
-use crate::run::physics::OWN_PLANT;
+use opspace_experiment::evaluate::summary::Summary;
+use opspace_experiment::evaluate::table::{Cell, Table};
+use opspace_experiment::extensions::Entry;
+use opspace_experiment::metrics::metric::{Better, Metric};
+use opspace_experiment::run::experiment::Experiment;
+use opspace_experiment::run::physics::OWN_PLANT;
 use serde::Serialize;
 use serde_json::Value;
 use std::collections::{HashMap, HashSet};
@@ -308,7 +308,7 @@ impl BaselineComparison {
         let mut table = Table::new(&heads.map(|head| (head, "")));
         for metric in self.metrics.iter().filter(|metric| metric.verdict != Verdict::Same) {
             // The magnitudes of different metrics are not comparable: each number has its own digits.
-            let number = |value: f64| Cell::Text(crate::text::format_number(value));
+            let number = |value: f64| Cell::Text(opspace_experiment::text::format_number(value));
             table.push(vec![
                 metric.run.to_string().into(),
                 metric.metric.as_str().into(),

@@ -1,21 +1,21 @@
 //! Suites: lists of tasks with the robots and controllers that execute them, or of experiments with several robots.
 
-use crate::codes::Code;
-use crate::evaluate::results::is_possible;
-use crate::extensions::Extensions;
-use crate::files::controller_kind::ControllerKind;
-use crate::files::explain::did_you_mean;
-use crate::files::origin::{Files, Kind, beside};
-use crate::files::source::{FileError, Source, parse};
-use crate::metrics::columns::{ColumnName, columns_named, default_columns, with_columns};
-use crate::metrics::metric::Metric;
-use crate::run::experiment::{Experiment, RunOptions};
-use crate::run::physics::OWN_PLANT;
-use crate::run::scenario::Scenario;
-use crate::suites::grid::{Grid, GridMode, GridPoint};
-use crate::suites::seeds;
-use crate::transformers::check_name;
+use crate::grid::{Grid, GridMode, GridPoint};
+use crate::seeds;
 use opspace_backend::CommandKind;
+use opspace_experiment::codes::Code;
+use opspace_experiment::evaluate::results::is_possible;
+use opspace_experiment::extensions::Extensions;
+use opspace_experiment::files::controller_kind::ControllerKind;
+use opspace_experiment::files::explain::did_you_mean;
+use opspace_experiment::files::origin::{Files, Kind, beside};
+use opspace_experiment::files::source::{FileError, Source, parse};
+use opspace_experiment::metrics::columns::{ColumnName, columns_named, default_columns, with_columns};
+use opspace_experiment::metrics::metric::Metric;
+use opspace_experiment::run::experiment::{Experiment, RunOptions};
+use opspace_experiment::run::physics::OWN_PLANT;
+use opspace_experiment::run::scenario::Scenario;
+use opspace_experiment::transformers::check_name;
 use opspace_sim::PhysicsEngine;
 use opspace_transformer::TransformerName;
 #[cfg(feature = "schema")]
@@ -453,4 +453,19 @@ fn check_kinds(file: &SuiteFile, source: &Source) -> Result<(), FileError> {
 /// Returns the items of the list, or a single `None` if it is empty.
 fn or_default<T: Clone>(list: &[T]) -> Vec<Option<T>> {
     if list.is_empty() { vec![None] } else { list.iter().cloned().map(Some).collect() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::SuiteFile;
+    use opspace_experiment::files::source::{Source, parse};
+
+    #[test]
+    fn old_key_error_names_new_key() {
+        for (old, new) in [("case", "variant"), ("set", "override")] {
+            let source = Source::new("old.toml", format!("[[run]]\n{old} = []\n"));
+            let error = parse::<SuiteFile>(&source).map(|_| ()).expect_err("an old key").to_string();
+            assert!(error.contains(&format!("unknown key `{old}`: it was renamed to `{new}`")), "{error}");
+        }
+    }
 }

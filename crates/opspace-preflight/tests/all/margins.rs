@@ -2,7 +2,7 @@
 //! the simulated robot, the torque error of an encoder and simulated rounding.
 #![expect(clippy::unwrap_used, reason = "a test that can't go on has failed")]
 
-use crate::coupled_common::project;
+use crate::project;
 use opspace_backend::CommandKind;
 use opspace_experiment::{Code, Experiment, Files, Progress, RunOptions};
 use opspace_loop::RunOutcome;

@@ -1,0 +1,6 @@
+//! Tests of figures and pages.
+
+mod collision_views;
+mod report;
+mod run_figures;
+mod segments;

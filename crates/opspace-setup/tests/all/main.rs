@@ -1,0 +1,3 @@
+//! Tests of the files of new robots.
+
+mod arm_templates;
