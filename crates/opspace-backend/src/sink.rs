@@ -11,13 +11,24 @@ pub const SERVO: usize = 3;
 /// Channel number of the external forces in a simulation: one row per interface cycle.
 pub const EXTERNAL: usize = 4;
 
-/// A receiver of rows: a log, a live view, or a comparison.
-pub trait Sink {
+/// A receiver of rows: a log, a live view, or a comparison. It moves to another thread with the run that owns it.
+pub trait Sink: Send {
     /// Receives a row of a channel with its time on the robot's clock, s. Must not allocate, lock or format.
     fn row(&mut self, channel: usize, time_s: f64, row: &[f64]);
 
     /// Called between two cycles. With a simulated robot the receiver may wait here.
     fn between_ticks(&mut self) {}
+}
+
+/// Sink that another part owns.
+impl<S: Sink + ?Sized> Sink for &mut S {
+    fn row(&mut self, channel: usize, time_s: f64, row: &[f64]) {
+        (**self).row(channel, time_s, row);
+    }
+
+    fn between_ticks(&mut self) {
+        (**self).between_ticks();
+    }
 }
 
 /// Sink that discards all rows.

@@ -15,6 +15,7 @@ mod logged_capsules;
 pub mod member;
 pub mod membership;
 mod on_driver;
+pub mod owned_run;
 mod path_bounds;
 mod path_dynamics;
 pub mod physics;

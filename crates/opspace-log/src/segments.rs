@@ -102,7 +102,7 @@ impl<F: FnMut(&Recording, bool)> SegmentRecorder<F> {
     }
 }
 
-impl<F: FnMut(&Recording, bool)> Sink for SegmentRecorder<F> {
+impl<F: FnMut(&Recording, bool) + Send> Sink for SegmentRecorder<F> {
     fn row(&mut self, channel: usize, time_s: f64, row: &[f64]) {
         if is_full(&self.segment, self.values) {
             cut(&mut self.segment, &mut self.receive);

@@ -12,6 +12,7 @@ use opspace_backend::{
     Signal, SignalRecorder, Sink, TICK, TICK_TIME, TIMING, TRUTH, TruthLayouts, TruthRow,
 };
 use opspace_control::Targets;
+use std::borrow::Borrow;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
@@ -37,13 +38,19 @@ pub enum RunOutcome {
     },
 }
 
+/// Flag of a stop request, borrowed or shared.
+type Request<'a> = Box<dyn Borrow<AtomicBool> + Send + Sync + 'a>;
+
 /// Control loop that runs for a limited time and records its rows in a sink.
+///
+/// The sink and the flags of its stop requests are borrowed or owned. A `Run<'static>` owns them: a program that is called
+/// once per cycle can keep it.
 pub struct Run<'a> {
     control: ControlLoop,
     targets: Targets,
-    sink: &'a mut dyn Sink,
-    stop_request: Option<&'a AtomicBool>,
-    abort_request: Option<&'a AtomicBool>,
+    sink: Box<dyn Sink + 'a>,
+    stop_request: Option<Request<'a>>,
+    abort_request: Option<Request<'a>>,
     stream: Option<TargetReceiver>,
     duration_cycles: u64,
     aftermath_cycles: u64,
@@ -57,9 +64,10 @@ pub struct Run<'a> {
 }
 
 impl<'a> Run<'a> {
-    /// Returns a run with `duration_s` (s) of control. Its rows have the layouts of [`layouts`](Self::layouts).
+    /// Returns a run with `duration_s` (s) of control. Its rows have the layouts of [`layouts`](Self::layouts); the sink is
+    /// one, or a `&mut` to one.
     #[must_use]
-    pub fn new(control: ControlLoop, duration_s: f64, sink: &'a mut dyn Sink) -> Self {
+    pub fn new(control: ControlLoop, duration_s: f64, sink: impl Sink + 'a) -> Self {
         let period_s = control.capabilities().period_s;
         let cycles = |seconds: f64| (seconds / period_s).round() as u64;
         let targets = control.targets();
@@ -77,21 +85,21 @@ impl<'a> Run<'a> {
             stream: None,
             control,
             targets,
-            sink,
+            sink: Box::new(sink),
         }
     }
 
-    /// Adds a stop request: once `request` is true, the run ends safely.
+    /// Adds a stop request, a `&AtomicBool` or an `Arc<AtomicBool>`: once it is true, the run ends safely.
     #[must_use]
-    pub fn with_stop_request(self, request: &'a AtomicBool) -> Self {
-        Self { stop_request: Some(request), ..self }
+    pub fn with_stop_request(self, request: impl Borrow<AtomicBool> + Send + Sync + 'a) -> Self {
+        Self { stop_request: Some(Box::new(request)), ..self }
     }
 
     /// Adds a second stop request, for a stop that takes too long: once `request` is true, the run is over, and the
     /// robot's own stop follows at once.
     #[must_use]
-    pub fn with_abort_request(self, request: &'a AtomicBool) -> Self {
-        Self { abort_request: Some(request), ..self }
+    pub fn with_abort_request(self, request: impl Borrow<AtomicBool> + Send + Sync + 'a) -> Self {
+        Self { abort_request: Some(Box::new(request)), ..self }
     }
 
     /// Layouts of the rows, by channel number: [`TICK`] and [`TIMING`], and for a simulation [`TRUTH`], [`SERVO`] and
@@ -143,14 +151,14 @@ impl<'a> Run<'a> {
     /// per cycle.
     pub fn cycle(&mut self, sample: &Sample) -> Option<Command<'_>> {
         self.between_cycles();
-        if self.abort_request.is_some_and(|request| request.load(Ordering::Relaxed)) {
+        if is_set(self.abort_request.as_ref()) {
             self.end_without_cycles(|time_s| RunOutcome::Interrupted { time_s });
         }
         if self.is_over() {
             return None;
         }
         let (stopped, is_ending) = (self.is_stopped(), self.outcome.is_some());
-        let stop_requested = !is_ending && self.stop_request.is_some_and(|r| r.load(Ordering::Relaxed));
+        let stop_requested = !is_ending && is_set(self.stop_request.as_ref());
         if let Some(stream) = &mut self.stream {
             stream.receive(sample.time_s, &mut self.targets);
         }
@@ -308,6 +316,10 @@ impl<'a> Run<'a> {
         self.sink.row(TICK, self.control.clock_s(), &self.row);
         self.recorded = true;
     }
+}
+
+fn is_set(request: Option<&Request<'_>>) -> bool {
+    request.is_some_and(|request| (**request).borrow().load(Ordering::Relaxed))
 }
 
 fn flag(value: bool) -> f64 {

@@ -276,6 +276,9 @@ struct Pointers {
     data: NonNull<c_void>,
 }
 
+// SAFETY: model and data are of one instance, which alone has the pointers; MuJoCo keeps no state of threads in them.
+unsafe impl Send for Pointers {}
+
 /// Compiled model with one state.
 pub struct Instance {
     library: Arc<Library>,

@@ -16,7 +16,7 @@ use std::fmt;
 /// Rigid bodies of any number of arms, and the environment objects that act on them.
 ///
 /// An engine advances the [`PlantArms`] that it has, and inherits the methods that ask them.
-pub trait Plant {
+pub trait Plant: Send {
     /// Joint states, environment and contacts of the arms.
     fn arms(&self) -> &PlantArms;
 

@@ -7,8 +7,7 @@ use nalgebra::Vector3;
 use opspace_backend::signal_names::EXTERNAL_CHANNEL;
 use opspace_backend::{Layout, SignalRecorder};
 use opspace_model::{Force, FrameId, Model};
-use std::cell::Cell;
-use std::rc::Rc;
+use std::sync::{Arc, Mutex, PoisonError};
 
 /// Force on the origin of a frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -50,30 +49,30 @@ impl Pull {
     }
 }
 
-/// Handle that sets the external force on one arm. Clones set the same force.
+/// Handle that sets the external force on one arm, from any thread. Clones set the same force.
 #[derive(Clone, Debug, Default)]
-pub struct ExternalForceHandle(Rc<Cell<Option<ExternalForce>>>);
+pub struct ExternalForceHandle(Arc<Mutex<Option<ExternalForce>>>);
 
 impl ExternalForceHandle {
     /// Sets the force from the next interface cycle on.
     pub fn apply(&self, frame: FrameId, pull: Pull) {
-        self.0.set(Some(ExternalForce { frame, pull }));
+        self.set(Some(ExternalForce { frame, pull }));
     }
 
     /// Removes the force from the next interface cycle on.
     pub fn release(&self) {
-        self.0.set(None);
+        self.set(None);
     }
 
     /// Sets the force, or removes it, from the next interface cycle on.
     pub fn set(&self, force: Option<ExternalForce>) {
-        self.0.set(force);
+        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = force;
     }
 
     /// Force that is set, if any.
     #[must_use]
     pub fn get(&self) -> Option<ExternalForce> {
-        self.0.get()
+        *self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 

@@ -6,12 +6,11 @@ use crate::interface::ArmInterface;
 use crate::simulation::Simulation;
 use nalgebra::DVector;
 use opspace_backend::{Capabilities, DeviceFault, GroundTruth, Sample, TruthLayouts, TruthRow};
-use std::cell::RefCell;
-use std::rc::Rc;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// Arm of a simulation that its other arms share.
 pub(crate) struct SharedArm {
-    simulation: Rc<RefCell<Simulation>>,
+    simulation: Arc<Mutex<Simulation>>,
     index: usize,
     capabilities: Capabilities,
     external: Option<ExternalForceHandle>,
@@ -22,15 +21,20 @@ impl SharedArm {
     pub fn all_of(mut simulation: Simulation) -> Vec<Self> {
         let capabilities = std::mem::take(&mut simulation.capabilities);
         let handles: Vec<_> = simulation.arms.iter().map(|arm| arm.external.clone()).collect();
-        let simulation = Rc::new(RefCell::new(simulation));
+        let simulation = Arc::new(Mutex::new(simulation));
         (capabilities.into_iter().zip(handles).enumerate())
             .map(|(index, (capabilities, external))| Self {
-                simulation: Rc::clone(&simulation),
+                simulation: Arc::clone(&simulation),
                 index,
                 capabilities,
                 external,
             })
             .collect()
+    }
+
+    /// The simulation. After a panic in a step, its arms can still be stopped.
+    fn simulation(&self) -> MutexGuard<'_, Simulation> {
+        self.simulation.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     pub fn capabilities(&self) -> &Capabilities {
@@ -43,12 +47,12 @@ impl SharedArm {
 
     /// Passes the arm and the plant to `act`.
     pub fn with<T>(&self, act: impl FnOnce(&mut ArmInterface, &dyn Plant) -> T) -> T {
-        let Simulation { plant, arms, .. } = &mut *self.simulation.borrow_mut();
+        let Simulation { plant, arms, .. } = &mut *self.simulation();
         act(&mut arms[self.index], &**plant)
     }
 
     pub fn read(&mut self, sample: &mut Sample) -> Result<(), DeviceFault> {
-        self.simulation.borrow_mut().read(self.index, sample)
+        self.simulation().read(self.index, sample)
     }
 
     pub fn stop(&mut self) {
@@ -74,19 +78,18 @@ impl SharedArm {
 
 impl Drop for SharedArm {
     fn drop(&mut self) {
-        if let Ok(mut simulation) = self.simulation.try_borrow_mut() {
-            simulation.arms[self.index].rows.abandon();
-        }
+        self.simulation().arms[self.index].rows.abandon();
     }
 }
 
 impl GroundTruth for SharedArm {
     fn layouts(&self) -> TruthLayouts {
-        self.simulation.borrow().arms[self.index].rows.layouts()
+        self.simulation().arms[self.index].rows.layouts()
     }
 
     fn visit(&self, visit: &mut dyn FnMut(TruthRow<'_>)) {
-        let arm = &self.simulation.borrow().arms[self.index];
+        let simulation = self.simulation();
+        let arm = &simulation.arms[self.index];
         arm.rows.visit(&arm.timing, visit);
     }
 

@@ -9,7 +9,7 @@
 //! min ½ xᵀ P x + qᵀ x   subject to   A x + s = b,  s ∈ {0}ᵐ × ℝ²ᵐ≥0
 //! ```
 //!
-//! The solver is built once, with dense P and A, and its data are replaced in place. Each row of our program has three
+//! The solver is built with the first program, with dense P and A, and its data are replaced in place. Each row of our program has three
 //! rows of A:
 //!
 //! ```text
@@ -34,11 +34,19 @@ const WANTED: f64 = 1e-10;
 /// `AlmostSolved`.
 const ACCEPTED: f64 = 1e-8;
 
-/// Clarabel for programs up to a given size. Each call of [`solve`](Self::solve) allocates once inside Clarabel
-/// (0.11.1), the first one twice; [`new`](Self::new) allocates some 120 times.
+/// Clarabel for programs up to a given size.
+///
+/// Its workspace (2 MB for seven joints with every limit) is built when the first program is solved, because most robots never need
+/// it. That call allocates some 120 times; later ones allocate once inside Clarabel (0.11.1).
 pub struct InteriorPoint {
     variables: usize,
     constraints: usize,
+    workspace: Option<Workspace>,
+    solution: Vec<f64>,
+}
+
+/// Clarabel with its data.
+struct Workspace {
     solver: DefaultSolver<f64>,
     /// P's upper triangle by columns, n (n + 1) / 2.
     p: Vec<f64>,
@@ -47,15 +55,47 @@ pub struct InteriorPoint {
     a: Vec<f64>,
     b: Vec<f64>,
     factor: Vec<f64>,
-    solution: Vec<f64>,
 }
 
 impl InteriorPoint {
     /// Creates a solver for programs with at most these numbers of variables and constraints.
     ///
     /// # Errors
-    /// [`QpError::Unsolved`] if Clarabel rejects the problem size.
+    /// Only without the feature `clarabel`.
     pub fn new(variables: usize, constraints: usize) -> Result<Self, QpError> {
+        Ok(Self { variables, constraints, workspace: None, solution: Vec::with_capacity(variables) })
+    }
+
+    /// Minimiser (n) of the last solved program. Always finite; empty before the first solution.
+    #[must_use]
+    pub fn x(&self) -> &[f64] {
+        &self.solution
+    }
+
+    /// Solves `program`. Only Clarabel's `Solved` and `AlmostSolved` are accepted; with the tolerances used here, the
+    /// latter is as accurate as `Solved` with Clarabel's default settings. With any other status, its x is a
+    /// certificate or the last iterate.
+    ///
+    /// # Errors
+    /// [`QpError`]; [`x`](Self::x) then remains the solution of an earlier program.
+    pub fn solve(&mut self, program: &QuadraticProgram) -> Result<(), QpError> {
+        let n = program.variables();
+        if n > self.variables || program.constraints() > self.constraints {
+            return Err(QpError::Unsolved("the problem exceeds the size that the solver was created for"));
+        }
+        let workspace = match &mut self.workspace {
+            Some(workspace) => workspace,
+            empty => empty.insert(Workspace::new(self.variables, self.constraints)?),
+        };
+        let x = workspace.solve(program)?;
+        self.solution.clear();
+        self.solution.extend_from_slice(&x[..n]);
+        Ok(())
+    }
+}
+
+impl Workspace {
+    fn new(variables: usize, constraints: usize) -> Result<Self, QpError> {
         let rows = 3 * constraints;
         let p = upper_triangle(variables);
         let a = CscMatrix::new(
@@ -84,36 +124,13 @@ impl InteriorPoint {
         };
         let solver = DefaultSolver::new(&p, &q, &a, &b, &cones, settings)
             .map_err(|_| QpError::Unsolved("Clarabel rejects the problem size"))?;
-        Ok(Self {
-            variables,
-            constraints,
-            solver,
-            p: p.nzval,
-            q,
-            a: a.nzval,
-            b,
-            factor: vec![0.0; variables * variables],
-            solution: Vec::with_capacity(variables),
-        })
+        let factor = vec![0.0; variables * variables];
+        Ok(Self { solver, p: p.nzval, q, a: a.nzval, b, factor })
     }
 
-    /// Minimiser (n) of the last solved program. Always finite; empty before the first solution.
-    #[must_use]
-    pub fn x(&self) -> &[f64] {
-        &self.solution
-    }
-
-    /// Solves `program`. Only Clarabel's `Solved` and `AlmostSolved` are accepted; with the tolerances used here, the
-    /// latter is as accurate as `Solved` with Clarabel's default settings. With any other status, its x is a
-    /// certificate or the last iterate.
-    ///
-    /// # Errors
-    /// [`QpError`]; [`x`](Self::x) then remains the solution of an earlier program.
-    pub fn solve(&mut self, program: &QuadraticProgram) -> Result<(), QpError> {
+    /// Returns the minimiser, followed by the values of unused variables.
+    fn solve(&mut self, program: &QuadraticProgram) -> Result<&[f64], QpError> {
         let n = program.variables();
-        if n > self.variables || program.constraints() > self.constraints {
-            return Err(QpError::Unsolved("the problem exceeds the size that the solver was created for"));
-        }
         program.check()?;
         program.cholesky(&mut self.factor[..n * n])?;
         self.set_cost(program);
@@ -124,11 +141,7 @@ impl InteriorPoint {
         self.solver.solve();
         let found = &self.solver.solution;
         match found.status {
-            SolverStatus::Solved | SolverStatus::AlmostSolved if all_finite(&found.x) => {
-                self.solution.clear();
-                self.solution.extend_from_slice(&found.x[..n]);
-                Ok(())
-            }
+            SolverStatus::Solved | SolverStatus::AlmostSolved if all_finite(&found.x) => Ok(&found.x),
             SolverStatus::Solved | SolverStatus::AlmostSolved => Err(QpError::NotFinite),
             SolverStatus::PrimalInfeasible | SolverStatus::AlmostPrimalInfeasible => {
                 Err(QpError::Infeasible { row: self.contradiction() })
@@ -150,7 +163,7 @@ impl InteriorPoint {
         let scale = if largest > 0.0 { 1.0 / largest } else { 1.0 };
         self.p.fill(0.0);
         self.q.fill(0.0);
-        for j in 0..self.variables {
+        for j in 0..self.q.len() {
             // Column j of the upper triangle is row j of the lower.
             let column = &mut self.p[j * (j + 1) / 2..][..=j];
             if j < n {
@@ -166,7 +179,7 @@ impl InteriorPoint {
 
     /// Sets A and b.
     fn set_constraints(&mut self, program: &QuadraticProgram) {
-        let m = self.constraints;
+        let m = self.constraints();
         self.a.fill(0.0);
         self.b[..m].fill(0.0);
         self.b[m..].fill(1.0);
@@ -194,11 +207,15 @@ impl InteriorPoint {
         }
     }
 
+    fn constraints(&self) -> usize {
+        self.b.len() / 3
+    }
+
     /// Returns the row with the largest weight in Clarabel's infeasibility certificate.
     fn contradiction(&self) -> usize {
         let weight = |&(_, a): &(usize, &f64), &(_, b): &(usize, &f64)| a.abs().total_cmp(&b.abs());
         let heaviest = self.solver.solution.z.iter().enumerate().max_by(weight);
-        heaviest.map_or(0, |(at, _)| at % self.constraints)
+        heaviest.map_or(0, |(at, _)| at % self.constraints())
     }
 }
 

@@ -104,7 +104,7 @@ impl Column {
 }
 
 /// Value of an added metric while segments of a log arrive.
-pub trait LogMetric {
+pub trait LogMetric: Send {
     /// Adds the next segment of the log. `settled` are the rows of its channel `tick` in the time that statistics cover: from
     /// `settle_s` to the last control cycle.
     fn add(&mut self, segment: &Recording, settled: Range<usize>);

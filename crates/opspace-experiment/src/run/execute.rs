@@ -21,7 +21,7 @@ pub struct Progress {
     /// Second stop request, for a stop that takes too long: set to end the run at once by the robots' own stops.
     pub abort: Arc<AtomicBool>,
     /// Number of interface cycles so far.
-    pub ticks: AtomicU64,
+    pub ticks: Arc<AtomicU64>,
     /// Number of scenarios whose robots are being driven.
     driven: AtomicUsize,
 }
@@ -62,62 +62,35 @@ pub struct RunResult<W> {
     pub realtime_factor: f64,
 }
 
-/// Writer of a log, until the log is closed.
-type SharedWriter<W> = Arc<Mutex<Option<Writer<W>>>>;
-
-/// Closes the log of a run from another thread, if the run itself cannot.
-pub struct LogCloser<W>(SharedWriter<W>);
-
-impl<W> LogCloser<W> {
-    /// Writes the outcome of the run to the log and closes it.
-    pub fn close(&self, record: OutcomeRecord) -> Result<(), RunError> {
-        let writer = take(&self.0)?;
-        writer.finish_with(record).map(|_written| ()).map_err(RunError::from)
-    }
-}
-
-/// Takes the writer of an open log.
-fn take<W>(writer: &SharedWriter<W>) -> Result<Writer<W>, RunError> {
-    let taken = writer.lock().ok().and_then(|mut writer| writer.take());
-    taken.ok_or_else(|| LogError::Write(io::Error::other("the log is already closed")).into())
-}
-
-/// The log of a run in progress.
-pub struct OpenLog<'a, W> {
-    recorder: Recorder,
-    writer: SharedWriter<W>,
-    progress: &'a AtomicU64,
-    ticks: u64,
-    rows: u64,
+/// What a log in progress shares with what closes it.
+struct Shared<W> {
+    /// Writer, until the log is closed.
+    writer: Mutex<Option<Writer<W>>>,
+    cycles: AtomicU64,
+    /// Number of rows, once the log has all of them.
+    rows: AtomicU64,
     began: Instant,
 }
 
-impl<W> Sink for OpenLog<'_, W> {
-    fn row(&mut self, channel: usize, time_s: f64, row: &[f64]) {
-        self.rows += 1;
-        self.recorder.push(channel, time_s, row);
-    }
+/// Closes the log of a run once the run, which may own the log, is gone; or from another thread, if the run cannot end.
+pub struct LogCloser<W>(Arc<Shared<W>>);
 
-    fn between_ticks(&mut self) {
-        self.ticks += 1;
-        self.progress.fetch_add(1, Ordering::Relaxed);
-        self.recorder.wait_for_space();
-    }
-}
-
-impl<W> OpenLog<'_, W> {
-    /// Writes the outcome of a run of `experiment` to the log and closes the log.
+impl<W> LogCloser<W> {
+    /// Writes the outcome of a run of `experiment` to the log and closes it. Drop the run and its log before.
     ///
     /// # Errors
-    /// If the log cannot be written.
+    /// If the log cannot be written, or is closed already.
     pub fn close(self, experiment: &Experiment, outcome: RunOutcome) -> Result<RunResult<W>, RunError> {
         let record = experiment.outcome_record(&outcome);
         self.close_with(experiment, outcome, record)
     }
 
-    /// Returns what closes the log from another thread.
-    pub fn closer(&self) -> LogCloser<W> {
-        LogCloser(Arc::clone(&self.writer))
+    /// Closes the log of a run that does not end, with this description of its outcome.
+    ///
+    /// # Errors
+    /// As [`close`](Self::close).
+    pub fn abandon(&self, record: OutcomeRecord) -> Result<(), RunError> {
+        self.writer()?.finish_with(record).map(|_written| ()).map_err(RunError::from)
     }
 
     /// Closes the log with `record`, which describes `outcome`.
@@ -127,13 +100,66 @@ impl<W> OpenLog<'_, W> {
         outcome: RunOutcome,
         record: OutcomeRecord,
     ) -> Result<RunResult<W>, RunError> {
-        let robot_s = self.ticks as f64 * experiment.profile().1.period_s();
-        let realtime_factor = robot_s / self.began.elapsed().as_secs_f64();
-        drop(self.recorder);
-        match take(&self.writer)?.finish_with(record.clone()) {
+        let robot_s = self.0.cycles.load(Ordering::Relaxed) as f64 * experiment.profile().1.period_s();
+        let realtime_factor = robot_s / self.0.began.elapsed().as_secs_f64();
+        match self.writer()?.finish_with(record.clone()) {
             Ok((written, sink)) => Ok(RunResult { outcome, record, written, sink, realtime_factor }),
-            Err(source) => Err(RunError::LogCutShort { record: Box::new(record), rows: self.rows, source }),
+            Err(source) => {
+                let rows = self.0.rows.load(Ordering::Relaxed);
+                Err(RunError::LogCutShort { record: Box::new(record), rows, source })
+            }
         }
+    }
+
+    /// Takes the writer of an open log.
+    fn writer(&self) -> Result<Writer<W>, RunError> {
+        let taken = self.0.writer.lock().ok().and_then(|mut writer| writer.take());
+        taken.ok_or_else(|| LogError::Write(io::Error::other("the log is already closed")).into())
+    }
+}
+
+/// The log of a run in progress.
+pub struct OpenLog<W> {
+    recorder: Recorder,
+    shared: Arc<Shared<W>>,
+    progress: Arc<AtomicU64>,
+    rows: u64,
+}
+
+impl<W: Send> Sink for OpenLog<W> {
+    fn row(&mut self, channel: usize, time_s: f64, row: &[f64]) {
+        self.rows += 1;
+        self.recorder.push(channel, time_s, row);
+    }
+
+    fn between_ticks(&mut self) {
+        self.shared.cycles.fetch_add(1, Ordering::Relaxed);
+        self.progress.fetch_add(1, Ordering::Relaxed);
+        self.recorder.wait_for_space();
+    }
+}
+
+impl<W> Drop for OpenLog<W> {
+    fn drop(&mut self) {
+        self.shared.rows.store(self.rows, Ordering::Relaxed);
+    }
+}
+
+impl<W> OpenLog<W> {
+    /// Writes the outcome of a run of `experiment` to the log and closes the log.
+    ///
+    /// # Errors
+    /// If the log cannot be written.
+    pub fn close(self, experiment: &Experiment, outcome: RunOutcome) -> Result<RunResult<W>, RunError> {
+        let closer = self.closer();
+        drop(self);
+        closer.close(experiment, outcome)
+    }
+
+    /// Returns what closes the log without it.
+    #[must_use]
+    pub fn closer(&self) -> LogCloser<W> {
+        LogCloser(Arc::clone(&self.shared))
     }
 }
 
@@ -191,8 +217,8 @@ impl Experiment {
         let mut robot = ReplayBackend::new(recording, self.capabilities().simulated())?;
         let (control, mut log) = self.open(&robot.capabilities().clone(), None, sink, progress)?;
         let mut run = Run::new(control, self.duration_s(), &mut log)
-            .with_stop_request(&progress.interrupt)
-            .with_abort_request(&progress.abort);
+            .with_stop_request(Arc::clone(&progress.interrupt))
+            .with_abort_request(Arc::clone(&progress.abort));
         let targets = run.targets();
         let mut logged = LoggedTargets::new(recording, targets.layout(), targets.row())?;
         let mut before = |run: &mut Run<'_>| {
@@ -207,7 +233,9 @@ impl Experiment {
         let outcome = run.finish();
         let commands = robot.parted_s().map_or(ReplayedCommands::Equal, ReplayedCommands::PartAfter);
         let record = OutcomeRecord { replay: Some(commands), ..self.outcome_record(&outcome) };
-        log.close_with(self, outcome, record)
+        let closer = log.closer();
+        drop(log);
+        closer.close_with(self, outcome, record)
     }
 
     /// Runs the experiment with a loop of the caller: `body` calls [`Run::cycle`] once per interface cycle until
@@ -226,8 +254,8 @@ impl Experiment {
     ) -> Result<RunResult<W>, RunError> {
         let (control, mut log) = self.open(capabilities, truth, sink, progress)?;
         let mut run = Run::new(control, self.duration_s(), &mut log)
-            .with_stop_request(&progress.interrupt)
-            .with_abort_request(&progress.abort);
+            .with_stop_request(Arc::clone(&progress.interrupt))
+            .with_abort_request(Arc::clone(&progress.abort));
         progress.driving(|| body(&mut run));
         let outcome = run.finish();
         log.close(self, outcome)
@@ -238,28 +266,27 @@ impl Experiment {
     ///
     /// # Errors
     /// As [`run_on`](Self::run_on), but the start position is not checked.
-    pub fn open<'a, W: Write + Send + 'static>(
+    pub fn open<W: Write + Send + 'static>(
         &self,
         capabilities: &Capabilities,
         truth: Option<TruthLayouts>,
         sink: W,
-        progress: &'a Progress,
-    ) -> Result<(ControlLoop, OpenLog<'a, W>), RunError> {
+        progress: &Progress,
+    ) -> Result<(ControlLoop, OpenLog<W>), RunError> {
         let (control, channels) = self.prepare(capabilities, truth)?;
         let pace = match capabilities.world {
             World::Simulated => Pace::Simulated,
             World::Real => Pace::RealTime,
         };
         let (recorder, writer) = record(sink, self.header(capabilities.world), channels, pace)?;
-        let log = OpenLog {
-            recorder,
-            writer: Arc::new(Mutex::new(Some(writer))),
-            progress: &progress.ticks,
-            ticks: 0,
-            rows: 0,
+        let shared = Shared {
+            writer: Mutex::new(Some(writer)),
+            cycles: AtomicU64::new(0),
+            rows: AtomicU64::new(0),
             began: Instant::now(),
         };
-        Ok((control, log))
+        let progress = Arc::clone(&progress.ticks);
+        Ok((control, OpenLog { recorder, shared: Arc::new(shared), progress, rows: 0 }))
     }
 
     /// Returns the control loop of the experiment and the layouts of its rows.

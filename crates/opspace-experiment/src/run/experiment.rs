@@ -554,7 +554,15 @@ impl Experiment {
     /// # Errors
     /// A robot file without `[simulated]`, or parameters that contradict each other.
     pub fn simulated_arm(&self) -> Result<SimulatedArm, FileError> {
-        let config = self.arm_config()?;
+        self.simulated_arm_of(self.arm_config()?)
+    }
+
+    /// Returns an arm with a configuration that was changed after [`arm_config`](Self::arm_config), simulated by the plant of the
+    /// experiment: with external forces, or with another start.
+    ///
+    /// # Errors
+    /// Parameters that contradict each other, or that the plant cannot simulate.
+    pub fn simulated_arm_of(&self, config: ArmConfig) -> Result<SimulatedArm, FileError> {
         let arm = match &self.physics {
             Physics::Own => SimulatedArm::new(config),
             Physics::Engine(engine) => SimulatedArm::on_engine(config, &**engine),

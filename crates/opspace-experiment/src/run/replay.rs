@@ -6,8 +6,8 @@ use opspace_backend::signal_names::{COMMAND, DQ_DESIRED, Q_DESIRED, TICK_CHANNEL
 use opspace_backend::{Capabilities, Layout, Sink, TICK};
 use opspace_log::{Comparer, Difference, LogError, LogFile, LoggedInputs, OutcomeRecord, Recording};
 use opspace_loop::{ControlLoop, Run, RunOutcome};
-use std::cell::RefCell;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
 /// The result of a replay.
 #[derive(Clone, Debug, PartialEq)]
@@ -63,32 +63,37 @@ fn replay_segments(
     let control = experiment.control_loop()?;
     let inputs = InputsOfLog::new(&control, whole);
     let layout = &whole.tick()?.layout;
-    let comparer = RefCell::new(Comparer::new(layout, &Run::layouts(&control, None)[TICK]));
+    let comparer = Mutex::new(Comparer::new(layout, &Run::layouts(&control, None)[TICK]));
     let (stop, mut sink) = (AtomicBool::new(false), Shared(&comparer));
     let mut run = Run::new(control, experiment.duration_s(), &mut sink).with_stop_request(&stop);
     let mut fed = Ok(());
     pass(&mut |segment, _| {
         let Some(tick) = segment.channel(TICK_CHANNEL).filter(|_| fed.is_ok()) else { return };
         if run.is_over() {
-            comparer.borrow_mut().logged_rows_without_replay(tick.len());
+            comparing(&comparer).logged_rows_without_replay(tick.len());
             return;
         }
         for (k, time_s) in tick.time_s.iter().enumerate() {
-            comparer.borrow_mut().logged_row(*time_s, tick.row(k));
+            comparing(&comparer).logged_row(*time_s, tick.row(k));
         }
         fed = inputs.feed(segment, &mut run, &stop);
     })?;
     fed?;
     let outcome = run.finish();
-    Ok(report(&comparer.borrow(), experiment.outcome_record(&outcome)))
+    Ok(report(&comparing(&comparer), experiment.outcome_record(&outcome)))
+}
+
+/// Locks a comparison; one that panicked is not used any more.
+fn comparing(comparer: &Mutex<Comparer>) -> MutexGuard<'_, Comparer> {
+    comparer.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// Comparison that gets the rows of a run while rows of the log reach it too.
-struct Shared<'a>(&'a RefCell<Comparer>);
+struct Shared<'a>(&'a Mutex<Comparer>);
 
 impl Sink for Shared<'_> {
     fn row(&mut self, channel: usize, time_s: f64, row: &[f64]) {
-        self.0.borrow_mut().row(channel, time_s, row);
+        comparing(self.0).row(channel, time_s, row);
     }
 }
 

@@ -330,8 +330,8 @@ impl Scenario {
             .zip(&mut sinks)
             .map(|(control, sink)| {
                 Run::new(control, self.duration_s(), sink)
-                    .with_stop_request(&progress.interrupt)
-                    .with_abort_request(&progress.abort)
+                    .with_stop_request(Arc::clone(&progress.interrupt))
+                    .with_abort_request(Arc::clone(&progress.abort))
             })
             .collect();
         let mut driven: Vec<Driven<'_, '_>> = robots

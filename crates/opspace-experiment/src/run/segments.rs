@@ -5,7 +5,7 @@ use crate::run::execute::Progress;
 use crate::run::scenario::Scenario;
 use opspace_backend::Sink;
 use opspace_log::{OutcomeRecord, Recording, SegmentRecorder};
-use std::cell::RefCell;
+use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
 
 /// Sink that counts the cycles.
@@ -36,13 +36,15 @@ impl Scenario {
     pub fn run_in_segments(
         &self,
         progress: &Progress,
-        receive: impl FnMut(usize, &Recording, bool),
+        receive: impl FnMut(usize, &Recording, bool) + Send,
     ) -> Result<Vec<(OutcomeRecord, f64)>, RunError> {
-        let receive = RefCell::new(receive);
+        let receive = Mutex::new(receive);
         let driven = self.drive(progress, |number, capabilities, truth| {
             let (control, layouts) = self.members[number].experiment.loop_and_layouts(capabilities, truth)?;
             let receive = &receive;
-            let pass = move |segment: &Recording, is_last| (receive.borrow_mut())(number, segment, is_last);
+            let pass = move |segment: &Recording, is_last| {
+                (receive.lock().unwrap_or_else(PoisonError::into_inner))(number, segment, is_last);
+            };
             let log = SegmentRecorder::new(layouts, pass);
             Ok((control, Counted { log, ticks: 0, began: Instant::now() }))
         })?;

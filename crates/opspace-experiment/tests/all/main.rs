@@ -22,6 +22,7 @@ mod metrics;
 mod moment_axes;
 mod oscillation;
 mod overrides;
+mod owned_run;
 mod panicking_task;
 mod path_following;
 mod physics;

@@ -81,6 +81,7 @@ fn check(case: &Case, kind: CommandKind) -> Seen {
         });
         assert_eq!(count, 0, "{kind:?}, {}, cycle {cycle}", case.name);
     }
+    drop(run);
     seen
 }
 

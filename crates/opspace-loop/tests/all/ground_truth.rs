@@ -89,6 +89,7 @@ fn servo_rows_have_torques_of_their_command() {
         let mut all = All::default();
         let mut run = Run::new(control, 0.5, &mut all);
         drive(&mut robot, &mut run);
+        drop(run);
         let channel = |channel| all.0.iter().filter(move |row| row.0 == channel).map(|row| &row.1[..]);
         let cycles: Vec<&[f64]> = channel(TICK).collect();
         let servos: Vec<&[f64]> = channel(SERVO).collect();
@@ -117,6 +118,7 @@ fn true_state_row_precedes_its_cycle_row() {
     let mut all = All::default();
     let mut run = Run::new(control, 0.01, &mut all);
     drive(&mut robot, &mut run);
+    drop(run);
     let channels: Vec<usize> = all.0.iter().take(8).map(|row| row.0).collect();
     assert_eq!(channels, [TRUTH, SERVO, TICK, TIMING, TRUTH, SERVO, TICK, TIMING]);
 }
