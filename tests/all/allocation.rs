@@ -410,7 +410,7 @@ struct OneOfSeveral<'a> {
 impl Sink for OneOfSeveral<'_> {
     fn row(&mut self, channel: usize, _time_s: f64, row: &[f64]) {
         if channel == TICK {
-            let mut counts = self.counts.lock().unwrap();
+            let mut counts = self.counts.lock().expect("no panic before");
             assert!(counts.len() < counts.capacity(), "the sink itself must not allocate");
             counts.push((self.robot, row[PHASE], allocations_so_far()));
         }
@@ -455,7 +455,7 @@ fn no_cycle_of_coupled_robots_allocates() {
         let driven = driven.unwrap_or_else(|e| panic!("{e}"));
         assert!(driven.iter().all(|(_, outcome)| *outcome == RunOutcome::Completed), "{reflect}");
         drop(driven);
-        let counts = counts.into_inner().unwrap();
+        let counts = counts.into_inner().expect("no panic before");
         let mut before = [f64::NAN; 2];
         let mut starts = 0;
         for (k, pair) in counts.windows(2).enumerate() {
