@@ -19,11 +19,33 @@
 use crate::coupled_parameters::{CarryParameters, CouplingSide};
 use crate::coupled_rows::RowState;
 use crate::error::Mistake;
+use crate::law::{CouplingLaw, Cycle};
+use crate::packet_fields::{RowField, RowUnit};
 use crate::received::{Packet, ReceivedState};
 use nalgebra::{Matrix3, Vector3, Vector6};
+use opspace_backend::SignalRecorder;
+use opspace_backend::signal_names::{INTERNAL_FORCE, PORT_PATH, PORT_PATH_ACCELERATION, PORT_PATH_VELOCITY};
 use opspace_control::references::reference::Trajectory;
 use opspace_control::{CartesianReference, ControlError, Target};
 use opspace_model::Placement;
+use std::any::Any;
+
+/// Path of the object, with its derivatives.
+pub(crate) const FURTHER: [RowField; 3] = [
+    RowField { signal: PORT_PATH, input: "path", unit: RowUnit::All("m"), of: |p| &mut p.reference[0] },
+    RowField {
+        signal: PORT_PATH_VELOCITY,
+        input: "path_velocity",
+        unit: RowUnit::All("m/s"),
+        of: |p| &mut p.reference[1],
+    },
+    RowField {
+        signal: PORT_PATH_ACCELERATION,
+        input: "path_acceleration",
+        unit: RowUnit::All("m/s^2"),
+        of: |p| &mut p.reference[2],
+    },
+];
 
 /// One side of two robots that carry an object, with its state.
 #[derive(Clone, Debug)]
@@ -50,6 +72,7 @@ pub(crate) struct Carry {
     /// Position, velocity and acceleration of the path in this cycle, as displacements of the object.
     path: [Vector3<f64>; 3],
     acceleration: Vector3<f64>,
+    /// Internal force, N: positive if the hands press on the object.
     internal_n: f64,
     force: Vector3<f64>,
     sensed: Vector3<f64>,
@@ -95,48 +118,15 @@ impl Carry {
         })
     }
 
-    pub(crate) fn side(&self) -> CouplingSide {
-        self.side
-    }
-
-    /// Starts the path at the present position.
-    pub(crate) fn start(&mut self, time_s: f64) {
-        let home = Placement::identity();
-        self.trajectory.start(&home, &Target::at_rest(home), &Matrix3::identity());
-        (self.start_s, self.is_started) = (time_s, true);
-        self.open();
-    }
-
     fn open(&mut self) {
         (self.closed, self.closed_s, self.integral_n) = (false, None, 0.0);
         (self.acceleration, self.force) = (Vector3::zeros(), Vector3::zeros());
         self.internal_n = 0.0;
     }
 
-    /// Cycle in which the robot is held.
-    pub(crate) fn rest(&mut self, state: &RowState) {
-        self.open();
-        self.path = [linear(&state.position), Vector3::zeros(), Vector3::zeros()];
-        self.sensed = linear(&state.sensed);
-    }
-
-    /// Joins the path from the position of the object at rest.
-    pub(crate) fn resume(&mut self, state: &RowState, time_s: f64) {
-        let at = Placement { rotation: Matrix3::identity(), translation: linear(&state.position) };
-        self.trajectory.join(time_s - self.start_s, &Target::at_rest(at));
-        self.open();
-    }
-
-    /// Continues from the same law of another task set.
-    pub(crate) fn inherit_state(&mut self, before: &Self) {
-        let Self { trajectory, start_s, closed_s, integral_n, closed, path, internal_n, .. } = before.clone();
-        self.trajectory = trajectory;
-        (self.start_s, self.closed_s, self.integral_n) = (start_s, closed_s, integral_n);
-        (self.closed, self.path, self.internal_n, self.is_started) = (closed, path, internal_n, true);
-    }
-
-    /// Computes the [`acceleration`](Self::acceleration) and the [`force`](Self::force) of a cycle.
-    pub(crate) fn update(&mut self, state: &RowState, partner: &ReceivedState, time_s: f64, clock_s: f64) {
+    /// Computes acceleration and force of a cycle.
+    fn compute(&mut self, cycle: &Cycle<'_>) {
+        let Cycle { state, partner, time_s, clock_s, .. } = *cycle;
         let (p, v, sensed) = (linear(&state.position), linear(&state.velocity), linear(&state.sensed));
         self.sensed = sensed;
         let packet = partner.fresh(clock_s);
@@ -188,29 +178,28 @@ impl Carry {
             .clamp(-self.integral_limit_n, self.integral_limit_n);
         wanted_n + self.gain * error_n + self.integral_n
     }
+}
 
-    /// Desired acceleration of the rows, m/s².
-    pub(crate) fn acceleration(&self) -> Vector6<f64> {
-        rows(&self.acceleration)
+impl CouplingLaw for Carry {
+    fn side(&self) -> CouplingSide {
+        self.side
     }
 
-    /// Force on the rows, N.
-    pub(crate) fn force(&self) -> Vector6<f64> {
-        rows(&self.force)
+    fn further(&self) -> &'static [RowField] {
+        &FURTHER
+    }
+
+    /// The positions of both hands belong together, so that one can't begin anew alone.
+    fn meets_other_sessions(&self) -> bool {
+        false
     }
 
     /// Path of the object, as a displacement, m.
-    pub(crate) fn reference(&self) -> Vector6<f64> {
+    fn reference(&self) -> Vector6<f64> {
         rows(&self.path[0])
     }
 
-    /// Internal force, N: positive if the hands press on the object.
-    pub(crate) fn internal_n(&self) -> f64 {
-        self.internal_n
-    }
-
-    /// Packet for the other robot, without its number.
-    pub(crate) fn sent(&self, state: &RowState) -> Packet {
+    fn sent(&self, state: &RowState) -> Packet {
         Packet {
             closed: self.closed && self.is_started,
             position: state.position,
@@ -219,6 +208,48 @@ impl Carry {
             reference: self.path.map(|vector| rows(&vector)),
             ..Packet::default()
         }
+    }
+
+    /// Starts the path at the present position.
+    fn start(&mut self, _clock_s: f64, time_s: f64) {
+        let home = Placement::identity();
+        self.trajectory.start(&home, &Target::at_rest(home), &Matrix3::identity());
+        (self.start_s, self.is_started) = (time_s, true);
+        self.open();
+    }
+
+    /// Joins the path from the position of the object at rest.
+    fn resume(&mut self, state: &RowState, time_s: f64) {
+        let at = Placement { rotation: Matrix3::identity(), translation: linear(&state.position) };
+        self.trajectory.join(time_s - self.start_s, &Target::at_rest(at));
+        self.open();
+    }
+
+    fn inherit(&mut self, before: &dyn CouplingLaw) {
+        let Some(before) = (before as &dyn Any).downcast_ref::<Self>() else { return };
+        let Self { trajectory, start_s, closed_s, integral_n, closed, path, internal_n, .. } = before.clone();
+        self.trajectory = trajectory;
+        (self.start_s, self.closed_s, self.integral_n) = (start_s, closed_s, integral_n);
+        (self.closed, self.path, self.internal_n, self.is_started) = (closed, path, internal_n, true);
+    }
+
+    fn update(&mut self, cycle: &Cycle<'_>) -> (Vector6<f64>, Vector6<f64>) {
+        self.compute(cycle);
+        (rows(&self.force) - cycle.damping, rows(&self.acceleration))
+    }
+
+    fn rest(&mut self, state: &RowState, _partner: &ReceivedState, _clock_s: f64) {
+        self.open();
+        self.path = [linear(&state.position), Vector3::zeros(), Vector3::zeros()];
+        self.sensed = linear(&state.sensed);
+    }
+
+    fn record(&self, name: &str, out: &mut SignalRecorder<'_>) {
+        out.scalar((name, INTERNAL_FORCE), "N", self.internal_n);
+    }
+
+    fn boxed(&self) -> Box<dyn CouplingLaw> {
+        Box::new(self.clone())
     }
 }
 

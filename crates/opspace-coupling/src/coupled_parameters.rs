@@ -206,23 +206,17 @@ impl Reflected {
 /// Ratios of the follower's motion and force to those of the leader.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
-#[serde(deny_unknown_fields)]
+#[serde(deny_unknown_fields, default)]
 pub struct CouplingScale {
     /// Displacement of the follower per displacement of the leader.
-    #[serde(default = "one")]
     pub position: Positive,
     /// Force on the leader per force on the follower.
-    #[serde(default = "one")]
     pub force: Positive,
-}
-
-const fn one() -> Positive {
-    Positive::literal(1.0)
 }
 
 impl Default for CouplingScale {
     fn default() -> Self {
-        Self { position: one(), force: one() }
+        Self { position: Positive::literal(1.0), force: Positive::literal(1.0) }
     }
 }
 
@@ -265,6 +259,10 @@ pub struct CarryParameters {
 
 const fn default_frequency() -> Positive {
     Positive::literal(20.0)
+}
+
+const fn one() -> Positive {
+    Positive::literal(1.0)
 }
 
 const fn one_feedback() -> NonNegative {

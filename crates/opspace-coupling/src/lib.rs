@@ -20,8 +20,8 @@
 //! | `steady_latency` | latency of the channel without its jitter |
 //! | `wave` | wave variables, passive at a constant delay |
 //! | `contact_compliance` | compliance of what the partner touches |
-//! | `received` | the newest packet from the partner |
-//! | `teleoperation`, `carry` | the two laws |
+//! | `received`, `packet_fields` | the newest packet from the partner; the fields of a packet |
+//! | `law`, `teleoperation`, `carry` | the interface of a law, and the two laws |
 //! | `coupled`, `coupled_rows`, `coupled_parameters` | the task, its rows and its parameters |
 
 #![forbid(unsafe_code)]
@@ -33,6 +33,8 @@ pub mod coupled_parameters;
 pub(crate) mod coupled_rows;
 pub mod energy_play;
 pub(crate) mod error;
+pub(crate) mod law;
+pub(crate) mod packet_fields;
 pub mod port_passivity;
 pub mod received;
 pub mod steady_latency;

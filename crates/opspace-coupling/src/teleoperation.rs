@@ -21,15 +21,23 @@ use crate::contact_compliance::ContactCompliance;
 use crate::coupled_parameters::{CouplingSide, Passivity, Reflected, TeleoperationParameters};
 use crate::coupled_rows::RowState;
 use crate::error::Mistake;
+use crate::law::{CouplingLaw, Cycle};
+use crate::packet_fields::{RowField, RowUnit};
 use crate::port_passivity::{PortPassivity, PortPassivityParameters};
 use crate::received::{Packet, ReceivedState};
 use crate::steady_latency::SteadyLatency;
 use crate::wave::WaveSide;
 use nalgebra::Vector6;
-use opspace_backend::LowPass;
 use opspace_backend::quantity::NonNegative;
+use opspace_backend::signal_names::{PASSIVITY_TIME, PORT_ENERGY_OUT, PORT_WAVE};
+use opspace_backend::{LowPass, SignalRecorder};
 use opspace_control::{ControlContext, ControlError};
+use std::any::Any;
 use std::f64::consts::TAU;
+
+/// Integral of the sender's wave variable, which wave variables need.
+pub(crate) const FURTHER: [RowField; 1] =
+    [RowField { signal: PORT_WAVE, input: "wave", unit: RowUnit::All("J^0.5 s^0.5"), of: |p| &mut p.wave }];
 
 /// Store of a passivity control that only observes, J.
 const UNLIMITED_J: NonNegative = NonNegative::literal(1e9);
@@ -54,8 +62,6 @@ pub(crate) struct Teleoperation {
     /// Stiffness and damping of each row.
     spring: Vector6<f64>,
     damper: Vector6<f64>,
-    /// Damping of the task.
-    damping: Vector6<f64>,
     position_scale: f64,
     force_scale: f64,
     /// True if the force is measured: an estimated one is late by the lag of its observer.
@@ -111,11 +117,11 @@ pub(crate) struct Teleoperation {
 }
 
 impl Teleoperation {
-    /// Returns a side of a coupling with `[stiffness, damping]` of each row, and the damping of the task. `angular` marks the
+    /// Returns a side of a coupling with `[stiffness, damping]` of each row. `angular` marks the
     /// rows in rad and Nm; `sensed` is true if the force is sensed, `measured` if it is not estimated; `lag_s` is the lag of the force sensor's filter.
     pub(crate) fn new(
         (side, p): (CouplingSide, &TeleoperationParameters),
-        [spring, damper, damping]: [Vector6<f64>; 3],
+        [spring, damper]: [Vector6<f64>; 2],
         (angular, sensed, measured): (&[bool; 6], bool, bool),
         (context, lag_s): (&ControlContext, f64),
         key: &str,
@@ -164,7 +170,6 @@ impl Teleoperation {
             reflect: p.reflect,
             spring,
             damper,
-            damping,
             position_scale: p.scale.position.get(),
             force_scale: p.scale.force.get(),
             is_measured: measured,
@@ -201,79 +206,6 @@ impl Teleoperation {
         })
     }
 
-    pub(crate) fn side(&self) -> CouplingSide {
-        self.side
-    }
-
-    /// True if the coupling needs the wave of each packet.
-    pub(crate) fn uses_waves(&self) -> bool {
-        self.wave.is_some()
-    }
-
-    pub(crate) fn passivity(&self) -> &PortPassivity {
-        &self.passivity
-    }
-
-    /// Reference of the follower; the leader's is its own position.
-    pub(crate) fn reference(&self) -> &Vector6<f64> {
-        match self.side {
-            CouplingSide::Leader => &self.position,
-            CouplingSide::Follower => &self.reference,
-        }
-    }
-
-    /// Starts a session with zero displacement and an open coupling.
-    pub(crate) fn start(&mut self, session: f64) {
-        (self.session, self.met) = (session, None);
-        for vector in [
-            &mut self.reference,
-            &mut self.reference_velocity,
-            &mut self.offset,
-            &mut self.target,
-            &mut self.position,
-            &mut self.force,
-            &mut self.counted,
-            &mut self.acting,
-            &mut self.received,
-            &mut self.taken,
-        ] {
-            vector.fill(0.0);
-        }
-        self.port = None;
-        (self.closed, self.share) = (false, 0.0);
-        self.compliance.restart();
-        self.latency.restart();
-        self.round_trip.restart();
-        self.passivity.restart();
-        self.passivity.rebase();
-    }
-
-    /// Continues from the coupling of another task set.
-    pub(crate) fn inherit_state(&mut self, before: &Self) {
-        self.passivity.inherit_state(&before.passivity);
-        (self.session, self.met) = (before.session, before.met);
-        self.compliance = before.compliance;
-        (self.latency, self.round_trip) = (before.latency, before.round_trip);
-        (self.closed, self.share) = (before.closed, before.share);
-        self.reference = before.reference;
-        self.reference_velocity = before.reference_velocity;
-        self.offset = before.offset;
-        self.target = before.target;
-        self.position = before.position;
-        self.force = before.force;
-        self.counted = before.counted;
-        self.acting = before.acting;
-        self.received = before.received;
-        self.taken = before.taken;
-        self.port_filter = before.port_filter.clone();
-        self.port = before.port;
-    }
-
-    /// Notes the force that limits of the robot have taken from the rows in this cycle: it does no work.
-    pub(crate) fn take_force(&mut self, taken: &Vector6<f64>) {
-        self.taken = *taken;
-    }
-
     /// Notes the force of the last command, and returns the mean force since the last cycle: the command before that one still
     /// acted for the part `lateness`.
     fn acted(&mut self) -> Vector6<f64> {
@@ -297,20 +229,6 @@ impl Teleoperation {
             self.passivity.observe_physical(in_j * self.force_scale / self.position_scale);
         }
         self.port = Some(now);
-    }
-
-    /// Cycle in which the robot is held: the coupling is open, and the reference stays at the robot.
-    pub(crate) fn rest(&mut self, state: &RowState, partner: &ReceivedState, clock_s: f64) {
-        let partner = self.continued(partner, clock_s);
-        self.position = state.position;
-        self.reference = state.position;
-        self.open(partner.as_ref());
-        self.force.fill(0.0);
-        self.counted.fill(0.0);
-        self.acting.fill(0.0);
-        self.taken.fill(0.0);
-        self.port = None;
-        self.passivity.restart();
     }
 
     /// Opens the coupling: the reference stays where it is, whatever the leader does.
@@ -362,29 +280,6 @@ impl Teleoperation {
         }
     }
 
-    /// Returns the force on the rows of a cycle, N or Nm, with the damping of the task.
-    pub(crate) fn update(
-        &mut self,
-        state: &RowState,
-        partner: &ReceivedState,
-        clutch: Option<bool>,
-        time_s: f64,
-        clock_s: f64,
-    ) -> Vector6<f64> {
-        let scheduled = || self.clutch_open_s.iter().any(|[from, until]| (*from..*until).contains(&time_s));
-        let is_open = clutch.unwrap_or_else(scheduled);
-        let newest = self.continued(partner, clock_s);
-        let moved = state.position - self.position;
-        self.position = state.position;
-        // A robot whose own clutch is open still sends what the other one needs to see that.
-        self.closed = newest.is_some() && !partner.is_stale(clock_s) && !is_open;
-        let packet = newest.as_ref().filter(|packet| self.closed && packet.closed);
-        match self.side {
-            CouplingSide::Leader => self.lead(state, &moved, packet),
-            CouplingSide::Follower => self.follow(state, &moved, packet, newest.as_ref()),
-        }
-    }
-
     /// Force by which the delay is paid for: a force that arrives the round trip T late lacks K T v of that of the stiffness K
     /// behind it, and would give this energy away in each push. K is that of the coupling's spring and of what the follower
     /// touches, in series. The force is taken along the received one, in its measure, so that neither motion without contact nor
@@ -402,7 +297,8 @@ impl Teleoperation {
         direction * (damping * direction.dot(velocity) * contact(packet))
     }
 
-    fn lead(&mut self, state: &RowState, moved: &Vector6<f64>, packet: Option<&Packet>) -> Vector6<f64> {
+    fn lead(&mut self, cycle: &Cycle<'_>, moved: &Vector6<f64>, packet: Option<&Packet>) -> Vector6<f64> {
+        let Cycle { state, .. } = *cycle;
         let wanted = match packet {
             None => {
                 self.share = 0.0;
@@ -443,7 +339,7 @@ impl Teleoperation {
         self.passivity.observe(&acted, moved);
         // The handle feedback makes each other force of the command 1 + g times smaller to the operator.
         let g = self.handle_feedback;
-        let damping = self.damping.component_mul(&state.velocity) / (1.0 + g);
+        let damping = cycle.damping / (1.0 + g);
         let counted = damping * packet.map_or(0.0, contact);
         let wanted = wanted - counted;
         self.counted = self.passivity.limit_force(&state.velocity, &wanted);
@@ -454,11 +350,12 @@ impl Teleoperation {
 
     fn follow(
         &mut self,
-        state: &RowState,
+        cycle: &Cycle<'_>,
         moved: &Vector6<f64>,
         packet: Option<&Packet>,
         newest: Option<&Packet>,
     ) -> Vector6<f64> {
+        let Cycle { state, .. } = *cycle;
         let energy_scale = self.force_scale / self.position_scale;
         let effort = self.effort(state);
         if self.reflect == Reflected::MeasuredForce && self.is_measured {
@@ -525,7 +422,7 @@ impl Teleoperation {
             _ => force,
         };
         self.force = force;
-        force - self.damping.component_mul(&state.velocity)
+        force - cycle.damping
     }
 
     /// Displacement (m, rad) by which the follower retreats while the leader cannot give back the energy of its push: the
@@ -548,9 +445,34 @@ impl Teleoperation {
             _ => -self.force,
         }
     }
+}
 
-    /// Packet for the other robot, without its number.
-    pub(crate) fn sent(&self, state: &RowState) -> Packet {
+impl CouplingLaw for Teleoperation {
+    fn side(&self) -> CouplingSide {
+        self.side
+    }
+
+    fn further(&self) -> &'static [RowField] {
+        &FURTHER
+    }
+
+    fn needed(&self) -> &'static [RowField] {
+        if self.wave.is_some() { &FURTHER } else { &[] }
+    }
+
+    fn meets_other_sessions(&self) -> bool {
+        true
+    }
+
+    /// Reference of the follower; the leader's is its own position.
+    fn reference(&self) -> Vector6<f64> {
+        match self.side {
+            CouplingSide::Leader => self.position,
+            CouplingSide::Follower => self.reference,
+        }
+    }
+
+    fn sent(&self, state: &RowState) -> Packet {
         let (position, velocity, force) = match self.side {
             CouplingSide::Leader => (state.position, state.velocity, self.force),
             CouplingSide::Follower => (
@@ -563,6 +485,96 @@ impl Teleoperation {
         let energy_in_j = self.passivity.energy_in_j();
         let (closed, limited) = (self.closed, self.limited);
         Packet { closed, limited, energy_in_j, position, velocity, force, wave, ..Packet::default() }
+    }
+
+    fn start(&mut self, clock_s: f64, _time_s: f64) {
+        (self.session, self.met) = (clock_s, None);
+        for vector in [
+            &mut self.reference,
+            &mut self.reference_velocity,
+            &mut self.offset,
+            &mut self.target,
+            &mut self.position,
+            &mut self.force,
+            &mut self.counted,
+            &mut self.acting,
+            &mut self.received,
+            &mut self.taken,
+        ] {
+            vector.fill(0.0);
+        }
+        self.port = None;
+        (self.closed, self.share) = (false, 0.0);
+        self.compliance.restart();
+        self.latency.restart();
+        self.round_trip.restart();
+        self.passivity.restart();
+        self.passivity.rebase();
+    }
+
+    fn inherit(&mut self, before: &dyn CouplingLaw) {
+        let Some(before) = (before as &dyn Any).downcast_ref::<Self>() else { return };
+        self.passivity.inherit_state(&before.passivity);
+        (self.session, self.met) = (before.session, before.met);
+        self.compliance = before.compliance;
+        (self.latency, self.round_trip) = (before.latency, before.round_trip);
+        (self.closed, self.share) = (before.closed, before.share);
+        self.reference = before.reference;
+        self.reference_velocity = before.reference_velocity;
+        self.offset = before.offset;
+        self.target = before.target;
+        self.position = before.position;
+        self.force = before.force;
+        self.counted = before.counted;
+        self.acting = before.acting;
+        self.received = before.received;
+        self.taken = before.taken;
+        self.port_filter = before.port_filter.clone();
+        self.port = before.port;
+    }
+
+    fn update(&mut self, cycle: &Cycle<'_>) -> (Vector6<f64>, Vector6<f64>) {
+        let Cycle { state, partner, clutch_open, time_s, clock_s, .. } = *cycle;
+        let scheduled = || self.clutch_open_s.iter().any(|[from, until]| (*from..*until).contains(&time_s));
+        let is_open = clutch_open.unwrap_or_else(scheduled);
+        let newest = self.continued(partner, clock_s);
+        let moved = state.position - self.position;
+        self.position = state.position;
+        // A robot whose own clutch is open still sends what the other one needs to see that.
+        self.closed = newest.is_some() && !partner.is_stale(clock_s) && !is_open;
+        let packet = newest.as_ref().filter(|packet| self.closed && packet.closed);
+        let force = match self.side {
+            CouplingSide::Leader => self.lead(cycle, &moved, packet),
+            CouplingSide::Follower => self.follow(cycle, &moved, packet, newest.as_ref()),
+        };
+        (force, Vector6::zeros())
+    }
+
+    /// The reference stays at the robot.
+    fn rest(&mut self, state: &RowState, partner: &ReceivedState, clock_s: f64) {
+        let partner = self.continued(partner, clock_s);
+        self.position = state.position;
+        self.reference = state.position;
+        self.open(partner.as_ref());
+        self.force.fill(0.0);
+        self.counted.fill(0.0);
+        self.acting.fill(0.0);
+        self.taken.fill(0.0);
+        self.port = None;
+        self.passivity.restart();
+    }
+
+    fn take_force(&mut self, taken: &Vector6<f64>) {
+        self.taken = *taken;
+    }
+
+    fn record(&self, name: &str, out: &mut SignalRecorder<'_>) {
+        out.scalar((name, PORT_ENERGY_OUT), "J", self.passivity.energy_out_j());
+        out.scalar((name, PASSIVITY_TIME), "s", self.passivity.active_s());
+    }
+
+    fn boxed(&self) -> Box<dyn CouplingLaw> {
+        Box::new(self.clone())
     }
 }
 

@@ -75,10 +75,8 @@ fn best_curve(passes: &[ConstantVelocityRun], plain: &[bool; 3], peaked: &[[bool
         return None;
     }
     let mut best = curve(passes, NO_STRIBECK, plain)?;
-    // Grid from a hundredth to a half of the highest speed. Of a peak below the slowest run, the runs show only the tail: its
-    // height, the static friction, could be anything.
-    let grid = (0..GRID).map(|step| highest * 0.01 * 50f64.powf(f64::from(step) / f64::from(GRID - 1)));
-    for stribeck in grid.filter(|stribeck| *stribeck >= slowest) {
+    // Of a peak below the slowest run, the runs show only the tail: its height, the static friction, could be anything.
+    for stribeck in stribeck_velocities(passes).filter(|stribeck| *stribeck >= slowest) {
         for columns in peaked {
             if let Some(found) = curve(passes, stribeck, columns)
                 && found.residual < 0.999 * best.residual
@@ -96,8 +94,11 @@ const COMMON_ERROR: f64 = 0.003;
 /// Returns the 95 % intervals of Coulomb friction (Nm, N) and viscous friction (Nms/rad, Ns/m); `None` with too few runs.
 #[must_use]
 pub fn intervals(passes: &[ConstantVelocityRun]) -> Option<[Interval95; 2]> {
-    let curves: Vec<LinearFit> = columns_and_velocities(passes)
-        .filter_map(|(columns, stribeck)| linear_fit(passes, stribeck, &columns))
+    let with_peak = stribeck_velocities(passes).map(|stribeck| ([true, true, true], stribeck));
+    let curves: Vec<LinearFit> = [([true, true, false], NO_STRIBECK)]
+        .into_iter()
+        .chain(with_peak)
+        .filter_map(|(columns, stribeck)| LinearFit::new(passes, stribeck, &columns))
         .filter(|fit| !fit.columns[2] || fit.of(2) >= 0.0)
         .collect();
     let best = curves.iter().min_by(|a, b| a.cost.total_cmp(&b.cost))?;
@@ -118,20 +119,18 @@ pub fn intervals(passes: &[ConstantVelocityRun]) -> Option<[Interval95; 2]> {
     Some([interval(0)?, interval(1)?])
 }
 
-/// Columns [Coulomb, viscous, Stribeck], and Stribeck velocities (rad/s, m/s), of the curves that are tried.
-fn columns_and_velocities(passes: &[ConstantVelocityRun]) -> impl Iterator<Item = ([bool; 3], f64)> {
+/// Stribeck velocities that are tried, rad/s (m/s): a grid from a hundredth to a half of the highest speed.
+fn stribeck_velocities(passes: &[ConstantVelocityRun]) -> impl Iterator<Item = f64> {
     let highest = passes.iter().map(|p| p.speed).fold(0.0, f64::max);
-    // Grid from a hundredth to a half of the highest speed.
-    let velocities =
-        (0..GRID).map(move |step| highest * 0.01 * 50f64.powf(f64::from(step) / f64::from(GRID - 1)));
-    let with_peak = velocities.map(|stribeck| ([true, true, true], stribeck));
-    [([true, true, false], NO_STRIBECK)].into_iter().chain(with_peak)
+    (0..GRID).map(move |step| highest * 0.01 * 50f64.powf(f64::from(step) / f64::from(GRID - 1)))
 }
 
-/// Linear least squares of a curve with a given Stribeck velocity.
+/// Linear least squares of a curve with a given Stribeck velocity, and some of the columns [Coulomb, viscous, Stribeck].
 struct LinearFit {
     columns: [bool; 3],
-    coefficients: Vec<f64>,
+    matrix: DMatrix<f64>,
+    right: DVector<f64>,
+    coefficients: DVector<f64>,
     /// Diagonal of the inverse normal matrix.
     variances: Vec<f64>,
     /// Sum of squared residuals.
@@ -139,6 +138,28 @@ struct LinearFit {
 }
 
 impl LinearFit {
+    fn new(passes: &[ConstantVelocityRun], stribeck: f64, columns: &[bool; 3]) -> Option<Self> {
+        let value = |column: usize, speed: f64| match column {
+            0 => 1.0,
+            1 => speed,
+            _ => (-(speed / stribeck).powi(2)).exp(),
+        };
+        let used: Vec<usize> = (0..3).filter(|&c| columns[c]).collect();
+        if passes.len() < used.len() {
+            return None;
+        }
+        let matrix = DMatrix::from_fn(passes.len(), used.len(), |k, c| value(used[c], passes[k].speed));
+        let right = DVector::from_iterator(passes.len(), passes.iter().map(|p| p.torque));
+        let coefficients =
+            matrix.clone().try_svd(true, true, f64::EPSILON, MAX_ITERATIONS)?.solve(&right, 1e-12).ok()?;
+        let variances = match matrix.tr_mul(&matrix).try_inverse() {
+            Some(inverse) => inverse.diagonal().iter().map(|v| v.max(0.0)).collect(),
+            None => vec![f64::INFINITY; used.len()],
+        };
+        let cost = (&matrix * &coefficients - &right).norm_squared();
+        Some(Self { columns: *columns, matrix, right, coefficients, variances, cost })
+    }
+
     /// Coefficient of a column; 0 if it is not used.
     fn of(&self, column: usize) -> f64 {
         let at = self.columns[..column].iter().filter(|used| **used).count();
@@ -146,57 +167,20 @@ impl LinearFit {
     }
 }
 
-fn linear_fit(passes: &[ConstantVelocityRun], stribeck: f64, columns: &[bool; 3]) -> Option<LinearFit> {
-    let value = |column: usize, speed: f64| match column {
-        0 => 1.0,
-        1 => speed,
-        _ => (-(speed / stribeck).powi(2)).exp(),
-    };
-    let used: Vec<usize> = (0..3).filter(|&c| columns[c]).collect();
-    if passes.len() < used.len() {
-        return None;
-    }
-    let matrix = DMatrix::from_fn(passes.len(), used.len(), |k, c| value(used[c], passes[k].speed));
-    let right = DVector::from_iterator(passes.len(), passes.iter().map(|p| p.torque));
-    let solved =
-        matrix.clone().try_svd(true, true, f64::EPSILON, MAX_ITERATIONS)?.solve(&right, 1e-12).ok()?;
-    let normal = matrix.tr_mul(&matrix).try_inverse();
-    let variances = match normal {
-        Some(inverse) => inverse.diagonal().iter().map(|v| v.max(0.0)).collect(),
-        None => vec![f64::INFINITY; used.len()],
-    };
-    let cost = (&matrix * &solved - &right).norm_squared();
-    Some(LinearFit { columns: *columns, coefficients: solved.iter().copied().collect(), variances, cost })
-}
-
-/// Solves the least squares with some of the columns [Coulomb, viscous, Stribeck]; `None` if a coefficient of a
+/// Curve with a given Stribeck velocity and some of the columns [Coulomb, viscous, Stribeck]; `None` if a coefficient of a
 /// Stribeck fit would be negative.
 fn curve(passes: &[ConstantVelocityRun], stribeck: f64, columns: &[bool; 3]) -> Option<Friction> {
-    let value = |column: usize, speed: f64| match column {
-        0 => 1.0,
-        1 => speed,
-        _ => (-(speed / stribeck).powi(2)).exp(),
-    };
-    let used: Vec<usize> = (0..3).filter(|&c| columns[c]).collect();
-    if passes.len() < used.len() {
+    let mut fit = LinearFit::new(passes, stribeck, columns)?;
+    if columns[2] && fit.coefficients.iter().any(|v| *v < 0.0) {
         return None;
     }
-    let matrix = DMatrix::from_fn(passes.len(), used.len(), |k, c| value(used[c], passes[k].speed));
-    let right = DVector::from_iterator(passes.len(), passes.iter().map(|p| p.torque));
-    let solved =
-        matrix.clone().try_svd(true, true, f64::EPSILON, MAX_ITERATIONS)?.solve(&right, 1e-12).ok()?;
-    if columns[2] && solved.iter().any(|v| *v < 0.0) {
-        return None;
-    }
-    let solved = solved.map(|v| v.max(0.0));
-    let left = (&matrix * &solved - &right).norm() / (passes.len() as f64).sqrt();
-    let of = |column: usize| used.iter().position(|&c| c == column).map_or(0.0, |at| solved[at]);
+    fit.coefficients.apply(|v| *v = v.max(0.0));
     Some(Friction {
-        coulomb: of(0),
-        static_friction: of(0) + of(2),
+        coulomb: fit.of(0),
+        static_friction: fit.of(0) + fit.of(2),
         stribeck,
-        viscous: of(1),
-        residual: left,
+        viscous: fit.of(1),
+        residual: (&fit.matrix * &fit.coefficients - &fit.right).norm() / (passes.len() as f64).sqrt(),
     })
 }
 

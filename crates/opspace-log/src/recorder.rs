@@ -278,9 +278,10 @@ impl<W: Write> Drain<W> {
         dropped: &AtomicU64,
     ) -> Result<(WriteStats, W), LogError> {
         let mut moved = Instant::now();
+        // Only the writer's handle ends the log: it sets the outcome after the recorder is gone.
         loop {
             // Read before the ring is emptied, so that rows pushed before the stop are written.
-            let last = stop.load(Ordering::Acquire) || self.ring.is_abandoned();
+            let last = stop.load(Ordering::Acquire);
             if self.empty()? {
                 moved = Instant::now();
             } else if !last {

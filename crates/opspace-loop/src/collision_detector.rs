@@ -32,30 +32,37 @@ use serde::{Deserialize, Serialize};
 /// Detection of collisions, and the reaction to them.
 #[derive(Clone, Debug, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
-#[serde(deny_unknown_fields)]
+#[serde(deny_unknown_fields, default)]
 #[non_exhaustive]
 pub struct CollisionDetectionParameters {
     /// Reaction to a collision.
-    #[serde(default)]
     pub reaction: CollisionReaction,
     /// Contact that is expected, and no collision.
-    #[serde(default)]
     pub expected: ExpectedContact,
     /// Corner frequency of the observer, rad/s.
-    #[serde(default = "default_observer")]
     pub observer_rad_per_s: Positive,
     /// Relative error of the joint friction, including what a creeping joint has above its static friction.
-    #[serde(default = "default_friction_error")]
     pub friction_error: NonNegative,
     /// Error of the model and of the measured motor torques, relative to the motor torque.
-    #[serde(default = "default_model_error")]
     pub model_error: NonNegative,
     /// Rms noise of the motor torques, as a fraction of the torque limit of each joint.
-    #[serde(default = "default_noise")]
     pub noise_of_limit: NonNegative,
     /// True if fast changes of the external torque are also collisions: on by default. Without effect if contact is expected.
-    #[serde(default = "yes")]
     pub fast_residual: bool,
+}
+
+impl Default for CollisionDetectionParameters {
+    fn default() -> Self {
+        Self {
+            reaction: CollisionReaction::default(),
+            expected: ExpectedContact::default(),
+            observer_rad_per_s: Positive::literal(150.0),
+            friction_error: NonNegative::literal(0.35),
+            model_error: NonNegative::literal(0.1),
+            noise_of_limit: NonNegative::literal(0.005),
+            fast_residual: true,
+        }
+    }
 }
 
 /// Reaction to a collision.
@@ -84,26 +91,6 @@ pub enum ExpectedContact {
     None,
     /// Contact that a force sensor measures is no collision.
     Sensed,
-}
-
-const fn yes() -> bool {
-    true
-}
-
-const fn default_observer() -> Positive {
-    Positive::literal(150.0)
-}
-
-const fn default_friction_error() -> NonNegative {
-    NonNegative::literal(0.35)
-}
-
-const fn default_model_error() -> NonNegative {
-    NonNegative::literal(0.1)
-}
-
-const fn default_noise() -> NonNegative {
-    NonNegative::literal(0.005)
 }
 
 /// A collision: joint with the largest residual relative to its threshold.

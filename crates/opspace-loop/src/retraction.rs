@@ -26,23 +26,19 @@ use serde::{Deserialize, Serialize};
 /// Retraction after a collision.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
-#[serde(deny_unknown_fields)]
+#[serde(deny_unknown_fields, default)]
 #[non_exhaustive]
 pub struct RetractionParameters {
     /// Distance of the joint that moves farthest, rad (m).
-    #[serde(default = "default_distance")]
     pub distance_rad: Positive,
     /// Duration, s.
-    #[serde(default = "default_duration")]
     pub duration_s: Positive,
 }
 
-const fn default_distance() -> Positive {
-    Positive::literal(0.25)
-}
-
-const fn default_duration() -> Positive {
-    Positive::literal(0.6)
+impl Default for RetractionParameters {
+    fn default() -> Self {
+        Self { distance_rad: Positive::literal(0.25), duration_s: Positive::literal(0.6) }
+    }
 }
 
 impl RetractionParameters {

@@ -66,53 +66,28 @@ pub struct SensorBiasParameters {
 /// Estimation of a force sensor's bias, and of the load beyond it, while nothing touches.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
-#[serde(deny_unknown_fields)]
+#[serde(deny_unknown_fields, default)]
 pub struct SensorEstimateParameters {
     /// Force beyond the predicted one above which something touches, N. A smaller one that lasts is taken for bias.
-    #[serde(default = "default_contact_n")]
     pub contact_n: Positive,
     /// Moment beyond the predicted one above which something touches, Nm.
-    #[serde(default = "default_contact_nm")]
     pub contact_nm: Positive,
     /// Rms error of a force component, N: noise, and inertia of the load that is not known.
-    #[serde(default = "default_noise_n")]
     pub noise_n: Positive,
     /// Rms error of a moment component, Nm.
-    #[serde(default = "default_noise_nm")]
     pub noise_nm: Positive,
     /// Time over which the estimate follows a bias that drifts, s.
-    #[serde(default = "default_time")]
     pub time_s: Positive,
-}
-
-const fn default_contact_n() -> Positive {
-    Positive::literal(1.0)
-}
-
-const fn default_contact_nm() -> Positive {
-    Positive::literal(0.1)
-}
-
-const fn default_noise_n() -> Positive {
-    Positive::literal(0.2)
-}
-
-const fn default_noise_nm() -> Positive {
-    Positive::literal(0.01)
-}
-
-const fn default_time() -> Positive {
-    Positive::literal(10.0)
 }
 
 impl Default for SensorEstimateParameters {
     fn default() -> Self {
         Self {
-            contact_n: default_contact_n(),
-            contact_nm: default_contact_nm(),
-            noise_n: default_noise_n(),
-            noise_nm: default_noise_nm(),
-            time_s: default_time(),
+            contact_n: Positive::literal(1.0),
+            contact_nm: Positive::literal(0.1),
+            noise_n: Positive::literal(0.2),
+            noise_nm: Positive::literal(0.01),
+            time_s: Positive::literal(10.0),
         }
     }
 }

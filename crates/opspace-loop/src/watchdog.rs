@@ -32,46 +32,31 @@ pub const MEMORY_S: f64 = 0.05;
 /// Bounds of the watchdogs. Very large values disable them.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
-#[serde(deny_unknown_fields)]
+#[serde(deny_unknown_fields, default)]
 pub struct WatchdogParameters {
     /// Largest mean difference between motor torque and desired torque, as a fraction of the joint's torque limit.
-    #[serde(default = "default_deviation")]
     pub torque_deviation_share: Positive,
     /// Largest mean motor power in excess of the desired power, as a fraction of the joint's torque limit times its
     /// speed limit.
-    #[serde(default = "default_power")]
     pub surplus_power_share: Positive,
     /// Largest rms difference between motor torque and desired torque above 15 Hz, if it lasts, as a fraction of the joint's
     /// torque limit.
-    #[serde(default = "default_oscillation")]
     pub torque_oscillation_share: Positive,
 }
 
 impl Default for WatchdogParameters {
     fn default() -> Self {
         Self {
-            torque_deviation_share: default_deviation(),
-            surplus_power_share: default_power(),
-            torque_oscillation_share: default_oscillation(),
+            // Twice the largest deviation of the paper's transformer in any task of this project.
+            torque_deviation_share: Positive::literal(0.6),
+            // Eight times the power with nominal servos, or with an error that measured current corrects. A servo with a kp 30 %
+            // above the nominal one reaches it within 0.1 to 0.3 s.
+            surplus_power_share: Positive::literal(0.04),
+            // 1.4 times the largest rms in 1000 brisk motions to random goals, on elastic gears too, and three times that of any
+            // task of this project. Interfaces of 250 and 125 Hz with a cycle of delay oscillate on elastic gears at 0.2 to 0.5.
+            torque_oscillation_share: Positive::literal(0.15),
         }
     }
-}
-
-/// Default bound on the deviation: twice the largest deviation of the paper's transformer in any task of this project.
-const fn default_deviation() -> Positive {
-    Positive::literal(0.6)
-}
-
-/// Default bound on the power: eight times the power with nominal servos, or with an error that measured current
-/// corrects. A servo with a kp 30 % above the nominal one reaches it within 0.1 to 0.3 s.
-const fn default_power() -> Positive {
-    Positive::literal(0.04)
-}
-
-/// Default bound on the oscillation: 1.4 times the largest rms in 1000 brisk motions to random goals, on elastic gears too, and three times
-/// that of any task of this project. Interfaces of 250 and 125 Hz with a cycle of delay oscillate on elastic gears at 0.2 to 0.5.
-const fn default_oscillation() -> Positive {
-    Positive::literal(0.15)
 }
 
 /// Watchdog of motor torque, power and oscillation, updated every cycle; allocates nothing.

@@ -229,48 +229,41 @@ pub struct TorqueRippleParameters {
 /// Errors of the motor torques that the interface reports.
 #[derive(Clone, Debug, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
-#[serde(deny_unknown_fields)]
+#[serde(deny_unknown_fields, default)]
 pub struct CurrentMeasurementParameters {
     /// Measured over true torque, of all joints.
-    #[serde(default = "one")]
     pub scale: Positive,
     /// Measured over true torque of single joints, by joint name; multiplied by `scale`.
-    #[serde(default)]
     pub joint_scale: BTreeMap<String, Positive>,
     /// Lateness of the measured torques, in servo ticks.
-    #[serde(default)]
     pub delay_servo_ticks: u32,
 }
 
 impl Default for CurrentMeasurementParameters {
     fn default() -> Self {
-        Self { scale: one(), joint_scale: BTreeMap::new(), delay_servo_ticks: 0 }
+        Self { scale: Positive::literal(1.0), joint_scale: BTreeMap::new(), delay_servo_ticks: 0 }
     }
 }
 
 /// Errors of the joints' torque sensors.
 #[derive(Clone, Debug, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
-#[serde(deny_unknown_fields)]
+#[serde(deny_unknown_fields, default)]
 pub struct TorqueMeasurementParameters {
     /// Measured over true torque, of all joints.
-    #[serde(default = "one")]
     pub scale: Positive,
     /// Measured torque at a torque of zero, by joint name, Nm (N); 0 for joints that are absent.
-    #[serde(default)]
     pub offset_nm: BTreeMap<String, f64>,
     /// Rms noise, Nm (N).
-    #[serde(default)]
     pub noise_nm: NonNegative,
     /// Lateness of the measured torques, in servo ticks.
-    #[serde(default)]
     pub delay_servo_ticks: u32,
 }
 
 impl Default for TorqueMeasurementParameters {
     fn default() -> Self {
         Self {
-            scale: one(),
+            scale: Positive::literal(1.0),
             offset_nm: BTreeMap::new(),
             noise_nm: NonNegative::literal(0.0),
             delay_servo_ticks: 0,
@@ -362,35 +355,28 @@ pub struct SensorLoadParameters {
 /// Ratios of true to nominal values.
 #[derive(Clone, Debug, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
-#[serde(deny_unknown_fields)]
+#[serde(deny_unknown_fields, default)]
 pub struct ScaleParameters {
     /// Scale of the position loops' gains.
-    #[serde(default = "one")]
     pub kp: Positive,
     /// Scale of the velocity loops' gains.
-    #[serde(default = "one")]
     pub kv: Positive,
     /// Scale of Coulomb, static and viscous friction; 0 means no friction.
-    #[serde(default = "one_or_none")]
     pub friction: NonNegative,
     /// Scale of all masses and inertias.
-    #[serde(default = "one")]
     pub inertia: Positive,
     /// Scale of the stiffness of all elastic gears.
-    #[serde(default = "one")]
     pub gear_stiffness: Positive,
-}
-
-const fn one() -> Positive {
-    Positive::literal(1.0)
-}
-
-const fn one_or_none() -> NonNegative {
-    NonNegative::literal(1.0)
 }
 
 impl Default for ScaleParameters {
     fn default() -> Self {
-        Self { kp: one(), kv: one(), friction: one_or_none(), inertia: one(), gear_stiffness: one() }
+        Self {
+            kp: Positive::literal(1.0),
+            kv: Positive::literal(1.0),
+            friction: NonNegative::literal(1.0),
+            inertia: Positive::literal(1.0),
+            gear_stiffness: Positive::literal(1.0),
+        }
     }
 }

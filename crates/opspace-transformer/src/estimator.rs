@@ -26,7 +26,7 @@ pub enum VelocitySource {
 /// Estimation of joint velocity.
 #[derive(Clone, Debug, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
-#[serde(deny_unknown_fields)]
+#[serde(deny_unknown_fields, default)]
 pub struct EstimatorParameters {
     /// Estimate of the velocities that the controller uses: `observer` or `filter`. By default robots that take
     /// velocities, torque robots whose gears are declared rigid, and the transformers `emulation` and `interpolating`, use
@@ -34,7 +34,6 @@ pub struct EstimatorParameters {
     #[cfg_attr(feature = "schema", schemars(extend("x-default" = "depends on the robot and the transformer")))]
     pub velocity: Option<VelocitySource>,
     /// Cut-off frequency of the low-pass filter on the finite difference, Hz.
-    #[serde(default = "default_filter")]
     pub velocity_filter_hz: Positive,
     /// Rms noise of measured positions at the joints, rad (m), for `extrapolation` where drives limit the acceleration of
     /// setpoints.
@@ -42,14 +41,10 @@ pub struct EstimatorParameters {
     pub position_noise_rad: Option<Positive>,
 }
 
-const fn default_filter() -> Positive {
-    Positive::literal(150.0)
-}
-
 impl Default for EstimatorParameters {
     /// Returns the cut-off of the paper's experiments, 150 Hz.
     fn default() -> Self {
-        Self { velocity: None, velocity_filter_hz: default_filter(), position_noise_rad: None }
+        Self { velocity: None, velocity_filter_hz: Positive::literal(150.0), position_noise_rad: None }
     }
 }
 

@@ -58,25 +58,21 @@ pub struct FrictionParameters {
 /// Compensation of joint friction.
 #[derive(Clone, Debug, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
-#[serde(deny_unknown_fields)]
+#[serde(deny_unknown_fields, default)]
 pub struct FrictionCompensationParameters {
     /// Fraction of the modelled friction that is compensated. Compensation above the true friction makes the joint move by
     /// itself; 0.65 is safe for true friction down to two thirds of the model.
-    #[serde(default = "default_gain")]
     pub gain: NonNegative,
     /// Quantity that the compensation of Coulomb friction follows.
-    #[serde(default)]
     pub follows: FrictionLaw,
     /// Speed v₀ over which the compensation of Coulomb friction changes sign if it follows the reference or the velocity,
     /// rad/s (m/s).
-    #[serde(default = "default_smoothing")]
     pub smoothing_rad_per_s: Positive,
     /// Corner frequency of the friction observer, rad/s; none if absent. It adds the friction that the compensation leaves,
     /// and errors of the model, as far as the motion shows them. It needs a force sensor. 60 rad/s is a good value; below
     /// 20 rad/s, arms at rest may hunt.
     pub observer_rad_per_s: Option<Positive>,
     /// Largest torque of the friction observer at each joint, Nm (N).
-    #[serde(default = "default_observer_limit")]
     pub observer_limit_nm: Positive,
 }
 
@@ -100,29 +96,17 @@ pub enum FrictionLaw {
 impl Default for FrictionCompensationParameters {
     fn default() -> Self {
         Self {
-            gain: default_gain(),
+            gain: NonNegative::literal(0.65),
             follows: FrictionLaw::default(),
-            smoothing_rad_per_s: default_smoothing(),
+            smoothing_rad_per_s: Positive::literal(0.05),
             observer_rad_per_s: None,
-            observer_limit_nm: default_observer_limit(),
+            observer_limit_nm: Positive::literal(6.0),
         }
     }
 }
 
 const fn default_stribeck() -> Positive {
     Positive::literal(0.06)
-}
-
-const fn default_gain() -> NonNegative {
-    NonNegative::literal(0.65)
-}
-
-const fn default_smoothing() -> Positive {
-    Positive::literal(0.05)
-}
-
-const fn default_observer_limit() -> Positive {
-    Positive::literal(6.0)
 }
 
 const fn default_presliding() -> Positive {

@@ -199,24 +199,23 @@ impl TaskHierarchy {
     /// Updates states and references in a cycle without torque command.
     pub(crate) fn observe(&mut self, input: &ControlInput<'_>) {
         self.levels.iter_mut().for_each(|level| level.observe(input));
-        let input = self.joint_input(input);
-        if let Some(task) = &mut self.joint {
-            task.observe(&input);
-        }
+        self.observe_joints(input);
     }
 
     /// Updates states and references to the time of the measurement, after an update with a predicted state.
     pub(crate) fn observe_measurement(&mut self, input: &ControlInput<'_>) {
         self.levels.iter_mut().for_each(|level| level.observe_measurement(input));
-        let input = self.joint_input(input);
-        if let Some(task) = &mut self.joint {
-            task.observe(&input);
-        }
+        self.observe_joints(input);
     }
 
     /// Updates states, references and sensed forces in a cycle of inverse kinematics.
     pub(crate) fn observe_with_forces(&mut self, input: &ControlInput<'_>) {
         self.levels.iter_mut().for_each(|level| level.observe_with_forces(input));
+        self.observe_joints(input);
+    }
+
+    /// Updates state and reference of the task of all joints, which senses no forces.
+    fn observe_joints(&mut self, input: &ControlInput<'_>) {
         let input = self.joint_input(input);
         if let Some(task) = &mut self.joint {
             task.observe(&input);

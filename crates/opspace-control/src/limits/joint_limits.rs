@@ -31,20 +31,16 @@ pub struct JointLimits {
 /// Enforcement of the robot's limits by the controller.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
-#[serde(deny_unknown_fields)]
+#[serde(deny_unknown_fields, default)]
 pub struct LimitParameters {
     /// True (the default) if the controller enforces the limits. If false, torques are only clipped, and the run
     /// stops when a joint reaches its limit.
-    #[serde(default = "yes")]
     pub enforce: bool,
     /// Margin between joints and their position limits, rad (m).
-    #[serde(default = "default_margin")]
     pub position_margin_rad: NonNegative,
     /// Fraction of the velocity limits that is used, from 0 to 1.
-    #[serde(default = "default_velocity_fraction")]
     pub velocity_fraction: Positive,
     /// Fraction of the torque limits that is used, from 0 to 1.
-    #[serde(default = "whole")]
     pub torque_fraction: Positive,
     /// Horizon at which velocities and positions must be within their limits, s, from five control periods to 0.5. A longer
     /// horizon makes the arm approach its limits earlier and more smoothly; a shorter one passes more of the noise of
@@ -55,51 +51,25 @@ pub struct LimitParameters {
     /// Weight of a task's deviations perpendicular to its direction of motion, relative to those along it, from 1 to 100.
     /// With 10, a task that limits slow down stays within a few degrees of its path; with 1, no direction is preferred.
     /// `when_limited = "scaled"` of a task keeps its direction more strictly.
-    #[serde(default = "default_lateral_weight")]
     #[cfg_attr(feature = "schema", schemars(extend("minimum" = 1, "maximum" = LARGEST_LATERAL_WEIGHT)))]
     pub lateral_weight: Positive,
     /// A task that cannot reach its goal comes to a standstill when its error decreases by less than this, m/s (rotations
     /// count with the length of the task). With 0 it goes on trying, and the arm may not come to rest.
-    #[serde(default = "default_standstill")]
     pub standstill_below_m_per_s: NonNegative,
 }
 
 impl Default for LimitParameters {
     fn default() -> Self {
         Self {
-            enforce: yes(),
-            position_margin_rad: default_margin(),
-            velocity_fraction: default_velocity_fraction(),
-            torque_fraction: whole(),
+            enforce: true,
+            position_margin_rad: NonNegative::literal(0.01),
+            velocity_fraction: Positive::literal(0.9),
+            torque_fraction: Positive::literal(1.0),
             horizon_s: None,
-            lateral_weight: default_lateral_weight(),
-            standstill_below_m_per_s: default_standstill(),
+            lateral_weight: Positive::literal(10.0),
+            standstill_below_m_per_s: NonNegative::literal(1e-3),
         }
     }
-}
-
-const fn yes() -> bool {
-    true
-}
-
-const fn default_margin() -> NonNegative {
-    NonNegative::literal(0.01)
-}
-
-const fn default_velocity_fraction() -> Positive {
-    Positive::literal(0.9)
-}
-
-const fn default_lateral_weight() -> Positive {
-    Positive::literal(10.0)
-}
-
-const fn default_standstill() -> NonNegative {
-    NonNegative::literal(1e-3)
-}
-
-const fn whole() -> Positive {
-    Positive::literal(1.0)
 }
 
 /// Longest horizon that can be set, s: with a longer one, joints hardly reach their limits.

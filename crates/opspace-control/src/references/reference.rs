@@ -85,28 +85,21 @@ pub struct Waypoint {
 /// components of one rotation vector.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
-#[serde(deny_unknown_fields)]
+#[serde(deny_unknown_fields, default)]
 pub struct Sinusoid {
     /// Sines along the first task axis.
-    #[serde(default)]
     pub x: Vec<LinearWave>,
     /// Sines along the second task axis.
-    #[serde(default)]
     pub y: Vec<LinearWave>,
     /// Sines along the third task axis.
-    #[serde(default)]
     pub z: Vec<LinearWave>,
     /// Sines about the first task axis.
-    #[serde(default)]
     pub rx: Vec<AngularWave>,
     /// Sines about the second task axis.
-    #[serde(default)]
     pub ry: Vec<AngularWave>,
     /// Sines about the third task axis.
-    #[serde(default)]
     pub rz: Vec<AngularWave>,
     /// Duration over which the sines are faded in by the minimum-jerk ramp, s.
-    #[serde(default = "default_ramp_s")]
     pub ramp_s: Positive,
 }
 

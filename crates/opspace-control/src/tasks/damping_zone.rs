@@ -13,39 +13,28 @@ use serde::Deserialize;
 /// directions.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
-#[serde(deny_unknown_fields)]
+#[serde(deny_unknown_fields, default)]
 pub struct DampingZone {
     /// Threshold of a task at rest: small, so that the task is exact nearly everywhere, but large enough that the force on
     /// a goal out of reach does not make the arm oscillate.
-    #[serde(default = "at_rest")]
     pub at_rest: Positive,
     /// Highest threshold, from `at_rest` to 1. With 0.3, fast motion through a singular pose stays smooth; with 1, a fast
     /// task is damped at half of all postures.
-    #[serde(default = "most")]
     #[cfg_attr(feature = "schema", schemars(extend("maximum" = 1)))]
     pub most: Positive,
     /// Demanded acceleration that leads to the highest threshold, m/s² (rotations times the characteristic length); 4 is
     /// that of a quick motion of an arm. A smaller one damps slower motions.
-    #[serde(default = "full_demand")]
     pub full_demand_m_per_s2: Positive,
 }
 
 impl Default for DampingZone {
     fn default() -> Self {
-        Self { at_rest: at_rest(), most: most(), full_demand_m_per_s2: full_demand() }
+        Self {
+            at_rest: Positive::literal(THRESHOLD_AT_REST),
+            most: Positive::literal(LARGEST_THRESHOLD),
+            full_demand_m_per_s2: Positive::literal(FULL_DEMAND_M_PER_S2),
+        }
     }
-}
-
-const fn at_rest() -> Positive {
-    Positive::literal(THRESHOLD_AT_REST)
-}
-
-const fn most() -> Positive {
-    Positive::literal(LARGEST_THRESHOLD)
-}
-
-const fn full_demand() -> Positive {
-    Positive::literal(FULL_DEMAND_M_PER_S2)
 }
 
 impl DampingZone {

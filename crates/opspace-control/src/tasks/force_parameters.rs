@@ -99,7 +99,7 @@ pub struct SurfaceParameters {
     /// Stiffness along the axis, N/m.
     pub stiffness_n_per_m: Positive,
     /// Damping along the axis, Ns/m.
-    #[serde(default = "undamped")]
+    #[serde(default)]
     pub damping_ns_per_m: NonNegative,
 }
 
@@ -107,29 +107,25 @@ pub struct SurfaceParameters {
 /// contact is lost.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
-#[serde(deny_unknown_fields)]
+#[serde(deny_unknown_fields, default)]
 pub struct ContactParameters {
     /// Speed of the approach, m/s.
-    #[serde(default = "default_approach")]
     pub approach_m_per_s: Positive,
     /// Sensed force above which contact is made, N.
-    #[serde(default = "default_made")]
     pub made_above_n: Positive,
     /// Sensed force below which contact is lost, N.
-    #[serde(default = "default_lost")]
     pub lost_below_n: NonNegative,
     /// Time for which the force must be below `lost_below_n` before the axis approaches again, s.
-    #[serde(default = "default_lost_after")]
     pub lost_after_s: NonNegative,
 }
 
 impl Default for ContactParameters {
     fn default() -> Self {
         Self {
-            approach_m_per_s: default_approach(),
-            made_above_n: default_made(),
-            lost_below_n: default_lost(),
-            lost_after_s: default_lost_after(),
+            approach_m_per_s: Positive::literal(0.05),
+            made_above_n: Positive::literal(2.0),
+            lost_below_n: NonNegative::literal(0.5),
+            lost_after_s: NonNegative::literal(0.05),
         }
     }
 }
@@ -137,19 +133,15 @@ impl Default for ContactParameters {
 /// Passivity observer and controller of the force feedback of one axis.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
-#[serde(deny_unknown_fields)]
+#[serde(deny_unknown_fields, default)]
 pub struct PassivityParameters {
     /// True if the gains are reduced when the feedback gives too much energy to the motion.
-    #[serde(default = "enabled")]
     pub enabled: bool,
     /// Energy that the feedback may give to the motion within the window before its gains are reduced, J.
-    #[serde(default = "default_store")]
     pub store_j: Positive,
     /// Time over which given energy is forgotten, s.
-    #[serde(default = "default_window")]
     pub window_s: Positive,
     /// Time over which reduced gains return, s. After a single impact it is a twentieth of this.
-    #[serde(default = "default_recovery")]
     pub recovery_s: Positive,
 }
 
@@ -157,15 +149,11 @@ impl Default for PassivityParameters {
     fn default() -> Self {
         Self {
             enabled: true,
-            store_j: default_store(),
-            window_s: default_window(),
-            recovery_s: default_recovery(),
+            store_j: Positive::literal(0.02),
+            window_s: Positive::literal(0.25),
+            recovery_s: Positive::literal(10.0),
         }
     }
-}
-
-const fn undamped() -> NonNegative {
-    NonNegative::literal(0.0)
 }
 
 const fn no_target() -> PerAxis<f64> {
@@ -182,38 +170,6 @@ const fn whole_target() -> PerAxis<Fraction> {
 
 const fn default_filter_hz() -> Positive {
     Positive::literal(100.0)
-}
-
-const fn default_approach() -> Positive {
-    Positive::literal(0.05)
-}
-
-const fn default_made() -> Positive {
-    Positive::literal(2.0)
-}
-
-const fn default_lost() -> NonNegative {
-    NonNegative::literal(0.5)
-}
-
-const fn default_lost_after() -> NonNegative {
-    NonNegative::literal(0.05)
-}
-
-const fn enabled() -> bool {
-    true
-}
-
-const fn default_store() -> Positive {
-    Positive::literal(0.02)
-}
-
-const fn default_window() -> Positive {
-    Positive::literal(0.25)
-}
-
-const fn default_recovery() -> Positive {
-    Positive::literal(10.0)
 }
 
 /// Default gain of the force error on compliant axes.

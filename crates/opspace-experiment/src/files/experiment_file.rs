@@ -4,6 +4,7 @@ use crate::files::controller_kind::ControllerKind;
 use crate::files::expectation::Expectation;
 #[cfg(feature = "schema")]
 use crate::files::task::LONGEST_RUN_S;
+use crate::files::task::default_seed;
 use opspace_backend::CommandKind;
 use opspace_backend::quantity::{Fraction, NonNegative, Positive, exactly};
 use opspace_coupling::{CarryParameters, TeleoperationParameters};
@@ -28,7 +29,7 @@ pub struct ExperimentFile {
     #[serde(default)]
     pub settle_s: NonNegative,
     /// Seed of all random numbers in a simulation; each robot and each channel gets one of its own from it.
-    #[serde(default = "one")]
+    #[serde(default = "default_seed")]
     pub seed: u64,
     /// Robots, by name. Of cycles at the same time, that of the robot whose name comes first in the alphabet is first.
     #[cfg_attr(feature = "schema", schemars(extend("minProperties" = 2)))]
@@ -45,10 +46,6 @@ pub struct ExperimentFile {
     /// of a single robot belong in its task file.
     #[serde(default)]
     pub expect: BTreeMap<String, Expectation>,
-}
-
-const fn one() -> u64 {
-    1
 }
 
 /// A robot of an experiment.

@@ -45,7 +45,7 @@ pub struct TaskFile {
     #[serde(default)]
     pub settle_s: NonNegative,
     /// Seed of all random numbers in a simulation.
-    #[serde(default = "one")]
+    #[serde(default = "default_seed")]
     pub seed: u64,
     /// Names of the tasks, in order of decreasing priority; if empty, only the compensation acts.
     #[cfg_attr(feature = "schema", schemars(extend("uniqueItems" = true)))]
@@ -170,7 +170,7 @@ const fn unused_damping() -> Positive {
     UNUSED_DAMPING_PER_S
 }
 
-const fn one() -> u64 {
+pub(super) const fn default_seed() -> u64 {
     1
 }
 

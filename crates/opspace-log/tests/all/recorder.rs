@@ -6,7 +6,9 @@ use opspace_testing::allocation::{Count, allocations, counted};
 
 use foxglove::messages::Log;
 use mcap::MessageStream;
-use opspace_log::{Channel, GAPS, Header, LogError, Pace, Recorder, Recording, Writer, record};
+use opspace_log::{
+    Channel, GAPS, Header, LogError, OutcomeRecord, Pace, Recorder, Recording, Writer, record,
+};
 use prost::Message;
 use std::io::{self, Cursor, Write};
 use std::sync::{Arc, Condvar, Mutex};
@@ -67,6 +69,19 @@ impl Write for Sink {
 
     fn flush(&mut self) -> io::Result<()> {
         Ok(())
+    }
+}
+
+/// A writer's thread that has emptied the ring long before the outcome is known still writes the outcome.
+#[test]
+fn outcome_that_comes_after_the_recorder_is_written() {
+    for pace in [Pace::Simulated, Pace::RealTime] {
+        let (recorder, writer) = record(Cursor::new(Vec::new()), Header::default(), tiny(), pace).unwrap();
+        drop(recorder);
+        thread::sleep(Duration::from_millis(30));
+        let outcome = OutcomeRecord { interrupted: true, time_s: Some(0.25), ..OutcomeRecord::default() };
+        let (_, sink) = writer.finish_with(outcome.clone()).unwrap();
+        assert_eq!(OutcomeRecord::of(&Recording::from_bytes(sink.get_ref()).unwrap()), outcome);
     }
 }
 
