@@ -389,7 +389,7 @@ fn no_cycle_of_any_transformer_allocates() {
     }
 }
 
-/// What a loop holds, with each limit and a distance to keep: of 1000 loops that a program steps together it is 0.6 GB.
+/// Memory of a loop with each limit and a distance to keep: 1000 loops that a program steps together take 0.6 GB.
 #[test]
 fn control_loop_holds_at_most_600_kb() {
     let task = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tasks/panda-goals.toml");

@@ -62,7 +62,7 @@ pub struct RunResult<W> {
     pub realtime_factor: f64,
 }
 
-/// What a log in progress shares with what closes it.
+/// State of a log in progress that its closer shares.
 struct Shared<W> {
     /// Writer, until the log is closed.
     writer: Mutex<Option<Writer<W>>>,
