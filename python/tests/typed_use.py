@@ -1,5 +1,7 @@
 """Use of the package that pyright accepts in strict mode; a test runs it too."""
 
+# pyright: strict
+
 from pathlib import Path
 
 import numpy as np
