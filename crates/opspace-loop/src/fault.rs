@@ -256,11 +256,10 @@ impl Fault {
         }
     }
 
-    /// Description of the fault with the joint's name and units. Allocates, so it must not be called in the loop.
+    /// Index of the joint that is at fault; `None` if the fault concerns none, or all.
     #[must_use]
-    pub fn describe(&self, model: &Model) -> String {
-        let text = self.to_string();
-        let joint = match *self {
+    pub fn joint(&self) -> Option<usize> {
+        match *self {
             Self::MeasurementNotFinite { joint }
             | Self::CommandNotFinite { joint }
             | Self::JointLimit { joint, .. }
@@ -271,9 +270,16 @@ impl Fault {
             | Self::TorqueDeviation { joint, .. }
             | Self::ExcessPower { joint, .. }
             | Self::TorqueOscillation { joint, .. }
-            | Self::Collision { joint, .. } => joint,
-            _ => return text,
-        };
+            | Self::Collision { joint, .. } => Some(joint),
+            _ => None,
+        }
+    }
+
+    /// Description of the fault with the joint's name and units. Allocates, so it must not be called in the loop.
+    #[must_use]
+    pub fn describe(&self, model: &Model) -> String {
+        let text = self.to_string();
+        let Some(joint) = self.joint() else { return text };
         let moved = &model.joints()[joint];
         let text = match moved.kind {
             JointKind::Prismatic => text.replace(" rad", " m").replace(" Nm", " N"),

@@ -284,6 +284,14 @@ impl FileError {
         self.0.code
     }
 
+    /// Key at the mistake, dotted; `None` for a whole file, and where no key is.
+    #[must_use]
+    pub fn key(&self) -> Option<String> {
+        let span = self.0.span.as_ref()?;
+        let document = DeTable::parse(&self.0.text).ok()?;
+        Some(dotted(&path_at(document.get_ref(), span))).filter(|key| !key.is_empty())
+    }
+
     /// Text that contains the mistake, and the byte range of the mistake; `None` for a whole file.
     #[must_use]
     pub fn excerpt(&self) -> Option<(&str, Range<usize>)> {
