@@ -16,6 +16,7 @@ from opspace import _opspace
 from opspace._opspace import (
     Batch,
     Channel,
+    ControlLoop,
     Experiment,
     Finding,
     Log,
@@ -24,6 +25,8 @@ from opspace._opspace import (
     Replay,
     Result,
     RobotFault,
+    Run,
+    Simulation,
     __version__,
     read_log,
     replay,
@@ -32,6 +35,7 @@ from opspace._opspace import (
 __all__ = [
     "Batch",
     "Channel",
+    "ControlLoop",
     "Experiment",
     "Finding",
     "Log",
@@ -40,6 +44,8 @@ __all__ = [
     "Replay",
     "Result",
     "RobotFault",
+    "Run",
+    "Simulation",
     "__version__",
     "read_log",
     "replay",

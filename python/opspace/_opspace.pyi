@@ -1,6 +1,6 @@
 from collections.abc import Iterator, Mapping, Sequence
 from os import PathLike
-from typing import Any, Literal, final
+from typing import Any, Literal, Protocol, final
 
 import numpy as np
 import numpy.typing as npt
@@ -8,6 +8,9 @@ import numpy.typing as npt
 __version__: str
 
 _Array = npt.NDArray[np.float64]
+_Numbers = npt.ArrayLike
+_Command = tuple[Literal["position", "velocity", "torque", "hold"] | None, _Array | None]
+_Phase = Literal["rest", "control", "held", "resuming", "stopping", "stopped"]
 _Path = str | PathLike[str]
 _File = _Path | Mapping[str, Any]
 
@@ -135,6 +138,108 @@ class Experiment:
     def run(
         self, log: _Path | None = None, folder: _Path | None = None, *, overwrite: bool = False
     ) -> Result: ...
+    def control_loop(self) -> ControlLoop: ...
+    def simulation(self, start: _Numbers | None = None) -> Simulation: ...
+    def start(
+        self, log: _Path | None = None, *, simulation: Simulation | None = None, overwrite: bool = False
+    ) -> Run: ...
+    def on(
+        self, robot: _Robot, log: _Path | None = None, *, real: bool = False, overwrite: bool = False
+    ) -> Result: ...
+
+class _Robot(Protocol):
+    def read(self) -> Mapping[str, Any]: ...
+    def write(self, kind: Any, values: Any) -> None: ...
+    def stop(self) -> None: ...
+
+@final
+class ControlLoop:
+    """Control loop of an experiment, stepped by Python."""
+
+    def step(
+        self,
+        time_s: float,
+        q: _Numbers,
+        dq: _Numbers | None = None,
+        motor_torque: _Numbers | None = None,
+        joint_torque: _Numbers | None = None,
+        wrenches: _Numbers | None = None,
+        out: _Array | None = None,
+    ) -> _Command: ...
+    def target(
+        self,
+        task: str,
+        *,
+        pose: _Numbers | None = None,
+        twist: _Numbers | None = None,
+        acceleration: _Numbers | None = None,
+        wrench: _Numbers | None = None,
+        gains: tuple[float | _Numbers, float | _Numbers] | None = None,
+        modes: Mapping[str, Literal["motion", "compliant", "force"]] | None = None,
+    ) -> None: ...
+    def hold(self, hold: bool = True) -> None: ...
+    def task_set(self, number: int) -> None: ...
+    def reset(self) -> None: ...
+    @property
+    def phase(self) -> _Phase: ...
+    @property
+    def fault(self) -> RobotFault | None: ...
+    @property
+    def joints(self) -> list[str]: ...
+    @property
+    def period_s(self) -> float: ...
+    def signals(self) -> dict[str, _Array]: ...
+
+@final
+class Run:
+    """Control loop with a log and a summary, stepped by Python."""
+
+    def step(
+        self,
+        time_s: float,
+        q: _Numbers,
+        dq: _Numbers | None = None,
+        motor_torque: _Numbers | None = None,
+        joint_torque: _Numbers | None = None,
+        wrenches: _Numbers | None = None,
+        out: _Array | None = None,
+    ) -> _Command: ...
+    def target(
+        self,
+        task: str,
+        *,
+        pose: _Numbers | None = None,
+        twist: _Numbers | None = None,
+        acceleration: _Numbers | None = None,
+        wrench: _Numbers | None = None,
+        gains: tuple[float | _Numbers, float | _Numbers] | None = None,
+        modes: Mapping[str, Literal["motion", "compliant", "force"]] | None = None,
+    ) -> None: ...
+    def hold(self, hold: bool = True) -> None: ...
+    def task_set(self, number: int) -> None: ...
+    @property
+    def over(self) -> bool: ...
+    @property
+    def phase(self) -> _Phase: ...
+    def signals(self) -> dict[str, _Array]: ...
+    def finish(self) -> Result: ...
+
+@final
+class Simulation:
+    """Simulated robot of an experiment, stepped by Python."""
+
+    def read(self) -> dict[str, Any]: ...
+    def write(self, kind: str | None, values: _Numbers | None = None) -> None: ...
+    def stop(self) -> None: ...
+    def push(self, frame: str, force: Sequence[float] | _Array, moment: Sequence[float] | _Array = ...) -> None: ...
+    def pull(
+        self, frame: str, to: Sequence[float] | _Array, stiffness_n_per_m: float, damping_ns_per_m: float = 0.0
+    ) -> None: ...
+    def release(self) -> None: ...
+    @property
+    def q(self) -> _Array: ...
+    @property
+    def dq(self) -> _Array: ...
 
 @final
 class Finding:

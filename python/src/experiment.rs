@@ -1,9 +1,15 @@
 //! Class `Experiment`: a task on a robot.
 
+use crate::arrays::vector;
+use crate::control_loop::ControlLoop;
 use crate::errors::{FaultText, argument, caught, of_file, of_run};
 use crate::interrupt::interruptible;
 use crate::model::Model;
+use crate::python_robot::PythonRobot;
 use crate::result::{Result, StoredLog};
+use crate::run::Run;
+use crate::simulation::Simulation;
+use crate::stepping::LogSink;
 use crate::toml_text::{table, value};
 use opspace_backend::CommandKind;
 use opspace_experiment::files::origin::Kind;
@@ -271,14 +277,78 @@ impl Experiment {
             };
             run(experiment, place, &progress)
         })?;
-        let (summary, outcome, log) = ran.map_err(|error| of_run(&error, &self.dictionaries))?;
-        let fault = match outcome {
-            Some(RunOutcome::Faulted { fault, time_s }) => {
-                Some(FaultText::new(&fault, time_s, &experiment.robot().model))
+        self.result(ran)
+    }
+
+    /// Returns the control loop before its first cycle: Python steps it, with measurements of a robot of its own.
+    fn control_loop(&self) -> PyResult<ControlLoop> {
+        ControlLoop::new(Arc::clone(&self.experiment))
+    }
+
+    /// Returns the simulated robot at rest at its start, on which external forces can act.
+    ///
+    /// start: positions of the joints, rad or m (n); None is the start of the task.
+    ///
+    /// Raises OpspaceError for a robot that cannot be simulated.
+    #[pyo3(signature = (start=None))]
+    fn simulation(&self, py: Python<'_>, start: Option<&Bound<'_, PyAny>>) -> PyResult<Simulation> {
+        let mut q = vec![0.0; self.experiment.robot().model.n()];
+        let start = start.map(|start| vector("start", start, &mut q).map(|()| q)).transpose()?;
+        py.detach(|| Simulation::new(&self.experiment, start))
+    }
+
+    /// Starts a run that Python steps, with a log: in memory, or the file at `log`. With `simulation`, its true state is logged.
+    ///
+    /// Raises OpspaceError for a log that cannot be written.
+    #[pyo3(signature = (log=None, *, simulation=None, overwrite=false))]
+    fn start(&self, log: Option<PathBuf>, simulation: Option<&Simulation>, overwrite: bool) -> PyResult<Run> {
+        let sink = match &log {
+            Some(path) => {
+                let file = create(path, overwrite).map_err(|error| of_run(&error, &self.dictionaries))?;
+                LogSink::File(BufWriter::new(file))
             }
-            _ => None,
+            None => LogSink::Memory(Vec::new()),
         };
-        Result::new(Arc::clone(&self.experiment), summary, fault, log)
+        Run::new(Arc::clone(&self.experiment), sink, log.map(absolute), simulation)
+    }
+
+    /// Runs the experiment on a robot that is written in Python, and returns its result.
+    ///
+    /// robot: an object with three methods. `read()` waits for the next cycle and returns a dictionary of the arguments of
+    /// `ControlLoop.step`: `time_s`, `q` and what else robot.toml declares as measured. `write(kind, values)` sends a command:
+    /// "position", "velocity" or "torque" with an array (n), or "hold" with None. `stop()` brings the robot to its safe state; it may
+    /// be called twice.
+    ///
+    /// real: True for a robot of the real world. It must then be at the start of the task, rows that the disk is too slow for are
+    /// dropped and counted, and samples that come late by the computer's clock stop it. A cycle takes Python's time. log, overwrite
+    /// and Ctrl-C are those of `run`.
+    ///
+    /// An exception of a method stops the robot; it is raised with its traceback once the log is closed.
+    #[pyo3(signature = (robot, log=None, *, real=false, overwrite=false))]
+    fn on(
+        &self,
+        py: Python<'_>,
+        robot: Py<PyAny>,
+        log: Option<PathBuf>,
+        real: bool,
+        overwrite: bool,
+    ) -> PyResult<Result> {
+        let (experiment, progress) = (&*self.experiment, Progress::default());
+        let declared = experiment.capabilities();
+        let capabilities = if real { declared } else { declared.simulated() };
+        let mut backend = PythonRobot::new(robot, capabilities);
+        let on = &mut backend;
+        let ran = interruptible(py, &progress, || match log {
+            Some(path) => {
+                let file = create(&path, overwrite)?;
+                in_file(experiment, path, |log| experiment.run_on(on, log, &progress), file)
+            }
+            None => in_memory(experiment, |log| experiment.run_on(on, log, &progress)),
+        });
+        if let Some(raised) = backend.into_raised() {
+            return Err(raised);
+        }
+        self.result(ran?)
     }
 
     fn __repr__(&self) -> String {
@@ -299,6 +369,20 @@ impl Experiment {
         let bytes = bytes_of(&self.experiment)?;
         let build = py.import("opspace._opspace")?.getattr("_experiment_of_bytes")?;
         Ok((build, (PyBytes::new(py, &bytes), self.dictionaries.clone())))
+    }
+}
+
+impl Experiment {
+    /// Returns the result of a run.
+    fn result(&self, ran: std::result::Result<Ran, RunError>) -> PyResult<Result> {
+        let (summary, outcome, log) = ran.map_err(|error| of_run(&error, &self.dictionaries))?;
+        let fault = match outcome {
+            Some(RunOutcome::Faulted { fault, time_s }) => {
+                Some(FaultText::new(&fault, time_s, &self.experiment.robot().model))
+            }
+            _ => None,
+        };
+        Result::new(Arc::clone(&self.experiment), summary, fault, log)
     }
 }
 
@@ -351,29 +435,45 @@ fn create(path: &Path, overwrite: bool) -> std::result::Result<File, RunError> {
     options.open(path).map_err(|source| RunError::Write { path: path.to_owned(), source })
 }
 
-/// Runs an experiment and returns its summary, its outcome and its log.
+/// Summary, outcome and log of a run.
+type Ran = (Summary, Option<RunOutcome>, StoredLog);
+
+/// Runs an experiment by `run` with a log in memory.
+fn in_memory(
+    experiment: &opspace_experiment::Experiment,
+    run: impl FnOnce(Cursor<Vec<u8>>) -> std::result::Result<RunResult<Cursor<Vec<u8>>>, RunError>,
+) -> std::result::Result<Ran, RunError> {
+    let run = run(Cursor::new(Vec::new()))?;
+    let recording = Recording::from_bytes(run.sink.get_ref())?;
+    let summary = experiment.summary(&recording, &run.record, Some(run.realtime_factor));
+    Ok((summary, Some(run.outcome), StoredLog::Bytes(run.sink.into_inner().into())))
+}
+
+/// Runs an experiment by `run` with a log in `file`, which is at `path`.
+fn in_file(
+    experiment: &opspace_experiment::Experiment,
+    path: PathBuf,
+    run: impl FnOnce(BufWriter<File>) -> std::result::Result<RunResult<BufWriter<File>>, RunError>,
+    file: File,
+) -> std::result::Result<Ran, RunError> {
+    let run = run(BufWriter::new(file))?;
+    let mut sink = run.sink;
+    sink.flush().map_err(|source| RunError::Write { path: path.clone(), source })?;
+    drop(sink);
+    let log = opspace_log::LogFile::open(&path)?;
+    let summary = experiment.summary_of_file(&log, &run.record, Some(run.realtime_factor))?;
+    Ok((summary, Some(run.outcome), StoredLog::Path(absolute(path))))
+}
+
+/// Runs an experiment in simulation.
 fn run(
     experiment: &opspace_experiment::Experiment,
     output: Output,
     progress: &Progress,
-) -> std::result::Result<(Summary, Option<RunOutcome>, StoredLog), RunError> {
+) -> std::result::Result<Ran, RunError> {
     match output {
-        Output::Memory => {
-            let run = experiment.run(Cursor::new(Vec::new()), progress)?;
-            let bytes = run.sink.get_ref();
-            let recording = Recording::from_bytes(bytes)?;
-            let summary = experiment.summary(&recording, &run.record, Some(run.realtime_factor));
-            Ok((summary, Some(run.outcome), StoredLog::Bytes(run.sink.into_inner().into())))
-        }
-        Output::File(file, path) => {
-            let run: RunResult<BufWriter<File>> = experiment.run(BufWriter::new(file), progress)?;
-            let mut sink = run.sink;
-            sink.flush().map_err(|source| RunError::Write { path: path.clone(), source })?;
-            drop(sink);
-            let log = opspace_log::LogFile::open(&path)?;
-            let summary = experiment.summary_of_file(&log, &run.record, Some(run.realtime_factor))?;
-            Ok((summary, Some(run.outcome), StoredLog::Path(absolute(path))))
-        }
+        Output::Memory => in_memory(experiment, |log| experiment.run(log, progress)),
+        Output::File(file, path) => in_file(experiment, path, |log| experiment.run(log, progress), file),
         Output::Folder(folder) => {
             let mut outcome = None;
             let summary = in_folder(experiment, &folder, |log| {

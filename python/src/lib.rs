@@ -5,13 +5,19 @@
 
 mod arrays;
 mod cli;
+mod control_loop;
 mod errors;
 mod experiment;
 mod interrupt;
 mod log;
+mod measured;
 mod model;
 mod mujoco;
+mod python_robot;
 mod result;
+mod run;
+mod simulation;
+mod stepping;
 mod toml_text;
 
 use pyo3::prelude::*;
@@ -21,6 +27,8 @@ use pyo3::prelude::*;
 mod _opspace {
     #[pymodule_export]
     use crate::cli::main;
+    #[pymodule_export]
+    use crate::control_loop::ControlLoop;
     #[pymodule_export]
     use crate::errors::{OpspaceError, RobotFault};
     #[pymodule_export]
@@ -33,6 +41,10 @@ mod _opspace {
     use crate::model::{Batch, Model};
     #[pymodule_export]
     use crate::result::{Result, result_of_parts};
+    #[pymodule_export]
+    use crate::run::Run;
+    #[pymodule_export]
+    use crate::simulation::Simulation;
 
     use super::{Bound, PyModule, PyModuleMethods, PyResult};
 

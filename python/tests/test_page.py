@@ -12,6 +12,8 @@ if __name__ == "__main__":
     assert result.outcome == "completed" and q.shape[0] == time.shape[0] > 1000
     assert set(errors) == {"position", "torque"} and max(errors.values()) < 5e-3
     assert len(results) == 4
+    assert loop.phase == "control" and kind == "position" and values.shape == (7,)
+    assert result.outcome == "completed" and observation.shape == (14,) and not terminated
     assert inertia.shape == (3, 3) and states.jacobian.shape == (1000, 6, 7)
 """
 

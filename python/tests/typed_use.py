@@ -37,6 +37,11 @@ def use(folder: Path) -> float:
     units: dict[str, list[str]] = {name: log["tick"].units(name) for name in log["tick"]}
     assert units["q"] == ["rad"] * model.n
     assert bool(opspace.replay(folder / "run.mcap"))
+    loop, simulation = experiment.control_loop(), experiment.simulation()
+    kind, values = loop.step(**simulation.read(), out=np.empty(model.n))
+    simulation.write(kind, values)
+    run = experiment.start(simulation=experiment.simulation())
+    assert not run.over and run.finish().outcome == "interrupted"
     try:
         opspace.Experiment({"robot": "panda"})
     except opspace.OpspaceError as error:

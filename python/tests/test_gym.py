@@ -1,0 +1,83 @@
+"""Environments of Gymnasium: the checker's rules, equal seeds, the same policy on both kinds of robot."""
+
+import gymnasium
+import numpy as np
+import opspace.gym
+import pytest
+from gymnasium.utils.env_checker import check_env
+from test_loops import streamed
+
+TASK = {
+    "robot": "panda",
+    "duration_s": 60.0,
+    "priority": ["hand", "rest"],
+    "start_rad": {"joint2": -0.4, "joint4": -2.0, "joint6": 1.6},
+    "task": {
+        "hand": {
+            "cartesian": {
+                "frame": "flange",
+                "axes": {axis: "motion" for axis in ("x", "y", "z", "rx", "ry", "rz")},
+                "gains": {"frequency_rad_per_s": 12.0, "damping_ratio": 1.0},
+                "reference": {"streamed": {"timeout_s": 60.0}},
+            }
+        },
+        "rest": {"joint-posture": {"frequency_rad_per_s": 4.0, "damping_ratio": 1.0}},
+    },
+}
+
+
+def make(**options):
+    return gymnasium.make(
+        "opspace/Task-v0",
+        task=TASK,
+        robot=opspace.robots()["panda"],
+        target="hand",
+        frame="flange",
+        **{"backend": "position", "duration_s": 2.0, **options},
+    )
+
+
+@pytest.mark.parametrize("action", opspace.gym.ACTIONS)
+@pytest.mark.filterwarnings("ignore:.*Box observation space.*:UserWarning")
+def test_checker_finds_nothing(action):
+    check_env(make(action=action).unwrapped, skip_render_check=True)
+
+
+def test_same_seed_gives_the_same_bits():
+    env = make()
+    episodes = []
+    for _ in range(2):
+        seen = [env.reset(seed=7)[0]]
+        env.action_space.seed(1)
+        for _ in range(5):
+            seen.append(env.step(env.action_space.sample())[0])
+        episodes.append(np.concatenate(seen).tobytes())
+    assert episodes[0] == episodes[1]
+
+
+def test_one_policy_moves_a_position_robot_as_a_torque_robot():
+    ends = {}
+    for backend in ("position", "torque"):
+        env = make(backend=backend, action="twist", speed_scale_m_per_s=0.1, duration_s=20.0)
+        env.reset(seed=1)
+        task = env.unwrapped
+        for _ in range(25):
+            _, reward, terminated, _, info = env.step(np.array([0.0, 0.0, -1.0, 0.0, 0.0, 0.0]))
+            assert not terminated and info == {} and reward == 0.0
+        model = task._experiment.model
+        model.update(task._simulation.q)
+        ends[backend] = model.pose("flange")[0]
+    assert streamed().joints[0] == "joint1"
+    assert np.abs(ends["position"] - ends["torque"]).max() < 2e-3
+
+
+def test_vectors_of_environments():
+    envs = gymnasium.vector.SyncVectorEnv([make for _ in range(3)])
+    observation, _ = envs.reset(seed=3)
+    observation, reward, *_ = envs.step(envs.action_space.sample())
+    assert observation.shape == (3, 14) and reward.shape == (3,)
+
+
+def test_unknown_signal_names_the_known_ones():
+    with pytest.raises(ValueError, match="no signal 'force'; the signals are: "):
+        make(observation=("force",))

@@ -1,0 +1,235 @@
+"""Loops that Python steps: the bits of a run, targets, faults, robots in Python, threads and memory."""
+
+import gc
+import resource
+import threading
+import time
+import traceback
+
+import numpy as np
+import opspace
+import pytest
+from test_runs import differing
+
+TASKS = opspace.tasks()
+SHORT = {"duration_s": 2.0, "seed": 3}
+
+
+def experiment(backend="position", task="panda-compliant", **options):
+    return opspace.Experiment(TASKS[task], backend=backend, **{**SHORT, **options})
+
+
+def streamed(backend="position"):
+    """Hand of a Panda that follows targets from Python."""
+    task = {
+        "robot": "panda",
+        "duration_s": 4.0,
+        "settle_s": 0.5,
+        "priority": ["hand", "rest"],
+        "start_rad": {"joint2": -0.4, "joint4": -2.0, "joint6": 1.6},
+        "task": {
+            "hand": {
+                "cartesian": {
+                    "frame": "flange",
+                    "axes": {axis: "motion" for axis in ("x", "y", "z", "rx", "ry", "rz")},
+                    "gains": {"frequency_rad_per_s": 12.0, "damping_ratio": 1.0},
+                    "reference": {"streamed": {"timeout_s": 60.0}},
+                }
+            },
+            "rest": {"joint-posture": {"frequency_rad_per_s": 4.0, "damping_ratio": 1.0}},
+        },
+    }
+    return opspace.Experiment(task, opspace.robots()["panda"], backend=backend)
+
+
+def drive(loop, simulation, cycles):
+    for _ in range(cycles):
+        simulation.write(*loop.step(**simulation.read()))
+
+
+@pytest.mark.parametrize("backend", ["position", "torque"])
+def test_run_stepped_in_python_has_the_bits_of_a_run(backend, tmp_path):
+    own = experiment(backend)
+    expected = own.run()
+    simulation = own.simulation()
+    run = own.start(tmp_path / "run.mcap", simulation=simulation)
+    while not run.over:
+        simulation.write(*run.step(**simulation.read()))
+    result = run.finish()
+    assert result.outcome == "completed"
+    # A handle for external forces, which the run of the command line does not have, has a channel of its own.
+    channels = [channel for channel in result.log if channel != "external"]
+    assert channels == list(expected.log) and len(expected.log["tick"].time_s) > 900
+    named = lambda log: {channel: log[channel] for channel in channels}
+    assert differing(named(result.log), named(expected.log)) == []
+    assert result.summary["metrics"] == expected.summary["metrics"]
+    with pytest.raises(opspace.OpspaceError, match="the run is finished"):
+        run.finish()
+
+
+@pytest.mark.parametrize("backend", ["position", "torque"])
+def test_robot_in_python_has_the_bits_of_a_run(backend):
+    class Robot:
+        """The simulated robot behind methods of Python."""
+
+        def __init__(self, simulation):
+            self.simulation, self.stops = simulation, 0
+
+        def read(self):
+            return self.simulation.read()
+
+        def write(self, kind, values):
+            self.simulation.write(kind, values)
+
+        def stop(self):
+            self.stops += 1
+            self.simulation.stop()
+
+    own = experiment(backend)
+    robot = Robot(own.simulation())
+    result = own.on(robot)
+    expected = own.run()
+    assert result.outcome == "completed" and robot.stops >= 1
+    mine, theirs = result.log["tick"], expected.log["tick"]
+    same = lambda name: np.array_equal(mine[name].view(np.uint64), theirs[name].view(np.uint64))
+    assert mine.signals == theirs.signals and [name for name in mine if not same(name)] == []
+
+
+def test_exception_of_a_robot_keeps_its_traceback_and_the_log(tmp_path):
+    class Broken:
+        def __init__(self, simulation):
+            self.simulation, self.cycles, self.stopped = simulation, 0, False
+
+        def read(self):
+            self.cycles += 1
+            if self.cycles == 40:
+                raise OSError("the cable is loose")
+            return self.simulation.read()
+
+        def write(self, kind, values):
+            self.simulation.write(kind, values)
+
+        def stop(self):
+            self.stopped = True
+
+    own = experiment()
+    robot = Broken(own.simulation())
+    with pytest.raises(OSError, match="the cable is loose") as raised:
+        own.on(robot, log=tmp_path / "run.mcap")
+    assert any(frame.name == "read" for frame in traceback.extract_tb(raised.value.__traceback__))
+    assert robot.stopped
+    log = opspace.read_log(tmp_path / "run.mcap")
+    assert log.closed and len(log["tick"].time_s) >= 39
+
+
+def test_loop_starts_again_after_reset():
+    own = experiment()
+    loop = own.control_loop()
+    first = []
+    for kept in range(2):
+        simulation = own.simulation()
+        commands = []
+        for _ in range(300):
+            command = loop.step(**simulation.read())
+            simulation.write(*command)
+            commands.append(None if command[1] is None else command[1].tobytes())
+        first.append(commands)
+        loop.reset()
+    assert first[0] == first[1] and loop.phase == "rest"
+
+
+@pytest.mark.parametrize("backend", ["position", "torque"])
+def test_targets_move_the_hand(backend):
+    own = streamed(backend)
+    loop, simulation, model = own.control_loop(), own.simulation(), own.model
+    drive(loop, simulation, 50)
+    model.update(simulation.q)
+    position, quaternion = model.pose("flange")
+    goal = np.concatenate([position + [0.05, 0.0, -0.05], quaternion])
+    loop.target("hand", pose=goal)
+    drive(loop, simulation, 2000)
+    model.update(simulation.q)
+    assert np.abs(model.pose("flange")[0] - goal[:3]).max() < 2e-3
+    # A compliant axis gives way to a push, and the others do not.
+    loop.target("hand", modes={"x": "compliant"}, gains=(14.0, 1.0))
+    simulation.push("flange", [5.0, 0.0, 0.0])
+    drive(loop, simulation, 500)
+    model.update(simulation.q)
+    moved = model.pose("flange")[0] - goal[:3]
+    assert moved[0] > 0.03 and np.abs(moved[1:]).max() < 5e-3
+    simulation.release()
+
+
+def test_mistakes_name_what_is_wrong():
+    loop = streamed().control_loop()
+    with pytest.raises(opspace.OpspaceError, match="q: expected 7 values, got 6"):
+        loop.step(0.0, np.zeros(6))
+    with pytest.raises(opspace.OpspaceError, match="dq"):
+        loop.step(0.0, np.zeros(7), dq=np.zeros(7))
+    with pytest.raises(opspace.OpspaceError, match="no task 'arm' with inputs"):
+        loop.target("arm", pose=np.zeros(3))
+    with pytest.raises(opspace.OpspaceError, match="no axis 'w'"):
+        loop.target("hand", modes={"w": "motion"})
+    with pytest.raises(opspace.OpspaceError, match="unit quaternion"):
+        loop.target("hand", pose=[0.4, 0.0, 0.5, 2.0, 0.0, 0.0, 0.0])
+    with pytest.raises(opspace.OpspaceError, match="out: expected 7 values"):
+        loop.step(0.0, np.zeros(7), out=np.zeros(3))
+    simulation = streamed().simulation()
+    with pytest.raises(opspace.OpspaceError, match="expected 'position'"):
+        simulation.write("force", np.zeros(7))
+    with pytest.raises(opspace.OpspaceError, match="frame"):
+        simulation.push("nose", [1.0, 0.0, 0.0])
+
+
+def test_fault_is_raised_once_and_the_robot_stops():
+    own = experiment("torque")
+    loop, simulation = own.control_loop(), own.simulation()
+    drive(loop, simulation, 20)
+    measured = simulation.read()
+    measured["q"] = measured["q"] + np.nan
+    with pytest.raises(opspace.RobotFault, match="not a finite number") as raised:
+        loop.step(**measured)
+    assert raised.value.joint == own.joints[0] and raised.value.code > 0
+    assert loop.fault is not None and loop.phase in ("stopping", "stopped")
+    measured = simulation.read()
+    assert loop.step(**measured)[0] in (None, "hold", "torque")
+
+
+def test_any_thread_may_step_and_another_one_runs_meanwhile():
+    own = experiment()
+    loop, simulation = own.control_loop(), own.simulation()
+    failures = []
+
+    def work():
+        try:
+            drive(loop, simulation, 100)
+        except BaseException as error:  # noqa: BLE001
+            failures.append(error)
+
+    for _ in range(3):
+        thread = threading.Thread(target=work)
+        thread.start()
+        thread.join()
+    assert failures == [] and loop.phase == "control"
+
+
+def test_steps_do_not_grow_the_memory():
+    own = experiment("torque")
+    loop, simulation = own.control_loop(), own.simulation()
+    drive(loop, simulation, 600)
+    measured, out = simulation.read(), np.empty(len(own.joints))
+    begin, period = measured.pop("time_s"), own.period_s
+
+    def steps(first, count):
+        for k in range(first, first + count):
+            loop.step(begin + k * period, **measured, out=out)
+
+    steps(0, 10_000)
+    gc.collect()
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    began = time.perf_counter()
+    steps(10_000, 100_000)
+    each_us = (time.perf_counter() - began) * 10.0
+    grown_kb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
+    print(f"step with out: {each_us:.2f} us; memory grew by {grown_kb} kB in 100 000 steps")
+    assert grown_kb < 512
