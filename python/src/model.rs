@@ -144,7 +144,7 @@ impl Model {
     #[staticmethod]
     #[pyo3(signature = (model, joints=None))]
     fn from_mujoco(model: &Bound<'_, PyAny>, joints: Option<Vec<String>>) -> PyResult<Self> {
-        mujoco::read(model, joints.as_deref())
+        caught(|| mujoco::read(model, joints.as_deref()))?
     }
 
     /// Name of the robot.
