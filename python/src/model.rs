@@ -144,7 +144,7 @@ impl Model {
     #[staticmethod]
     #[pyo3(signature = (model, joints=None))]
     fn from_mujoco(model: &Bound<'_, PyAny>, joints: Option<Vec<String>>) -> PyResult<Self> {
-        mujoco::read(model, joints.as_deref())
+        caught(|| mujoco::read(model, joints.as_deref()))?
     }
 
     /// Name of the robot.
@@ -456,7 +456,9 @@ fn pose(placement: &Placement) -> ([f64; 3], [f64; 4]) {
 
 /// Numbers of a Jacobian, row by row.
 fn by_rows(jacobian: &Matrix6xX<f64>) -> Vec<f64> {
-    (0..6).flat_map(|row| jacobian.row(row).iter().copied().collect::<Vec<f64>>()).collect()
+    let mut numbers = Vec::with_capacity(jacobian.len());
+    (0..6).for_each(|row| numbers.extend(jacobian.row(row).iter()));
+    numbers
 }
 
 /// True if the first `k` rows of Λ⁻¹ are independent.

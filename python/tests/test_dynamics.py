@@ -47,7 +47,7 @@ def compare(worst, model, frame, mass_matrix, bias, jacobian):
     for name, other in (("M", mass_matrix), ("bias", bias), ("J", jacobian)):
         worst[name] = max(worst.get(name, 0.0), error(own[name], other))
     mobility = jacobian[rows] @ np.linalg.solve(mass_matrix, jacobian[rows].T)
-    if np.linalg.cond(mobility) < 1e4:
+    if np.linalg.cond(mobility) < 1e6:
         worst["states of Λ"] = worst.get("states of Λ", 0) + 1
         other = inertia(mass_matrix, jacobian, rows)
         worst["Λ"] = max(worst.get("Λ", 0.0), error(model.operational_inertia(frame, rows), other))

@@ -160,3 +160,22 @@ def test_findings_have_keys():
     assert findings and all(finding.code and finding.message for finding in findings)
     assert any(finding.key and finding.file for finding in findings)
     assert findings[0].code in str(findings[0])
+
+
+def test_panics_are_errors():
+    """An object that claims to be a compiled model, with an index beyond its arrays."""
+
+    class Named:
+        name = "joint"
+
+    class Broken:
+        jnt_type = np.array([3])
+        qpos0 = np.zeros(0)
+        jnt_qposadr = np.array([3])
+
+        def joint(self, number):
+            return Named()
+
+    with pytest.raises(opspace.OpspaceError, match="panicked.*out of bounds") as raised:
+        opspace.Model.from_mujoco(Broken())
+    assert "report it" in raised.value.help

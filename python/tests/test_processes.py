@@ -190,4 +190,5 @@ def test_memory_does_not_grow():
         use()
     grown = resident_bytes() - before
     print(f"grown by {grown / 1e6:.2f} MB")
-    assert grown < 4e6
+    # A log that were kept would be 24 MB.
+    assert grown < 8e6

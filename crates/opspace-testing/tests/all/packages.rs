@@ -46,8 +46,9 @@ fn robot_of_the_documentation_is_that_of_the_project() {
 #[test]
 fn licences_of_the_crates_are_those_of_the_project() {
     let mut crates = 0;
-    for entry in fs::read_dir(root().join("crates")).expect("a folder") {
-        let folder = entry.expect("a crate").path();
+    let folders = fs::read_dir(root().join("crates")).expect("a folder");
+    let folders = folders.map(|entry| entry.expect("a crate").path());
+    for folder in folders.chain([root().join("python")]) {
         if folder.ends_with("opspace-testing") {
             continue;
         }
