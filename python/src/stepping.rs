@@ -1,4 +1,4 @@
-//! What `ControlLoop` and `Run` have in common: a cycle, targets by the names of tasks, and the state of the loop.
+//! Common parts of `ControlLoop` and `Run`: a cycle, targets by the names of tasks, and the state of the loop.
 
 use crate::arrays::vector;
 use crate::errors::{argument, refused};

@@ -12,7 +12,7 @@
 //! * **Tips in nearly singular poses.** Where the task is damped, joints move at 2 to 5 rad/s along no reference. What the
 //!   transformer anticipates is the reference alone, and errors of 4 to 28 % occur.
 //!
-//! `OPSPACE_SEED=7 cargo test --workspace --test experiment random_arms -- --include-ignored` draws others.
+//! `OPSPACE_SEED=7 cargo test --test experiment random_arms -- --include-ignored` draws others.
 #![expect(clippy::unwrap_used, reason = "a test that can't go on has failed")]
 
 use super::random_servos::{Random, check, load, random_settings};

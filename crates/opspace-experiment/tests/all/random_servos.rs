@@ -1,7 +1,7 @@
 //! Random servos on random elastic gears, of which nothing but the nominal gains is told: `extrapolation+current` completes
 //! its tasks with a small torque error.
 //!
-//! `OPSPACE_SEED=7 cargo test --workspace --test experiment random_servos -- --include-ignored` draws others.
+//! `OPSPACE_SEED=7 cargo test --test experiment random_servos -- --include-ignored` draws others.
 #![expect(clippy::unwrap_used, reason = "a test that can't go on has failed")]
 
 use opspace_backend::CommandKind;

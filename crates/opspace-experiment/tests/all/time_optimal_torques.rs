@@ -3,7 +3,7 @@
 //! the path within speed limits alone, slowed down uniformly until it keeps the torque limits; runs of a simulation with
 //! each other.
 //!
-//! `OPSPACE_SEED=7 cargo test --workspace --test experiment time_optimal_torques` draws other paths.
+//! `OPSPACE_SEED=7 cargo test --test experiment time_optimal_torques` draws other paths.
 #![expect(clippy::expect_used, clippy::unwrap_used, reason = "a test that can't go on has failed")]
 #![expect(clippy::print_stderr, reason = "seeds, durations and errors")]
 
