@@ -235,6 +235,19 @@ impl Experiment {
         self.experiment.robot().model.joints().iter().map(|joint| joint.name.clone()).collect()
     }
 
+    /// Quantities that the robot measures: "position", and "velocity", "motor-current" and "joint-torque" if robot.toml declares them.
+    #[getter]
+    fn measured(&self) -> Vec<&'static str> {
+        let capabilities = self.experiment.capabilities();
+        let optional = [
+            ("velocity", capabilities.measures_velocity),
+            ("motor-current", capabilities.measures_motor_torque),
+            ("joint-torque", capabilities.measures_joint_torque),
+        ];
+        let measured = optional.into_iter().filter(|(_, is_measured)| *is_measured);
+        std::iter::once("position").chain(measured.map(|(name, _)| name)).collect()
+    }
+
     /// Model of the robot, as the controller uses it.
     #[getter]
     fn model(&self) -> Model {

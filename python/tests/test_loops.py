@@ -150,7 +150,7 @@ def test_targets_move_the_hand(backend):
     drive(loop, simulation, 2000)
     model.update(simulation.q)
     assert np.abs(model.pose("flange")[0] - goal[:3]).max() < 2e-3
-    # A compliant axis gives way to a push, and the others do not.
+    # A compliant axis yields to a push, and the others do not.
     loop.target("hand", modes={"x": "compliant"}, gains=(14.0, 1.0))
     simulation.push("flange", [5.0, 0.0, 0.0])
     drive(loop, simulation, 500)
