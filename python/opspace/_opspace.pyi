@@ -141,6 +141,7 @@ class Experiment:
         self, log: _Path | None = None, folder: _Path | None = None, *, overwrite: bool = False
     ) -> Result: ...
     def control_loop(self) -> ControlLoop: ...
+    def control_loops(self, count: int) -> ControlLoops: ...
     def simulation(self, start: _Numbers | None = None) -> Simulation: ...
     def start(
         self, log: _Path | None = None, *, simulation: Simulation | None = None, overwrite: bool = False
@@ -191,6 +192,38 @@ class ControlLoop:
     @property
     def period_s(self) -> float: ...
     def signals(self) -> dict[str, _Array]: ...
+
+@final
+class ControlLoops:
+    """Control loops of one experiment for many robots."""
+
+    def step(
+        self,
+        time_s: float | _Numbers,
+        q: _Numbers,
+        dq: _Numbers | None = None,
+        motor_torque: _Numbers | None = None,
+        joint_torque: _Numbers | None = None,
+        wrenches: _Numbers | None = None,
+        out: _Array | None = None,
+        threads: int = 1,
+    ) -> _Array: ...
+    def target(
+        self,
+        robot: int,
+        task: str,
+        *,
+        pose: _Numbers | None = None,
+        twist: _Numbers | None = None,
+        acceleration: _Numbers | None = None,
+        wrench: _Numbers | None = None,
+        gains: tuple[float | _Numbers, float | _Numbers] | None = None,
+        modes: Mapping[str, Literal["motion", "compliant", "force"]] | None = None,
+    ) -> None: ...
+    def reset(self, robot: int) -> None: ...
+    @property
+    def faults(self) -> dict[int, RobotFault]: ...
+    def __len__(self) -> int: ...
 
 @final
 class Run:

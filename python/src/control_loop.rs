@@ -21,7 +21,7 @@ pub(crate) struct ControlLoop {
 }
 
 /// Builds the loop of an experiment.
-fn build(experiment: &Experiment) -> PyResult<Stepped> {
+pub(crate) fn build(experiment: &Experiment) -> PyResult<Stepped> {
     let control = caught(|| experiment.control_loop())?.map_err(|error| of_file(&error, &[]))?;
     let targets = control.targets();
     Ok(Stepped::Loop { control: Box::new(control), targets })

@@ -2,6 +2,7 @@
 
 use crate::arrays::vector;
 use crate::control_loop::ControlLoop;
+use crate::control_loops::ControlLoops;
 use crate::errors::{FaultText, argument, caught, of_file, of_run};
 use crate::interrupt::interruptible;
 use crate::model::Model;
@@ -296,6 +297,11 @@ impl Experiment {
     /// Returns the control loop before its first cycle: Python steps it, with measurements of a robot of its own.
     fn control_loop(&self) -> PyResult<ControlLoop> {
         ControlLoop::new(Arc::clone(&self.experiment))
+    }
+
+    /// Returns control loops for `count` robots, which are stepped in one call.
+    fn control_loops(&self, py: Python<'_>, count: usize) -> PyResult<ControlLoops> {
+        py.detach(|| ControlLoops::new(Arc::clone(&self.experiment), count))
     }
 
     /// Returns the simulated robot at rest at its start, on which external forces can act.

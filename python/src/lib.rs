@@ -6,6 +6,7 @@
 mod arrays;
 mod cli;
 mod control_loop;
+mod control_loops;
 mod errors;
 mod experiment;
 mod interrupt;
@@ -29,6 +30,8 @@ mod _opspace {
     use crate::cli::main;
     #[pymodule_export]
     use crate::control_loop::ControlLoop;
+    #[pymodule_export]
+    use crate::control_loops::ControlLoops;
     #[pymodule_export]
     use crate::errors::{OpspaceError, RobotFault};
     #[pymodule_export]

@@ -77,8 +77,7 @@ impl Simulation {
     fn read<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let mut arm = self.lock();
         let Arm { arm: robot, sample } = &mut *arm;
-        let read = py.detach(|| caught(|| robot.read(sample)))?;
-        read.map_err(|fault| refused(fault.to_string(), None))?;
+        caught(|| robot.read(sample))?.map_err(|fault| refused(fault.to_string(), None))?;
         arguments(py, sample)
     }
 

@@ -213,6 +213,67 @@ def test_any_thread_may_step_and_another_one_runs_meanwhile():
     assert failures == [] and loop.phase == "control"
 
 
+@pytest.mark.parametrize("threads", [1, 3])
+def test_many_loops_in_one_call_compute_what_each_computes(threads):
+    own = streamed("torque")
+    count = 5
+    loops, alone = own.control_loops(count), [own.control_loop() for _ in range(count)]
+    simulations = [own.simulation() for _ in range(count)]
+    assert len(loops) == count
+    for cycle in range(300):
+        if cycle == 100:
+            for robot in range(count):
+                twist = [0.01 * robot, 0.0, 0.0, 0.0, 0.0, 0.0]
+                loops.target(robot, "hand", twist=twist)
+                alone[robot].target("hand", twist=twist)
+        samples = [simulation.read() for simulation in simulations]
+        stacked = {name: np.stack([sample[name] for sample in samples]) for name in samples[0] if name != "time_s"}
+        values = loops.step([sample["time_s"] for sample in samples], **stacked, threads=threads)
+        for robot in range(count):
+            kind, expected = alone[robot].step(**samples[robot])
+            simulations[robot].write(kind, expected)
+            row = np.full(7, np.nan) if expected is None else expected
+            assert np.array_equal(values[robot], row, equal_nan=True)
+    assert loops.faults == {} and not np.isnan(values).any()
+    stacked["q"][2] = np.nan
+    loops.step(samples[0]["time_s"] + 1e-3, **stacked)
+    assert list(loops.faults) == [2] and loops.faults[2].joint == "joint1"
+    loops.reset(2)
+    assert loops.faults == {}
+    with pytest.raises(opspace.OpspaceError, match="q: expected 5 rows, got 4"):
+        loops.step(0.0, np.zeros((4, 7)))
+    with pytest.raises(opspace.OpspaceError, match="there are 5 loops"):
+        loops.reset(5)
+
+
+def test_threads_that_share_objects_do_not_wait_for_ever():
+    own = experiment("torque")
+    loops, loop, simulation = own.control_loops(50), own.control_loop(), own.simulation()
+    run = own.start(simulation=simulation)
+    measured = simulation.read()
+    rows = {name: np.tile(measured[name], (50, 1)) for name in measured if name != "time_s"}
+
+    def step_all():
+        for k in range(40):
+            loops.step(measured["time_s"] + 1e-3 * k, **rows)
+
+    def look():
+        for _ in range(200):
+            assert loops.faults == {} and simulation.q.shape == (7,) and not run.over
+            loop.signals()
+
+    def drive_run():
+        for _ in range(40):
+            simulation.write(*run.step(**simulation.read()))
+
+    threads = [threading.Thread(target=work, daemon=True) for work in (step_all, look, look, drive_run)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(timeout=30.0)
+    assert not any(thread.is_alive() for thread in threads)
+
+
 def test_steps_do_not_grow_the_memory():
     own = experiment("torque")
     loop, simulation = own.control_loop(), own.simulation()

@@ -52,7 +52,7 @@ def test_members_are_those_of_the_classes():
 
 
 def test_public_members_have_documentation():
-    for name in ("Model", "Experiment", "Result", "Log", "Channel", "Batch", "Finding", "Replay", "ControlLoop", "Run", "Simulation"):
+    for name in ("Model", "Experiment", "Result", "Log", "Channel", "Batch", "Finding", "Replay", "ControlLoop", "ControlLoops", "Run", "Simulation"):
         own = getattr(opspace, name)
         missing = [member for member in vars(own) if not member.startswith("_") and not getattr(own, member).__doc__]
         assert missing == [], name
