@@ -5,31 +5,12 @@ import numpy as np
 import opspace.gym
 import pytest
 from gymnasium.utils.env_checker import check_env
-from test_loops import streamed
-
-TASK = {
-    "robot": "panda",
-    "duration_s": 60.0,
-    "priority": ["hand", "rest"],
-    "start_rad": {"joint2": -0.4, "joint4": -2.0, "joint6": 1.6},
-    "task": {
-        "hand": {
-            "cartesian": {
-                "frame": "flange",
-                "axes": {axis: "motion" for axis in ("x", "y", "z", "rx", "ry", "rz")},
-                "gains": {"frequency_rad_per_s": 12.0, "damping_ratio": 1.0},
-                "reference": {"streamed": {"timeout_s": 60.0}},
-            }
-        },
-        "rest": {"joint-posture": {"frequency_rad_per_s": 4.0, "damping_ratio": 1.0}},
-    },
-}
-
+from test_loops import REACH, streamed
 
 def make(**options):
     return gymnasium.make(
         "opspace/Task-v0",
-        task=TASK,
+        task={**REACH, "duration_s": 60.0},
         robot=opspace.robots()["panda"],
         target="hand",
         frame="flange",

@@ -19,27 +19,29 @@ def experiment(backend="position", task="panda-compliant", **options):
     return opspace.Experiment(TASKS[task], backend=backend, **{**SHORT, **options})
 
 
-def streamed(backend="position"):
-    """Hand of a Panda that follows targets from Python."""
-    task = {
-        "robot": "panda",
-        "duration_s": 4.0,
-        "settle_s": 0.5,
-        "priority": ["hand", "rest"],
-        "start_rad": {"joint2": -0.4, "joint4": -2.0, "joint6": 1.6},
-        "task": {
-            "hand": {
-                "cartesian": {
-                    "frame": "flange",
-                    "axes": {axis: "motion" for axis in ("x", "y", "z", "rx", "ry", "rz")},
-                    "gains": {"frequency_rad_per_s": 12.0, "damping_ratio": 1.0},
-                    "reference": {"streamed": {"timeout_s": 60.0}},
-                }
-            },
-            "rest": {"joint-posture": {"frequency_rad_per_s": 4.0, "damping_ratio": 1.0}},
+# Hand of a Panda that follows targets from Python.
+REACH = {
+    "robot": "panda",
+    "duration_s": 4.0,
+    "settle_s": 0.5,
+    "priority": ["hand", "rest"],
+    "start_rad": {"joint2": -0.4, "joint4": -2.0, "joint6": 1.6},
+    "task": {
+        "hand": {
+            "cartesian": {
+                "frame": "flange",
+                "axes": {axis: "motion" for axis in ("x", "y", "z", "rx", "ry", "rz")},
+                "gains": {"frequency_rad_per_s": 12.0, "damping_ratio": 1.0},
+                "reference": {"streamed": {"timeout_s": 60.0}},
+            }
         },
-    }
-    return opspace.Experiment(task, opspace.robots()["panda"], backend=backend)
+        "rest": {"joint-posture": {"frequency_rad_per_s": 4.0, "damping_ratio": 1.0}},
+    },
+}
+
+
+def streamed(backend="position"):
+    return opspace.Experiment(REACH, opspace.robots()["panda"], backend=backend)
 
 
 def drive(loop, simulation, cycles):
