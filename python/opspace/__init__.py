@@ -9,6 +9,7 @@ quaternions are w, x, y, z.
     result.log["tick"]["q"]          # (T, n), rad
 """
 
+import atexit as _atexit
 import os as _os
 from pathlib import Path as _Path
 
@@ -68,5 +69,6 @@ def tasks() -> dict[str, _Path]:
     return {path.stem: path for path in sorted(_FILES.glob("tasks/*.toml"))}
 
 
+_atexit.register(_opspace._stop_all)
 if hasattr(_os, "register_at_fork"):
     _os.register_at_fork(after_in_child=_opspace._forked)

@@ -37,9 +37,11 @@ class TaskEnv(gymnasium.Env[Array, Array]):
 
     observation: names of signals of the channel `tick`; the observation has their values one after the other.
 
-    cycles: control cycles in one step. duration_s: episodes are truncated after it. reward: function of the signals that returns
-    the reward and whether the episode is over; without it the reward is 0. A fault of the robot ends an episode; `info["fault"]`
-    has its cause.
+    cycles: control cycles in one step. duration_s: episodes are truncated after it; that of the task is not used. reward: function of
+    the signals that returns the reward, or the reward and whether the episode is over; without it the reward is 0. A fault of the
+    robot ends an episode; `info["fault"]` has its cause. Nothing is rendered.
+
+    Each episode has other noise, drawn from the seed of `reset`; the robot begins at the start of the task.
     """
 
     metadata: dict[str, Any] = {"render_modes": []}
@@ -62,11 +64,14 @@ class TaskEnv(gymnasium.Env[Array, Array]):
         speed_scale_m_per_s: float = 0.25,
         speed_scale_rad_per_s: float = 1.0,
         frequency_range_rad_per_s: tuple[float, float] = (5.0, 20.0),
-        reward: Callable[[dict[str, Array]], tuple[float, bool]] | None = None,
+        reward: Callable[[dict[str, Array]], float | tuple[float, bool]] | None = None,
+        render_mode: None = None,
         **options: Any,
     ) -> None:
         if action not in ACTIONS:
             raise ValueError(f"action: expected one of {', '.join(ACTIONS)}, got {action!r}")
+        if render_mode is not None:
+            raise ValueError(f"render_mode: expected None, got {render_mode!r}: nothing is rendered")
         if cycles < 1:
             raise ValueError(f"cycles: expected 1 or more, got {cycles}")
         self._arguments = (task, robot, options)
@@ -78,10 +83,15 @@ class TaskEnv(gymnasium.Env[Array, Array]):
         self._names = tuple(observation)
         self._experiment = self._load(options.get("seed"))
         self._model = self._experiment.model
+        if frame not in self._model.frames:
+            raise ValueError(f"frame: no frame {frame!r}; the frames are: {', '.join(self._model.frames)}")
         self._steps = max(1, round(duration_s / (cycles * self._experiment.period_s)))
         self._step = 0
         self._loop: ControlLoop = self._experiment.control_loop()
+        self._loop.target(target)
+        self._loop.reset()
         self._simulation: Simulation = self._experiment.simulation()
+        self._is_over = True
         self._signals = self._loop.signals()
         unknown = [name for name in self._names if name not in self._signals]
         if unknown:
@@ -97,13 +107,12 @@ class TaskEnv(gymnasium.Env[Array, Array]):
         return Experiment(task, robot, **{**options, "seed": seed})
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
-        """Returns to the start; with a seed, the noise of the simulation is drawn from it."""
+        """Returns to the start, with other noise; a seed begins a sequence of episodes."""
         super().reset(seed=seed)
-        if seed is not None:
-            self._experiment = self._load(seed)
+        self._experiment = self._load(int(self.np_random.integers(2**31)))
         self._loop.reset()
         self._simulation = self._experiment.simulation()
-        self._step = 0
+        self._step, self._is_over = 0, False
         # The first cycles tare force sensors; the episode begins with control.
         while True:
             self._cycle()
@@ -113,6 +122,10 @@ class TaskEnv(gymnasium.Env[Array, Array]):
 
     def step(self, action: Array) -> tuple[Array, float, bool, bool, dict[str, Any]]:
         """Sets the target, and simulates the cycles of a step."""
+        if self._is_over:
+            raise RuntimeError("the episode is over, or was not begun: call reset()")
+        if np.shape(action) != self.action_space.shape:
+            raise ValueError(f"action: expected shape {self.action_space.shape}, got {np.shape(action)}")
         info: dict[str, Any] = {}
         failed = False
         try:
@@ -124,7 +137,9 @@ class TaskEnv(gymnasium.Env[Array, Array]):
             failed = True
         self._step += 1
         observation = self._observe()
-        reward, over = self._reward(self._signals) if self._reward else (0.0, False)
+        returned = self._reward(self._signals) if self._reward else 0.0
+        reward, over = returned if isinstance(returned, tuple) else (returned, False)
+        self._is_over = failed or over
         return observation, float(reward), failed or over, self._step >= self._steps, info
 
     def _cycle(self) -> None:

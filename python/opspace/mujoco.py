@@ -42,6 +42,9 @@ _BETWEEN = '<inertial><mass value="1e-12"/><inertia ixx="1e-15" ixy="0" ixz="0" 
 # Counts per turn of an encoder without rounding.
 _EXACT = 2_000_000_000
 
+# Quantities that an arm can read.
+_MEASURED = ("position", "velocity", "motor-current")
+
 # Displacement over which MuJoCo's friction loss builds up, rad or m.
 _PRESLIDING = 0.001
 
@@ -105,6 +108,7 @@ def write_robot(
     cycle_hz: float | None = None,
     velocity_limit_rad_per_s: float = 3.0,
     measured: tuple[str, ...] = ("position", "velocity", "motor-current"),
+    overwrite: bool = False,
 ) -> Path:
     """Writes robot.urdf and robot.toml of the arm of a compiled model, and returns the folder.
 
@@ -112,11 +116,16 @@ def write_robot(
 
     cycle_hz: rate of the control cycle, Hz; it divides that of MuJoCo's steps, which it is by default. velocity_limit_rad_per_s:
     speed at which a run is stopped, which a model of MuJoCo does not state. measured: quantities that `Arm` reads:
-    "position", "velocity", "motor-current".
+    "position", "velocity", "motor-current". overwrite: True if files of the folder are replaced.
 
     Raises OpspaceError for a model without position actuators, with ball joints or gravity compensation of its own, or a rate
     that does not divide that of the steps.
     """
+    if not hasattr(model, "actuator_gainprm"):
+        raise _error(f"model: expected a mujoco.MjModel, got {type(model).__name__}", "mujoco.MjModel.from_xml_path reads a file")
+    unknown = [name for name in np.atleast_1d(measured) if name not in _MEASURED]
+    if isinstance(measured, str) or unknown:
+        raise _error(f"measured: expected a tuple of {', '.join(_MEASURED)}, got {measured!r}", 'for example ("position", "velocity")')
     controlled = servos(model)
     if not controlled:
         raise _error("the model has no position actuator of a joint", "use <position> actuators with kp")
@@ -124,6 +133,8 @@ def write_robot(
         raise _error("bodies have gravcomp: MuJoCo compensates their weight itself", "remove gravcomp")
     ticks = _ticks(model, cycle_hz)
     folder = Path(folder)
+    if not overwrite and (folder / "robot.toml").exists():
+        raise _error(f"{folder / 'robot.toml'} exists", "overwrite=True replaces it")
     folder.mkdir(parents=True, exist_ok=True)
     name = folder.name
     (folder / "robot.urdf").write_text(_urdf(model, name, controlled, velocity_limit_rad_per_s))
@@ -143,6 +154,10 @@ class Arm:
 
         self._step = mujoco.mj_step
         self.model: Any = model
+        known = {model.joint(j).name for j in range(model.njnt)}
+        missing = [name for name in experiment.joints if name not in known]
+        if missing:
+            raise _error(f"model: it has no joint '{missing[0]}', which the robot has", "use the model of write_robot")
         joints = np.array([model.joint(name).id for name in experiment.joints])
         self._q, self._v = model.jnt_qposadr[joints], model.jnt_dofadr[joints]
         of_joints = {int(joint): index for index, joint in enumerate(model.actuator_trnid[:, 0])}
@@ -170,7 +185,7 @@ class Arm:
         return self._torque.copy()
 
     def applied(self, data: Any) -> None:
-        """Sets forces in data before each of MuJoCo's steps; a class of yours may override it."""
+        """Sets forces in data before each of MuJoCo's steps: a class of yours overrides it to push the arm."""
 
     def read(self) -> dict[str, Any]:
         """Advances by a control cycle and returns the measurements."""

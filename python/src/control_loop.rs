@@ -1,12 +1,11 @@
 //! Class `ControlLoop`: the control loop of an experiment, stepped by Python.
 
-use crate::errors::{FaultText, caught, of_file};
-use crate::measured::{Measured, Returned, check_out, returned};
+use crate::errors::{caught, of_file};
+use crate::measured::{Measured, Returned, output, returned};
 use crate::stepping::{Stepped, Stepping, TargetValues};
 use numpy::PyArray1;
 use opspace_experiment::Experiment;
 use pyo3::prelude::*;
-use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// Control loop of an experiment, without input, output or clock: Python calls `step` once per cycle, and sends the command to a
@@ -43,20 +42,16 @@ pub(crate) fn step<'py>(
     py: Python<'py>,
     stepping: &mut Stepping,
     measured: &Measured<'_, 'py>,
-    out: Option<&Bound<'py, PyArray1<f64>>>,
+    out: Option<&Bound<'py, PyAny>>,
     before: impl FnOnce(&mut Stepped),
 ) -> PyResult<Returned<'py>> {
-    check_out(out, stepping.sample.q.len())?;
+    let out = out.map(|out| output(out, stepping.sample.q.len())).transpose()?;
     measured.copy_to(&mut stepping.sample)?;
     let Stepping { stepped, sample, .. } = stepping;
-    let had_fault = stepped.control().result().fault.is_some();
     before(stepped);
-    let result = caught(|| returned(py, stepped.cycle(sample), out))??;
-    let control = stepped.control();
-    match control.result().fault {
-        Some(fault) if !had_fault => {
-            Err(FaultText::new(fault, control.measurement().time_s, control.model()).error(py)?)
-        }
+    let result = caught(|| returned(py, stepped.cycle(sample), out.as_ref()))??;
+    match stepping.note_fault().then_some(&stepping.fault) {
+        Some(Some(fault)) => Err(fault.error(py)?),
         _ => Ok(result),
     }
 }
@@ -84,7 +79,7 @@ impl ControlLoop {
         motor_torque: Option<&Bound<'py, PyAny>>,
         joint_torque: Option<&Bound<'py, PyAny>>,
         wrenches: Option<&Bound<'py, PyAny>>,
-        out: Option<&Bound<'py, PyArray1<f64>>>,
+        out: Option<&Bound<'py, PyAny>>,
     ) -> PyResult<Returned<'py>> {
         let measured = Measured { time_s, q, dq, motor_torque, joint_torque, wrenches };
         step(py, &mut self.lock(), &measured, out, |_| {})
@@ -107,8 +102,8 @@ impl ControlLoop {
         twist: Option<&Bound<'py, PyAny>>,
         acceleration: Option<&Bound<'py, PyAny>>,
         wrench: Option<&Bound<'py, PyAny>>,
-        gains: Option<(Bound<'py, PyAny>, Bound<'py, PyAny>)>,
-        modes: Option<BTreeMap<String, String>>,
+        gains: Option<&Bound<'py, PyAny>>,
+        modes: Option<&Bound<'py, PyAny>>,
     ) -> PyResult<()> {
         self.lock().target(task, &TargetValues { pose, twist, acceleration, wrench, gains, modes })
     }
@@ -140,12 +135,8 @@ impl ControlLoop {
     /// Fault that stopped the robot, an exception; None if there was none.
     #[getter]
     fn fault(&self, py: Python<'_>) -> PyResult<Option<PyErr>> {
-        let mut stepping = self.lock();
-        let control = stepping.stepped.control();
-        let fault = control.result().fault;
-        let text = fault.map(|fault| FaultText::new(fault, control.measurement().time_s, control.model()));
-        drop(stepping);
-        text.map(|text| text.error(py)).transpose()
+        let fault = self.lock().fault.clone();
+        fault.map(|fault| fault.error(py)).transpose()
     }
 
     /// Names of the joints, in the order of all arrays (n).

@@ -2,7 +2,7 @@
 
 use crate::arrays::{owned2, rows};
 use crate::control_loop::build;
-use crate::errors::{FaultText, argument, caught};
+use crate::errors::{argument, caught};
 use crate::stepping::{Stepping, TargetValues};
 use numpy::{PyArray2, PyArrayMethods};
 use opspace_backend::{Command, Sample};
@@ -62,6 +62,7 @@ fn step_all(loops: &mut [Stepping], first: usize, measured: &Rows, n: usize, out
             }
             Some(Command::Hold) | None => row.fill(f64::NAN),
         }
+        each.note_fault();
     }
 }
 
@@ -101,7 +102,7 @@ impl ControlLoops {
     /// pays from some hundred loops on.
     ///
     /// Returns the values of the commands (N × n); a row is NaN where the robot holds itself, or where nothing is to be sent. A
-    /// fault raises nothing: `faults` has it.
+    /// fault raises nothing: `faults` has it, and the row has the commands of the stop.
     ///
     /// Raises OpspaceError for arrays of another shape.
     #[pyo3(signature = (time_s, q, dq=None, motor_torque=None, joint_torque=None, wrenches=None, out=None, threads=NonZero::<usize>::MIN))]
@@ -192,8 +193,8 @@ impl ControlLoops {
         twist: Option<&Bound<'py, PyAny>>,
         acceleration: Option<&Bound<'py, PyAny>>,
         wrench: Option<&Bound<'py, PyAny>>,
-        gains: Option<(Bound<'py, PyAny>, Bound<'py, PyAny>)>,
-        modes: Option<BTreeMap<String, String>>,
+        gains: Option<&Bound<'py, PyAny>>,
+        modes: Option<&Bound<'py, PyAny>>,
     ) -> PyResult<()> {
         let values = TargetValues { pose, twist, acceleration, wrench, gains, modes };
         self.with(py, robot, |stepping| stepping.target(task, &values))
@@ -211,14 +212,9 @@ impl ControlLoops {
     /// Faults of the robots, exceptions by number; a robot without a fault has none.
     #[getter]
     fn faults(&self, py: Python<'_>) -> PyResult<BTreeMap<usize, PyErr>> {
-        let mut found = Vec::new();
-        for (robot, stepping) in self.lock(py).iter_mut().enumerate() {
-            let control = stepping.stepped.control();
-            if let Some(fault) = control.result().fault {
-                found.push((robot, FaultText::new(fault, control.measurement().time_s, control.model())));
-            }
-        }
-        found.into_iter().map(|(robot, fault)| Ok((robot, fault.error(py)?))).collect()
+        let faults = self.lock(py).iter().map(|stepping| stepping.fault.clone()).collect::<Vec<_>>();
+        let faults = faults.into_iter().enumerate().filter_map(|(robot, fault)| Some((robot, fault?)));
+        faults.map(|(robot, fault)| Ok((robot, fault.error(py)?))).collect()
     }
 
     fn __len__(&self, py: Python<'_>) -> usize {

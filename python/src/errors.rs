@@ -50,7 +50,8 @@ pub(crate) fn argument(name: &str, message: &str) -> PyErr {
 
 /// Returns an error without a place.
 pub(crate) fn refused(message: impl Into<String>, help: Option<&str>) -> PyErr {
-    with_attributes(message.into(), &[("help", help.map(str::to_owned))], None)
+    let text = help.map_or_else(String::new, |help| format!("\nhelp: {help}"));
+    with_attributes(message.into() + &text, &[("help", help.map(str::to_owned))], None)
 }
 
 /// Returns the error of a file. The text of a dictionary, one of `dictionaries`, has no lines that its user knows: the message

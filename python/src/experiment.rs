@@ -342,12 +342,13 @@ impl Experiment {
     /// dropped and counted, and samples that come late by the computer's clock stop it. A cycle takes Python's time. log, overwrite
     /// and Ctrl-C are those of `run`.
     ///
-    /// An exception of a method stops the robot; it is raised with its traceback once the log is closed.
+    /// Ctrl-C reaches Python's main thread alone: call `on` there. A stop waits for `read` and `write` to return. Objects of the task's
+    /// environment are not simulated here. An exception of a method stops the robot; it is raised with its traceback once the log is closed.
     #[pyo3(signature = (robot, log=None, *, real=false, overwrite=false))]
     fn on(
         &self,
         py: Python<'_>,
-        robot: Py<PyAny>,
+        robot: &Bound<'_, PyAny>,
         log: Option<PathBuf>,
         real: bool,
         overwrite: bool,
@@ -355,7 +356,7 @@ impl Experiment {
         let (experiment, progress) = (&*self.experiment, Progress::default());
         let declared = experiment.capabilities();
         let capabilities = if real { declared } else { declared.simulated() };
-        let mut backend = PythonRobot::new(robot, capabilities);
+        let mut backend = PythonRobot::new(robot, capabilities)?;
         let on = &mut backend;
         let ran = interruptible(py, &progress, || match log {
             Some(path) => {
@@ -392,6 +393,11 @@ impl Experiment {
 }
 
 impl Experiment {
+    /// Returns the object of an experiment that has been read.
+    pub(crate) fn of(experiment: Arc<opspace_experiment::Experiment>) -> Self {
+        Self { experiment, dictionaries: Vec::new() }
+    }
+
     /// Returns the result of a run.
     fn result(&self, ran: std::result::Result<Ran, RunError>) -> PyResult<Result> {
         let (summary, outcome, log) = ran.map_err(|error| of_run(&error, &self.dictionaries))?;

@@ -5,6 +5,7 @@ use opspace_experiment::Progress;
 use pyo3::prelude::*;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::mpsc::{RecvTimeoutError, channel};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
 use std::time::Duration;
 
@@ -26,11 +27,33 @@ pub(crate) fn forked() {
     }
 }
 
+/// Stop and abort requests of the runs that are going on.
+static STOPPABLE: Mutex<Vec<[Arc<AtomicBool>; 2]>> = Mutex::new(Vec::new());
+
+/// Time in which the runs of other threads stop when Python exits; half of it for setpoints that brake.
+const EXIT: Duration = Duration::from_secs(4);
+
+/// Stops the runs of all threads; Python calls it before it exits, while their robots can still be commanded.
+#[pyfunction]
+#[pyo3(name = "_stop_all")]
+pub(crate) fn stop_all(py: Python<'_>) {
+    py.detach(|| {
+        for request in 0..2 {
+            let runs = STOPPABLE.lock().unwrap_or_else(PoisonError::into_inner).clone();
+            runs.iter().for_each(|run| run[request].store(true, Ordering::Relaxed));
+            let began = std::time::Instant::now();
+            while RUNNING.load(Ordering::Acquire) > 0 && began.elapsed() < EXIT / 2 {
+                thread::sleep(LOOK);
+            }
+        }
+    });
+}
+
 /// Counts a computation while it exists.
-struct Running;
+struct Running([Arc<AtomicBool>; 2]);
 
 impl Running {
-    fn begin() -> PyResult<Self> {
+    fn begin(progress: &Progress) -> PyResult<Self> {
         if FORKED.load(Ordering::Acquire) {
             let help = "use multiprocessing.get_context(\"spawn\"), or fork before the first run";
             return Err(refused(
@@ -38,13 +61,17 @@ impl Running {
                 Some(help),
             ));
         }
+        let requests = [Arc::clone(&progress.interrupt), Arc::clone(&progress.abort)];
+        STOPPABLE.lock().unwrap_or_else(PoisonError::into_inner).push(requests.clone());
         RUNNING.fetch_add(1, Ordering::AcqRel);
-        Ok(Self)
+        Ok(Self(requests))
     }
 }
 
 impl Drop for Running {
     fn drop(&mut self) {
+        let mut stoppable = STOPPABLE.lock().unwrap_or_else(PoisonError::into_inner);
+        stoppable.retain(|requests| !Arc::ptr_eq(&requests[0], &self.0[0]));
         RUNNING.fetch_sub(1, Ordering::AcqRel);
     }
 }
@@ -59,7 +86,7 @@ pub(crate) fn interruptible<T: Send>(
     progress: &Progress,
     body: impl FnOnce() -> T + Send,
 ) -> PyResult<T> {
-    let _running = Running::begin()?;
+    let _running = Running::begin(progress)?;
     // A signal that came before is not one of this run.
     py.check_signals()?;
     let (result, raised) = py.detach(|| {

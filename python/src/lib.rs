@@ -37,7 +37,7 @@ mod _opspace {
     #[pymodule_export]
     use crate::experiment::{Experiment, Finding, experiment_of_bytes};
     #[pymodule_export]
-    use crate::interrupt::forked;
+    use crate::interrupt::{forked, stop_all};
     #[pymodule_export]
     use crate::log::{Channel, Log, Replay, read_log, replay};
     #[pymodule_export]

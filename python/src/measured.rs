@@ -96,12 +96,16 @@ pub(crate) fn returned<'py>(
     Ok((Some(kind), Some(out.clone())))
 }
 
-/// Checks the array that receives a command.
-pub(crate) fn check_out(out: Option<&Bound<'_, PyArray1<f64>>>, n: usize) -> PyResult<()> {
-    match out {
-        Some(out) if out.len() != n => {
-            Err(argument("out", &format!("expected {n} values, got {}", out.len())))
+/// Returns the array that receives a command.
+///
+/// # Errors
+/// Another type, or another length.
+pub(crate) fn output<'py>(out: &Bound<'py, PyAny>, n: usize) -> PyResult<Bound<'py, PyArray1<f64>>> {
+    match out.cast::<PyArray1<f64>>() {
+        Ok(array) if array.len() == n => Ok(array.clone()),
+        Ok(array) => Err(argument("out", &format!("expected {n} values, got {}", array.len()))),
+        Err(_) => {
+            Err(argument("out", &format!("expected an array of {n} values of float64, which is written to")))
         }
-        _ => Ok(()),
     }
 }

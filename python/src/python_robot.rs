@@ -1,11 +1,12 @@
 //! Robot that is written in Python: an object with `read`, `write` and `stop`.
 
+use crate::errors::argument;
 use crate::measured::Measured;
 use numpy::ToPyArray;
 use opspace_backend::{Backend, Capabilities, Command, DeviceFault, Sample};
 use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
-use pyo3::types::{PyDict, PyMapping};
+use pyo3::types::PyMapping;
 
 /// Code of the fault of a robot whose method raised an exception.
 const RAISED: u32 = 1;
@@ -18,8 +19,17 @@ pub(crate) struct PythonRobot {
 }
 
 impl PythonRobot {
-    pub(crate) fn new(robot: Py<PyAny>, capabilities: Capabilities) -> Self {
-        Self { robot, capabilities, raised: None }
+    /// Creates the backend of an object.
+    ///
+    /// # Errors
+    /// An object without one of the methods.
+    pub(crate) fn new(robot: &Bound<'_, PyAny>, capabilities: Capabilities) -> PyResult<Self> {
+        for method in ["read", "write", "stop"] {
+            if !robot.getattr(method).is_ok_and(|method| method.is_callable()) {
+                return Err(argument("robot", &format!("it has no method `{method}`")));
+            }
+        }
+        Ok(Self { robot: robot.clone().unbind(), capabilities, raised: None })
     }
 
     /// Exception of a method, if one was raised.
@@ -83,14 +93,7 @@ impl Backend for PythonRobot {
     }
 
     fn stop(&mut self) {
-        let stopped = Python::attach(|py| {
-            let robot = self.robot.bind(py);
-            if robot.hasattr("stop")? {
-                robot.call_method("stop", (), None::<&Bound<'_, PyDict>>).map(|_| ())
-            } else {
-                Ok(())
-            }
-        });
+        let stopped = Python::attach(|py| self.robot.bind(py).call_method0("stop").map(|_| ()));
         if let Err(error) = stopped {
             self.raised.get_or_insert(error);
         }

@@ -81,6 +81,12 @@ impl Result {
         py.import("json")?.getattr("loads")?.call1((&self.json,))
     }
 
+    /// The experiment that ran.
+    #[getter]
+    fn experiment(&self) -> crate::experiment::Experiment {
+        crate::experiment::Experiment::of(Arc::clone(&self.experiment))
+    }
+
     /// Outcome: "completed", "interrupted" or "faulted".
     #[getter]
     fn outcome(&self) -> &'static str {
@@ -166,7 +172,11 @@ impl Result {
     /// First lines of the summary, with the outcome.
     fn text(&self) -> String {
         let lines = caught(|| headline(&self.summary)).unwrap_or_default();
-        lines.iter().map(|line| line.trim()).collect::<Vec<_>>().join(" ")
+        let text = lines.iter().map(|line| line.trim()).collect::<Vec<_>>().join(" ");
+        match &self.fault {
+            Some(fault) => format!("{text}: {}", fault.cause),
+            None => text,
+        }
     }
 }
 

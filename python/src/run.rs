@@ -6,13 +6,11 @@ use crate::measured::{Measured, Returned};
 use crate::result::{Result, StoredLog};
 use crate::simulation::{Arm, Simulation, lock};
 use crate::stepping::{LogSink, Stepped, Stepping, TargetValues};
-use numpy::PyArray1;
 use opspace_backend::Backend;
 use opspace_experiment::{Experiment, Progress, RunError};
 use opspace_log::{LogFile, Recording};
 use opspace_loop::RunOutcome;
 use pyo3::prelude::*;
-use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -83,7 +81,7 @@ impl Run {
         motor_torque: Option<&Bound<'py, PyAny>>,
         joint_torque: Option<&Bound<'py, PyAny>>,
         wrenches: Option<&Bound<'py, PyAny>>,
-        out: Option<&Bound<'py, PyArray1<f64>>>,
+        out: Option<&Bound<'py, PyAny>>,
     ) -> PyResult<Returned<'py>> {
         let measured = Measured { time_s, q, dq, motor_torque, joint_torque, wrenches };
         self.with(|stepping| {
@@ -107,8 +105,8 @@ impl Run {
         twist: Option<&Bound<'py, PyAny>>,
         acceleration: Option<&Bound<'py, PyAny>>,
         wrench: Option<&Bound<'py, PyAny>>,
-        gains: Option<(Bound<'py, PyAny>, Bound<'py, PyAny>)>,
-        modes: Option<BTreeMap<String, String>>,
+        gains: Option<&Bound<'py, PyAny>>,
+        modes: Option<&Bound<'py, PyAny>>,
     ) -> PyResult<()> {
         let values = TargetValues { pose, twist, acceleration, wrench, gains, modes };
         self.with(|stepping| stepping.target(task, &values))

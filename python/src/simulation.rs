@@ -2,6 +2,7 @@
 
 use crate::errors::{argument, caught, of_file, refused};
 use crate::measured::arguments;
+use crate::stepping::finite;
 use nalgebra::Vector3;
 use numpy::{PyArray1, ToPyArray};
 use opspace_backend::{Backend, Command, Sample};
@@ -116,14 +117,23 @@ impl Simulation {
     }
 
     /// Applies a force (N) and a moment (Nm) to the origin of a frame, world axes, from the next cycle on until `release`.
-    #[pyo3(signature = (frame, force, moment=[0.0; 3]))]
-    fn push(&self, frame: &str, force: [f64; 3], moment: [f64; 3]) -> PyResult<()> {
+    #[pyo3(signature = (frame, force, moment=None))]
+    fn push(&self, frame: &str, force: &Bound<'_, PyAny>, moment: Option<&Bound<'_, PyAny>>) -> PyResult<()> {
+        let moment = moment.map_or(Ok([0.0; 3]), |moment| finite("moment", moment))?;
+        let force = finite::<3>("force", force)?;
         self.apply(frame, Pull::Wrench(Force { linear: force.into(), angular: moment.into() }))
     }
 
     /// Pulls the origin of a frame to a point (m, world axes) by a spring (N/m) and a damper (Ns/m), until `release`.
     #[pyo3(signature = (frame, to, stiffness_n_per_m, damping_ns_per_m=0.0))]
-    fn pull(&self, frame: &str, to: [f64; 3], stiffness_n_per_m: f64, damping_ns_per_m: f64) -> PyResult<()> {
+    fn pull(
+        &self,
+        frame: &str,
+        to: &Bound<'_, PyAny>,
+        stiffness_n_per_m: f64,
+        damping_ns_per_m: f64,
+    ) -> PyResult<()> {
+        let to = finite::<3>("to", to)?;
         self.apply(frame, Pull::Spring { target_m: Vector3::from(to), stiffness_n_per_m, damping_ns_per_m })
     }
 

@@ -1,7 +1,7 @@
 //! Common parts of `ControlLoop` and `Run`: a cycle, targets by the names of tasks, and the state of the loop.
 
 use crate::arrays::vector;
-use crate::errors::{argument, refused};
+use crate::errors::{FaultText, argument, refused};
 use opspace_backend::{Command, Sample};
 use opspace_control::{AXIS_NAMES, AxisMode, CartesianTarget, TargetError, Targets};
 use opspace_experiment::run::owned_run::OwnedRun;
@@ -67,6 +67,8 @@ impl Stepped {
 pub(crate) struct Stepping {
     pub stepped: Stepped,
     pub sample: Sample,
+    /// Fault that stopped the robot, with the time at which it was found.
+    pub fault: Option<FaultText>,
     handles: BTreeMap<String, CartesianTarget>,
 }
 
@@ -76,14 +78,24 @@ pub(crate) struct TargetValues<'a, 'py> {
     pub twist: Option<&'a Bound<'py, PyAny>>,
     pub acceleration: Option<&'a Bound<'py, PyAny>>,
     pub wrench: Option<&'a Bound<'py, PyAny>>,
-    pub gains: Option<(Bound<'py, PyAny>, Bound<'py, PyAny>)>,
-    pub modes: Option<BTreeMap<String, String>>,
+    pub gains: Option<&'a Bound<'py, PyAny>>,
+    pub modes: Option<&'a Bound<'py, PyAny>>,
 }
 
 impl Stepping {
     pub(crate) fn new(mut stepped: Stepped) -> Self {
         let sample = Sample::new(stepped.control().capabilities());
-        Self { stepped, sample, handles: BTreeMap::new() }
+        Self { stepped, sample, fault: None, handles: BTreeMap::new() }
+    }
+
+    /// Keeps the fault that a cycle found. Returns true if it is the first one.
+    pub(crate) fn note_fault(&mut self) -> bool {
+        let control = self.stepped.control();
+        let found = control.result().fault.filter(|_| self.fault.is_none());
+        let found = found.map(|fault| FaultText::new(fault, control.measurement().time_s, control.model()));
+        let is_new = found.is_some();
+        self.fault = found.or(self.fault.take());
+        is_new
     }
 
     /// Replaces the loop by one before its first cycle.
@@ -124,29 +136,35 @@ impl Stepping {
         // A mistake changes nothing.
         let mut new = handle.clone();
         if let Some(pose) = values.pose {
-            match pose.len()? {
-                3 => new.position(numbers("pose", pose)?).map_err(|error| of_target(&error))?,
+            match pose.len().unwrap_or(0) {
+                3 => new.position(finite("pose", pose)?).map_err(|error| of_target(&error))?,
                 _ => {
-                    let [x, y, z, w, i, j, k] = numbers("pose", pose)?;
+                    let [x, y, z, w, i, j, k] = finite("pose", pose)?;
                     new.pose([x, y, z], [w, i, j, k]).map_err(|error| of_target(&error))?
                 }
             };
         }
         if let Some(twist) = values.twist {
-            new.twist(numbers("twist", twist)?).map_err(|error| of_target(&error))?;
+            new.twist(finite("twist", twist)?).map_err(|error| of_target(&error))?;
         }
         if let Some(acceleration) = values.acceleration {
-            new.acceleration(numbers("acceleration", acceleration)?).map_err(|error| of_target(&error))?;
+            new.acceleration(finite("acceleration", acceleration)?).map_err(|error| of_target(&error))?;
         }
         if let Some(wrench) = values.wrench {
             new.wrench(numbers("wrench", wrench)?).map_err(|error| of_target(&error))?;
         }
-        if let Some((frequency, ratio)) = &values.gains {
-            let (frequency, ratio) = (of_axes("gains", frequency)?, of_axes("gains", ratio)?);
+        if let Some(gains) = values.gains {
+            let pair = gains.extract::<(Bound<'_, PyAny>, Bound<'_, PyAny>)>();
+            let (frequency, ratio) =
+                pair.map_err(|_| argument("gains", "expected a pair: frequency_rad_per_s, damping_ratio"))?;
+            let (frequency, ratio) = (of_axes("gains", &frequency)?, of_axes("gains", &ratio)?);
             new.gains(frequency, ratio).map_err(|error| of_target(&error))?;
         }
-        if let Some(modes) = &values.modes {
-            new.modes(Self::modes(modes)?).map_err(|error| of_target(&error))?;
+        if let Some(modes) = values.modes {
+            let modes = modes.extract().map_err(|_| {
+                argument("modes", "expected a dictionary of axes and modes, such as {\"x\": \"compliant\"}")
+            })?;
+            new.modes(Self::modes(&modes)?).map_err(|error| of_target(&error))?;
         }
         // Before the first cycle there is no clock yet.
         let clock_s = if clock_s.is_finite() { clock_s } else { 0.0 };
@@ -173,6 +191,15 @@ impl Stepping {
     }
 }
 
+/// Finite numbers of an argument with a fixed length.
+pub(crate) fn finite<const N: usize>(name: &str, value: &Bound<'_, PyAny>) -> PyResult<[f64; N]> {
+    let numbers = numbers(name, value)?;
+    match numbers.iter().find(|number: &&f64| !number.is_finite()) {
+        Some(number) => Err(argument(name, &format!("expected finite numbers, got {number}"))),
+        None => Ok(numbers),
+    }
+}
+
 /// Numbers of an argument with a fixed length.
 fn numbers<const N: usize>(name: &str, value: &Bound<'_, PyAny>) -> PyResult<[f64; N]> {
     let mut numbers = [0.0; N];
@@ -190,6 +217,12 @@ fn of_axes(name: &str, value: &Bound<'_, PyAny>) -> PyResult<[f64; 6]> {
 
 /// Error about a target.
 fn of_target(error: &TargetError) -> PyErr {
+    if let TargetError::Task { name, known } = error
+        && known.is_empty()
+    {
+        let help = "give a Cartesian task `reference = { streamed = {} }`";
+        return refused(format!("task '{name}' takes no targets, nor does any other task"), Some(help));
+    }
     let help = match error {
         TargetError::Task { .. } => {
             Some("give the task `reference = { streamed = { .. } }`, which makes its inputs")

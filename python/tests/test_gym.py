@@ -12,9 +12,7 @@ def make(**options):
         "opspace/Task-v0",
         task={**REACH, "duration_s": 60.0},
         robot=opspace.robots()["panda"],
-        target="hand",
-        frame="flange",
-        **{"backend": "position", "duration_s": 2.0, **options},
+        **{"target": "hand", "frame": "flange", "backend": "position", "duration_s": 2.0, **options},
     )
 
 
@@ -57,6 +55,34 @@ def test_vectors_of_environments():
     observation, _ = envs.reset(seed=3)
     observation, reward, *_ = envs.step(envs.action_space.sample())
     assert observation.shape == (3, 14) and reward.shape == (3,)
+
+
+def test_episodes_differ_and_environments_too():
+    def begin(env, seed=None):
+        env.reset(seed=seed)
+        return env.step(np.zeros(6))[0]
+
+    env, other = make(), make()
+    first = [begin(env, 3), begin(env)]
+    assert not np.array_equal(first[0], first[1])
+    assert np.array_equal(first, [begin(env, 3), begin(env)])
+    assert not np.array_equal(begin(env), begin(other))
+
+
+def test_mistakes_are_named_at_once():
+    with pytest.raises(ValueError, match="no frame 'nose'"):
+        make(frame="nose")
+    with pytest.raises(ValueError, match="no task 'arm' with inputs"):
+        make(target="arm")
+    with pytest.raises(ValueError, match="render_mode"):
+        opspace.gym.TaskEnv(REACH, "hand", "flange", opspace.robots()["panda"], render_mode="human")
+    env = make(reward=lambda signals: -1.0).unwrapped
+    with pytest.raises(RuntimeError, match="call reset"):
+        env.step(np.zeros(6))
+    env.reset(seed=1)
+    with pytest.raises(ValueError, match="expected shape"):
+        env.step(np.zeros(3))
+    assert env.step(np.zeros(6))[1] == -1.0
 
 
 def test_unknown_signal_names_the_known_ones():

@@ -2,6 +2,8 @@
 
 import gc
 import resource
+import subprocess
+import sys
 import threading
 import time
 import traceback
@@ -174,13 +176,26 @@ def test_mistakes_name_what_is_wrong():
         loop.target("hand", modes={"w": "motion"})
     with pytest.raises(opspace.OpspaceError, match="unit quaternion"):
         loop.target("hand", pose=[0.4, 0.0, 0.5, 2.0, 0.0, 0.0, 0.0])
-    with pytest.raises(opspace.OpspaceError, match="out: expected 7 values"):
-        loop.step(0.0, np.zeros(7), out=np.zeros(3))
+    for out in (np.zeros(3), np.zeros(7, np.float32), [0.0] * 7):
+        with pytest.raises(opspace.OpspaceError, match="out: expected"):
+            loop.step(0.0, np.zeros(7), out=out)
+    with pytest.raises(opspace.OpspaceError, match="gains: expected a pair"):
+        loop.target("hand", gains=20.0)
+    with pytest.raises(opspace.OpspaceError, match="modes: expected a dictionary"):
+        loop.target("hand", modes=["x"])
+    with pytest.raises(opspace.OpspaceError, match="pose: expected finite numbers, got NaN"):
+        loop.target("hand", pose=[np.nan] * 3)
+    with pytest.raises(opspace.OpspaceError, match="takes no targets"):
+        experiment().control_loop().target("flange", pose=np.zeros(3))
+    with pytest.raises(opspace.OpspaceError, match="robot: it has no method `stop`"):
+        experiment().on(type("Robot", (), {"read": lambda self: {}, "write": lambda self, kind, values: None})())
     simulation = streamed().simulation()
     with pytest.raises(opspace.OpspaceError, match="expected 'position'"):
         simulation.write("force", np.zeros(7))
     with pytest.raises(opspace.OpspaceError, match="frame"):
         simulation.push("nose", [1.0, 0.0, 0.0])
+    with pytest.raises(opspace.OpspaceError, match="force: expected 3 values, got 2"):
+        simulation.push("flange", [1.0, 0.0])
 
 
 def test_fault_is_raised_once_and_the_robot_stops():
@@ -192,7 +207,8 @@ def test_fault_is_raised_once_and_the_robot_stops():
     with pytest.raises(opspace.RobotFault, match="not a finite number") as raised:
         loop.step(**measured)
     assert raised.value.joint == own.joints[0] and raised.value.code > 0
-    assert loop.fault is not None and loop.phase in ("stopping", "stopped")
+    assert loop.fault.time_s == raised.value.time_s and str(loop.fault) == str(raised.value)
+    assert loop.phase in ("stopping", "stopped")
     measured = simulation.read()
     assert loop.step(**measured)[0] in (None, "hold", "torque")
 
@@ -296,3 +312,25 @@ def test_steps_do_not_grow_the_memory():
     grown_kb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
     print(f"step with out: {each_us:.2f} us; memory grew by {grown_kb} kB in 100 000 steps")
     assert grown_kb < 512
+
+
+def test_runs_of_daemon_threads_are_stopped_when_python_exits(tmp_path):
+    script = tmp_path / "exits.py"
+    script.write_text(
+        f"""
+import threading, time, opspace
+own = opspace.Experiment({str(TASKS["panda-compliant"])!r}, backend="position", duration_s=60.0)
+class Robot:
+    def __init__(self): self.arm = own.simulation()
+    def read(self):
+        time.sleep(0.001)
+        return self.arm.read()
+    def write(self, kind, values): self.arm.write(kind, values)
+    def stop(self): open("stopped", "w").close()
+threading.Thread(target=lambda: own.on(Robot(), log="run.mcap"), daemon=True).start()
+time.sleep(0.5)
+"""
+    )
+    ended = subprocess.run([sys.executable, script], cwd=tmp_path, capture_output=True, text=True, timeout=60)
+    assert ended.returncode == 0, ended.stderr
+    assert (tmp_path / "stopped").exists() and opspace.read_log(tmp_path / "run.mcap").closed

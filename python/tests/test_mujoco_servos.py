@@ -234,7 +234,14 @@ def test_models_that_are_no_position_robots_are_refused(tmp_path):
     )
     with pytest.raises(opspace.OpspaceError, match="no position actuator"):
         opspace.mujoco.write_robot(motor, tmp_path / "arm")
+    with pytest.raises(opspace.OpspaceError, match="expected a mujoco.MjModel, got str"):
+        opspace.mujoco.write_robot("arm.xml", tmp_path / "arm")
     model = compiled(bare)
+    with pytest.raises(opspace.OpspaceError, match="measured"):
+        opspace.mujoco.write_robot(model, tmp_path / "arm", measured="position")
+    opspace.mujoco.write_robot(model, tmp_path / "twice")
+    with pytest.raises(opspace.OpspaceError, match="overwrite=True"):
+        opspace.mujoco.write_robot(model, tmp_path / "twice")
     with pytest.raises(opspace.OpspaceError, match="whole number of steps"):
         opspace.mujoco.write_robot(model, tmp_path / "arm", cycle_hz=700.0)
     model.body_gravcomp[1] = 1.0
