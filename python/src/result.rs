@@ -140,11 +140,13 @@ impl Result {
         let table = caught(|| table(&summaries, &columns))?;
         let mut html = format!("<p><b>{}</b></p>\n", escaped(&self.text()));
         html += &html_table(&table);
-        for (title, svg) in figures {
+        for (number, (title, svg)) in figures.into_iter().enumerate() {
+            // The first two figures are those that the run is about.
+            let open = if number < 2 { " open" } else { "" };
             // Writing to a text cannot fail.
             let _ = write!(
                 html,
-                "\n<details open><summary>{}</summary><div style=\"max-width: 54em; background: white\">{svg}</div></details>",
+                "\n<details{open}><summary>{}</summary><div style=\"max-width: 54em; background: white\">{svg}</div></details>",
                 escaped(&title)
             );
         }
