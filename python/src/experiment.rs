@@ -46,9 +46,24 @@ enum Part {
 impl Part {
     fn new(name: &str, object: &Bound<'_, PyAny>) -> PyResult<Self> {
         if let Ok(dictionary) = object.cast::<PyDict>() {
-            return Ok(Self::Dictionary(table(name, dictionary)?));
+            let table = table(name, dictionary)?;
+            if name == ROBOT && !table.contains_key("urdf") {
+                return Err(argument(name, "the key `urdf` is missing: the path of the robot's URDF"));
+            }
+            return Ok(Self::Dictionary(table));
         }
-        let path = object.extract().map_err(|_| argument(name, "expected a path or a dictionary"))?;
+        let path: PathBuf =
+            object.extract().map_err(|_| argument(name, "expected a path or a dictionary"))?;
+        let is_name = path.components().count() == 1 && path.extension().is_none();
+        if is_name && !path.exists() {
+            let (path, kind) = (path.display(), if name == ROBOT { "robots" } else { "tasks" });
+            return Err(argument(
+                name,
+                &format!(
+                    "there is no `{path}`; opspace.{kind}() returns the paths of the package's {kind} by name"
+                ),
+            ));
+        }
         Ok(Self::Path(path))
     }
 }

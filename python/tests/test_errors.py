@@ -179,3 +179,13 @@ def test_panics_are_errors():
     with pytest.raises(opspace.OpspaceError, match="panicked.*out of bounds") as raised:
         opspace.Model.from_mujoco(Broken())
     assert "report it" in raised.value.help
+
+
+def test_names_in_place_of_paths_are_explained():
+    with pytest.raises(opspace.OpspaceError, match=r"task: there is no `panda-compliant`; opspace.tasks\(\)") as raised:
+        opspace.Experiment("panda-compliant")
+    assert raised.value.key == "task"
+    with pytest.raises(opspace.OpspaceError, match=r"robot: there is no `panda`; opspace.robots\(\)"):
+        opspace.Experiment(opspace.tasks()["panda-compliant"], "panda")
+    with pytest.raises(opspace.OpspaceError, match="robot: the key `urdf` is missing"):
+        opspace.Experiment(opspace.tasks()["panda-compliant"], {"interface": {}})
