@@ -285,9 +285,15 @@ impl<'a> Run<'a> {
 
     /// Ends the run and returns its outcome; a run that was not stopped yet is interrupted.
     #[must_use]
-    pub fn finish(self) -> RunOutcome {
+    pub fn finish(mut self) -> RunOutcome {
+        self.end()
+    }
+
+    /// Ends the run as [`finish`](Self::finish) does, and drops its sink, for an owner that cannot part with it.
+    pub fn end(&mut self) -> RunOutcome {
+        self.sink = Box::new(());
         let time_s = self.time_s();
-        self.outcome.unwrap_or(RunOutcome::Interrupted { time_s })
+        self.outcome.get_or_insert(RunOutcome::Interrupted { time_s }).clone()
     }
 
     /// Time since the start of control, s.

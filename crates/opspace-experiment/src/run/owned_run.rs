@@ -4,16 +4,35 @@ use crate::run::error::RunError;
 use crate::run::execute::{LogCloser, Progress, RunResult};
 use crate::run::experiment::Experiment;
 use opspace_backend::{Capabilities, GroundTruth, TruthLayouts};
+use opspace_log::LogError;
 use opspace_loop::Run;
-use std::io::Write;
+use std::io::{self, Write};
 use std::sync::Arc;
 
 /// Run of an experiment together with its log. It borrows nothing: an object of another language, a vendor's callback or an
-/// environment of a learning program can keep it, and step it from any thread.
+/// environment of a learning program can keep it, and step it from any thread. One that is dropped without
+/// [`finish`](Self::finish) is ended as by it, but errors of the log are lost.
 pub struct OwnedRun<W> {
     run: Run<'static>,
-    closer: LogCloser<W>,
+    /// Closer of the log, until the run is finished.
+    closer: Option<LogCloser<W>>,
     experiment: Experiment,
+}
+
+impl<W> Drop for OwnedRun<W> {
+    fn drop(&mut self) {
+        if let Some(closer) = self.closer.take() {
+            let _ = self.close(closer);
+        }
+    }
+}
+
+impl<W> OwnedRun<W> {
+    /// Ends the run, drops its end of the log, and closes the log.
+    fn close(&mut self, closer: LogCloser<W>) -> Result<RunResult<W>, RunError> {
+        let outcome = self.run.end();
+        closer.close(&self.experiment, outcome)
+    }
 }
 
 impl<W: Write + Send + 'static> OwnedRun<W> {
@@ -32,9 +51,11 @@ impl<W: Write + Send + 'static> OwnedRun<W> {
     ///
     /// # Errors
     /// If the log cannot be written.
-    pub fn finish(self) -> Result<RunResult<W>, RunError> {
-        let outcome = self.run.finish();
-        self.closer.close(&self.experiment, outcome)
+    pub fn finish(mut self) -> Result<RunResult<W>, RunError> {
+        match self.closer.take() {
+            Some(closer) => self.close(closer),
+            None => Err(LogError::Write(io::Error::other("the log is already closed")).into()),
+        }
     }
 }
 
@@ -60,6 +81,6 @@ impl Experiment {
         if let Some(truth) = truth {
             run.prepare_truth(truth);
         }
-        Ok(OwnedRun { run, closer, experiment: self.clone() })
+        Ok(OwnedRun { run, closer: Some(closer), experiment: self.clone() })
     }
 }

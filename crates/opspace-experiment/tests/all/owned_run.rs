@@ -5,7 +5,7 @@ use crate::coupled_common::project;
 use opspace_backend::{Backend, CommandKind, Sample};
 use opspace_experiment::run::owned_run::OwnedRun;
 use opspace_experiment::{Experiment, Files, Progress, RunOptions};
-use opspace_log::Recording;
+use opspace_log::{OutcomeRecord, Recording};
 use opspace_loop::RunOutcome;
 use opspace_sim::SimulatedArm;
 use std::io::Cursor;
@@ -106,6 +106,36 @@ fn run_that_is_finished_early_or_stopped_is_interrupted() {
         assert!(matches!(finished.outcome, RunOutcome::Interrupted { .. }), "{:?}", finished.outcome);
         let recording = Recording::from_bytes(finished.sink.get_ref()).unwrap();
         assert!(recording.channel("tick").unwrap().len() >= 50);
+    }
+}
+
+/// Its log has the outcome that `finish` writes: interrupted before the end, completed after it.
+#[test]
+fn run_that_is_dropped_has_an_outcome_in_its_log() {
+    let experiment = experiment(CommandKind::Position);
+    let folder = tempfile::tempdir().unwrap();
+    for (cycles, interrupted) in [(50, true), (usize::MAX, false)] {
+        let path = folder.path().join(format!("{interrupted}.mcap"));
+        let mut arm = experiment.simulated_arm().unwrap();
+        let file = std::fs::File::create(&path).unwrap();
+        let progress = Progress::default();
+        let mut owned =
+            experiment.start_run(arm.capabilities(), arm.ground_truth(), file, &progress).unwrap();
+        let mut sample = Sample::new(arm.capabilities());
+        for _ in 0..cycles {
+            if owned.run().is_over() {
+                break;
+            }
+            arm.read(&mut sample).unwrap();
+            if let Some(command) = owned.run().cycle(&sample) {
+                arm.write(command).unwrap();
+            }
+        }
+        drop(owned);
+        let recording = Recording::read(&path).unwrap();
+        let outcome = OutcomeRecord::of(&recording);
+        assert!(recording.closed && recording.metadata("opspace.outcome").is_some());
+        assert_eq!((outcome.interrupted, outcome.fault), (interrupted, None));
     }
 }
 
