@@ -1,30 +1,28 @@
 //! Report of a run in a browser: everything is laid out and drawn, without messages on the console, and figures can be saved. `.ci/run browser`
 //! installs Chromium and runs these tests.
 
-#![expect(clippy::unwrap_used, clippy::expect_used, reason = "a test")]
+#![expect(clippy::unwrap_used, reason = "a test")]
 
-use crate::cli_common::{opspace, project, read, run, scratch};
-use serde_json::Value;
+use crate::cli_common::{opspace, project, run, scratch};
+use opspace_testing::browser::Browser;
+use serde_json::{Value, json};
 use std::fs;
 use std::path::Path;
-use std::process::Command;
 
-/// Script that writes the layout of the page into its DOM: size and texts of each figure, all errors, and the files that the buttons
-/// of the first figure save.
-const PROBE: &str = r##"
-<script>
-const errors = [];
-addEventListener("error", e => errors.push(e.message || "a resource"), true);
-addEventListener("unhandledrejection", e => errors.push(String(e.reason)));
+/// Script that runs before the page: it keeps the files that the buttons save in place of a download.
+const KEEP_FILES: &str = r"
 const saved = [], blobs = {};
 const create = URL.createObjectURL;
 URL.createObjectURL = blob => { const url = create.call(URL, blob); blobs[url] = blob; return url; };
 HTMLAnchorElement.prototype.click = function () { saved.push({ name: this.download, blob: blobs[this.href] }); };
-const wait = async (count) => { for (let k = 0; saved.length < count && k < 100; k++) await new Promise(r => setTimeout(r, 20)); };
-addEventListener("load", async () => {
+";
+
+/// Expression of the layout of the page: size and texts of each figure, and the files that the buttons of the first figure save.
+const PROBE: &str = r##"
+(async () => {
   const buttons = [...document.querySelectorAll("#figure-1 .save button")];
   buttons.forEach(button => button.click());
-  await wait(buttons.length);
+  while (saved.length < buttons.length) await new Promise(r => setTimeout(r, 20));
   const files = [];
   for (const { name, blob } of saved) {
     const start = new Uint8Array(await blob.slice(0, 8).arrayBuffer());
@@ -50,48 +48,24 @@ addEventListener("load", async () => {
       return own.left < box.left - 8 || own.right > box.right + 1 || own.top < box.top - 1 || own.bottom > box.bottom + 1;
     }).map(text => text.textContent.trim());
   });
-  const probe = document.createElement("pre");
-  probe.id = "probe";
-  probe.textContent = JSON.stringify({ errors, figures, files, clipped, rows: document.querySelectorAll("table tr").length,
-    outside: document.documentElement.scrollWidth - document.documentElement.clientWidth });
-  document.body.append(probe);
-});
-</script>
+  return { figures, files, clipped, rows: document.querySelectorAll("table tr").length,
+    outside: document.documentElement.scrollWidth - document.documentElement.clientWidth };
+})()
 "##;
 
-const BROWSERS: [&str; 4] = ["chromium", "chromium-browser", "google-chrome", "google-chrome-stable"];
-
-fn browser() -> &'static str {
-    let works = |name: &&&str| Command::new(name).arg("--version").output().is_ok_and(|o| o.status.success());
-    BROWSERS.iter().find(works).unwrap_or_else(|| panic!("none of {BROWSERS:?} is installed"))
-}
-
-/// Returns the layout of a page in the browser.
-fn probed(browser: &str, page: &Path) -> Value {
-    let folder = page.parent().unwrap();
-    let probing = folder.join("probing.html");
-    fs::write(&probing, read(page).replacen("<head>", &format!("<head>{PROBE}"), 1)).unwrap();
-    let output = Command::new(browser)
-        .args(["--headless", "--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-sync"])
-        .args(["--disable-background-networking", "--disable-component-update", "--enable-logging=stderr"])
-        .arg(format!("--user-data-dir={}", folder.join("profile").display()))
-        .args(["--window-size=1200,900", "--virtual-time-budget=20000", "--dump-dom"])
-        .arg(format!("file://{}", probing.display()))
-        .output()
-        .unwrap();
-    let console = String::from_utf8_lossy(&output.stderr);
-    let complaints: Vec<&str> = console.lines().filter(|line| line.contains(":CONSOLE")).collect();
-    assert!(complaints.is_empty(), "{complaints:#?}");
-    let dom = String::from_utf8(output.stdout).unwrap();
-    let (_, rest) = dom.split_once("<pre id=\"probe\">").unwrap_or_else(|| panic!("no probe:\n{console}"));
-    let json = rest.split_once("</pre>").unwrap().0;
-    let json = json.replace("&lt;", "<").replace("&gt;", ">").replace("&amp;", "&");
-    serde_json::from_str(&json).expect("what the probe says")
+/// Returns the layout of a page in the browser, which writes nothing to the console.
+fn probed(page: &Path) -> Value {
+    let profile = scratch();
+    let mut browser = Browser::start(profile.path(), 1200, 900);
+    browser.call("Page.addScriptToEvaluateOnNewDocument", &json!({ "source": KEEP_FILES }));
+    browser.open(&format!("file://{}", page.display()));
+    let probe = browser.evaluate(PROBE);
+    assert_eq!(browser.complaints(), [""; 0]);
+    probe
 }
 
 /// Checks that all figures are drawn, and returns their captions.
 fn captions(probe: &Value) -> Vec<String> {
-    assert_eq!(probe["errors"], serde_json::json!([]));
     assert!(
         probe["outside"].as_f64().unwrap() <= 0.0,
         "the page is wider than its window: {}",
@@ -120,10 +94,9 @@ const JOINTS: [&str; 4] = ["shoulder_pitch", "shoulder_roll", "shoulder_yaw", "e
 #[test]
 #[ignore = "needs a browser: .ci/run browser"]
 fn run_report_is_drawn() {
-    let browser = browser();
     let folder = scratch();
     let log = run(folder.path(), "out", "compliant-x", &[]);
-    let probe = probed(browser, &log.with_file_name("report.html"));
+    let probe = probed(&log.with_file_name("report.html"));
     let captions = captions(&probe);
     for figure in ["torque", "Position of 'hand'", "Force", "Setpoints"] {
         assert!(captions.iter().any(|caption| caption.contains(figure)), "{figure}: {captions:?}");
@@ -148,7 +121,6 @@ fn run_report_is_drawn() {
 #[test]
 #[ignore = "needs a browser: .ci/run browser"]
 fn suite_report_is_drawn() {
-    let browser = browser();
     let folder = scratch();
     let suite = format!(
         "title = \"Short\"\n{}{}",
@@ -159,7 +131,7 @@ fn suite_report_is_drawn() {
     );
     fs::write(folder.path().join("short.toml"), suite.replace("TASKS", &project("tasks"))).unwrap();
     opspace(folder.path(), &["bench", "short.toml", "--out", "out"]).exits(0);
-    let probe = probed(browser, &folder.path().join("out/report.html"));
+    let probe = probed(&folder.path().join("out/report.html"));
     let captions = captions(&probe);
     for figure in ["Position error rms", "Operator force rms", "Hand motion rms", "torque", "Joint positions"]
     {
@@ -172,7 +144,6 @@ fn suite_report_is_drawn() {
 #[test]
 #[ignore = "needs a browser: .ci/run browser"]
 fn sweep_is_drawn() {
-    let browser = browser();
     let folder = scratch();
     let run = |controller: &str| {
         format!(
@@ -190,7 +161,7 @@ fn sweep_is_drawn() {
     );
     fs::write(folder.path().join("short.toml"), suite).unwrap();
     opspace(folder.path(), &["bench", "short.toml", "--out", "out"]).exits(0);
-    let probe = probed(browser, &folder.path().join("out/report.html"));
+    let probe = probed(&folder.path().join("out/report.html"));
     let captions = captions(&probe);
     let swept: Vec<&String> = captions.iter().filter(|caption| caption.contains(" over stiffness")).collect();
     assert_eq!(swept.len(), 2, "{captions:?}");
@@ -204,5 +175,21 @@ fn sweep_is_drawn() {
     {
         assert!(texts.contains(&text), "{text}: {texts:?}");
     }
-    assert_eq!(probe["clipped"], serde_json::json!([]), "titles of axes that are cut off");
+    assert_eq!(probe["clipped"], json!([]), "titles of axes that are cut off");
+}
+
+#[test]
+#[ignore = "needs a browser: .ci/run browser"]
+fn complaints_of_a_page_are_seen() {
+    let folder = scratch();
+    let page = folder.path().join("page.html");
+    fs::write(&page, "<img src=missing.png><script>console.warn('a warning'); no_such_function()</script>")
+        .unwrap();
+    let mut browser = Browser::start(&folder.path().join("profile"), 800, 600);
+    browser.open(&format!("file://{}", page.display()));
+    let complaints = browser.complaints().join("\n");
+    for part in ["missing.png", "a warning", "no_such_function"] {
+        assert!(complaints.contains(part), "{part}: {complaints}");
+    }
+    assert_eq!(browser.complaints(), [""; 0], "they are reported once");
 }

@@ -1,13 +1,11 @@
 //! Figures, tables and pages: they are well-formed XML, contain the input, and draw it at the right place.
 
-use std::path::PathBuf;
-use std::process::Command;
-
 use opspace_experiment::evaluate::spread::Spread;
 use opspace_experiment::evaluate::table::{Cell, Table};
 use opspace_experiment::text::format_number;
 use opspace_report::figure::{Comparison, ComparisonRow, Figure, Panel, Scale, Series, Style, decimate};
 use opspace_report::html::Page;
+use opspace_testing::browser::Browser;
 use roxmltree::{Document, Node, ParsingOptions};
 
 const SVG: &str = "http://www.w3.org/2000/svg";
@@ -675,53 +673,23 @@ fn ragged_and_empty_tables_are_valid() {
     assert!(Page::new("t").table("c", &table, &[]).render().contains("colspan=\"3\">heading</th></tr>"));
 }
 
-fn chromium() -> PathBuf {
-    let path = std::env::var_os("PATH").unwrap_or_default();
-    let found =
-        std::env::split_paths(&path).map(|folder| folder.join("chromium")).find(|file| file.is_file());
-    found.expect("chromium is on PATH")
-}
-
 /// Page in a browser: no messages on the console, and all figures are within the window.
 #[test]
 #[ignore = "needs a browser: .ci/run browser"]
 fn browser_lays_out_every_figure() {
-    // Above the policy of the page, which allows no script.
-    let probe = "<head><script>addEventListener('load', () => {\
-                 document.body.dataset.sizes = [...document.querySelectorAll('svg')].map(svg => {\
-                 const box = svg.getBoundingClientRect(); return box.width + 'x' + box.height }).join(' ') })</script>";
-    let html = sample_page(4_000).render().replacen("<head>", probe, 1);
     let folder = tempfile::tempdir().expect("a folder");
     let file = folder.path().join("report.html");
-    std::fs::write(&file, html).expect("written");
-    let output = Command::new(chromium())
-        .args(["--headless", "--no-sandbox", "--disable-gpu", "--enable-logging=stderr", "--dump-dom"])
-        .args([
-            "--no-first-run",
-            "--disable-background-networking",
-            "--disable-component-update",
-            "--disable-sync",
-        ])
-        .args([
-            "--window-size=1200,900",
-            &format!("--user-data-dir={}", folder.path().join("profile").display()),
-        ])
-        .arg(format!("file://{}", file.display()))
-        .output()
-        .expect("chromium starts");
-    let (dom, log) = (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
-    assert!(!log.contains(":CONSOLE"), "{log}");
-    let sizes = dom
-        .split("data-sizes=\"")
-        .nth(1)
-        .and_then(|rest| rest.split('"').next())
-        .unwrap_or_else(|| panic!("no sizes\n{log}"));
-    let sizes: Vec<&str> = sizes.split(' ').collect();
+    std::fs::write(&file, sample_page(4_000).render()).expect("written");
+    let mut browser = Browser::start(&folder.path().join("profile"), 1200, 900);
+    browser.open(&format!("file://{}", file.display()));
+    let sizes = browser.evaluate(
+        "[...document.querySelectorAll('svg')].map(svg => { const box = svg.getBoundingClientRect(); \
+         return [box.width, box.height] })",
+    );
+    assert_eq!(browser.complaints(), [""; 0]);
+    let sizes: Vec<[f64; 2]> = serde_json::from_value(sizes).expect("widths and heights");
     assert_eq!(sizes.len(), 4);
-    for size in sizes {
-        let (width, height) = size.split_once('x').expect("width and height");
-        let (width, height): (f64, f64) =
-            (width.parse().expect("a number"), height.parse().expect("a number"));
-        assert!((600.0..=1200.0).contains(&width) && height > 100.0, "{size}");
+    for [width, height] in sizes {
+        assert!((600.0..=1200.0).contains(&width) && height > 100.0, "{width} x {height}");
     }
 }
