@@ -42,8 +42,8 @@ REACH = {
 }
 
 
-def streamed(backend="position"):
-    return opspace.Experiment(REACH, opspace.robots()["panda"], backend=backend)
+def streamed(backend="position", **options):
+    return opspace.Experiment(REACH, opspace.robots()["panda"], backend=backend, **options)
 
 
 def drive(loop, simulation, cycles):
@@ -162,6 +162,26 @@ def test_targets_move_the_hand(backend):
     moved = model.pose("flange")[0] - goal[:3]
     assert moved[0] > 0.03 and np.abs(moved[1:]).max() < 5e-3
     simulation.release()
+
+
+def test_tunable_task_takes_gains_and_modes():
+    settings = {"task.hand.cartesian.tunable": True, "task.hand.cartesian.reference": "hold"}
+    experiment = streamed(set=settings)
+    loop, simulation = experiment.control_loop(), experiment.simulation()
+    drive(loop, simulation, 500)
+    with pytest.raises(opspace.OpspaceError, match="not `streamed`: it has no input 'pose'"):
+        loop.target("hand", pose=np.zeros(3))
+    simulation.push("flange", [5.0, 0.0, 0.0])
+    deflections = []
+    for gains in (14.0, 7.0):
+        loop.target("hand", gains=(gains, 1.0))
+        drive(loop, simulation, 2000)
+        deflections.append(np.array(simulation.q))
+    assert not np.allclose(*deflections, atol=1e-4)
+    loop.target("hand", modes={"x": "compliant"})
+    before = np.array(simulation.q)
+    drive(loop, simulation, 500)
+    assert np.abs(simulation.q - before).max() > 0.02
 
 
 def test_mistakes_name_what_is_wrong():

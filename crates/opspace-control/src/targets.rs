@@ -174,6 +174,11 @@ pub struct InputHandle {
 }
 
 impl InputHandle {
+    /// Returns the handle of an input that a task lacks: it has no values.
+    pub(crate) fn absent(task: &TaskHandle) -> Self {
+        Self { task: task.0, range: 0..0 }
+    }
+
     /// Number of values.
     #[must_use]
     #[expect(clippy::len_without_is_empty, reason = "an input has values")]
@@ -187,7 +192,11 @@ impl InputHandle {
 #[non_exhaustive]
 pub enum TargetError {
     /// A task without inputs, or an unknown task.
-    #[error("no task '{name}' with inputs; the tasks with inputs are: {}", known.join(", "))]
+    #[error(
+        "no task '{name}' with inputs; the tasks with inputs are: {}. A task has inputs if its reference is `streamed`; a \
+         Cartesian task also with `tunable = true`, for its gains and modes",
+        if known.is_empty() { "none".to_owned() } else { known.join(", ") }
+    )]
     Task {
         /// Requested name.
         name: String,
@@ -203,6 +212,17 @@ pub enum TargetError {
         name: String,
         /// Inputs of the task.
         known: Vec<String>,
+    },
+    /// A reference of the file, which a program cannot replace.
+    #[error(
+        "the reference of task '{task}' is that of its file, and not `streamed`: it has no input '{name}', only its gains, \
+         modes and forces"
+    )]
+    NotStreamed {
+        /// The task.
+        task: String,
+        /// The input.
+        name: &'static str,
     },
     /// A number of values that differs from that of the input.
     #[error("this input has {expected} values, not {found}")]

@@ -33,7 +33,7 @@ use crate::tasks::build_task::{BuildTask, BuiltTask, TaskReference};
 use crate::tasks::cartesian_parameters::{
     CartesianParameters, CenterOfMassParameters, Decoupling, check_reference,
 };
-use crate::tasks::cartesian_target::{AxisSettings, inputs, settings};
+use crate::tasks::cartesian_target::{AxisSettings, CartesianInputs};
 use crate::tasks::characteristic_length::characteristic_length;
 use crate::tasks::controlled_frame::ControlledFrame;
 use crate::tasks::force::{ForceFeedback, ForceInput};
@@ -81,6 +81,8 @@ pub struct CartesianTask {
     trajectory: Trajectory,
     /// Streamed reference, used instead of the trajectory.
     streamed: Option<Box<StreamedPose>>,
+    /// Inputs that a program can change.
+    inputs: Option<CartesianInputs>,
     /// Time stamp of the current streamed settings, s.
     settings_s: Option<f64>,
     configured_modes: [AxisMode; 6],
@@ -211,6 +213,10 @@ impl CartesianTask {
             streamed: match &parameters.reference {
                 CartesianReference::Streamed(reference) => Some(Box::new(StreamedPose::new(reference))),
                 _ => None,
+            },
+            inputs: match &parameters.reference {
+                CartesianReference::Streamed(_) => Some(CartesianInputs::All),
+                _ => parameters.tunable.then_some(CartesianInputs::Settings),
             },
             settings_s: None,
             configured_modes: parameters.axes.modes(),
@@ -370,7 +376,7 @@ impl CartesianTask {
 
     /// Resets all axes to their configured settings.
     fn reset_settings(&mut self) {
-        if self.streamed.is_none() {
+        if self.inputs.is_none() {
             return;
         }
         self.settings_s = None;
@@ -380,10 +386,10 @@ impl CartesianTask {
         }
     }
 
-    /// Takes over the modes of the previous task if both tasks have streamed modes.
+    /// Takes over the modes of the previous task if a program can change those of both.
     fn inherit_modes(&mut self, before: &Self) {
         self.reset_settings();
-        if self.streamed.is_none() || before.streamed.is_none() {
+        if self.inputs.is_none() || before.inputs.is_none() {
             return;
         }
         let allowed = self.allowed();
@@ -395,14 +401,12 @@ impl CartesianTask {
         }
     }
 
-    /// Processes the streamed target of a cycle: first modes, gains and forces, then the reference.
+    /// Processes the inputs of a cycle: first modes, gains and forces, then the streamed reference.
     fn take_target(&mut self, input: &TaskInput<'_>) {
-        if self.streamed.is_none() {
-            return;
-        }
+        let Some(inputs) = self.inputs else { return };
         if input.target.stamp_s.is_some() && input.target.stamp_s != self.settings_s {
             self.settings_s = input.target.stamp_s;
-            self.apply(&settings(input.target.values), &input.control);
+            self.apply(&inputs.settings(input.target.values), &input.control);
         }
         if let Some(streamed) = &mut self.streamed {
             streamed.update(&input.target);
@@ -812,7 +816,7 @@ impl Task for CartesianTask {
     }
 
     fn inputs(&self) -> Vec<Signal> {
-        if self.streamed.is_some() { inputs() } else { Vec::new() }
+        self.inputs.map_or_else(Vec::new, CartesianInputs::signals)
     }
 
     fn allowed_inputs(&self) -> AllowedInputs {
@@ -938,6 +942,8 @@ impl Task for CartesianTask {
             TaskSignals::Target => {
                 if let Some(streamed) = &self.streamed {
                     streamed.freshness().record(name, out);
+                }
+                if self.inputs.is_some() {
                     out.signal((name, MODES), "1", &AXIS_NAMES, &self.modes.map(AxisMode::code));
                 }
             }

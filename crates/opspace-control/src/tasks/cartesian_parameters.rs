@@ -43,6 +43,10 @@ pub struct CartesianParameters {
     pub axes_frame: AxesFrameParameter,
     /// Reference of the frame.
     pub reference: CartesianReference,
+    /// True if a program can change gains, modes of the axes and target forces during the run, as it can with a streamed
+    /// reference; the reference stays that of the file.
+    #[serde(default)]
+    pub tunable: bool,
     /// Gains of the motion axes, for unit mass.
     pub gains: Option<AxisGains>,
     /// Impedance of the motion axes, as a spring and a damper; instead of `gains`.
@@ -101,6 +105,10 @@ pub struct CenterOfMassParameters {
     pub axes_frame: AxesFrameParameter,
     /// Reference of the centre of mass.
     pub reference: CartesianReference,
+    /// True if a program can change gains and modes of the axes during the run, as it can with a streamed reference; the
+    /// reference stays that of the file.
+    #[serde(default)]
+    pub tunable: bool,
     /// Gains of the centre of mass, for unit mass.
     pub gains: AxisGains,
     /// Threshold of the mobility (eigenvalue of Λ⁻¹) below which directions are damped, relative to the median of the
@@ -191,6 +199,7 @@ impl CartesianParameters {
             axes,
             axes_frame: AxesFrameParameter::World,
             reference: CartesianReference::Hold,
+            tunable: false,
             gains: Some(gains),
             impedance: None,
             force: None,
@@ -275,6 +284,7 @@ impl CenterOfMassParameters {
             axes,
             axes_frame: AxesFrameParameter::World,
             reference: CartesianReference::Hold,
+            tunable: false,
             gains,
             singularity_threshold: None,
             damping_zone: None,
@@ -290,6 +300,7 @@ impl CenterOfMassParameters {
         CartesianParameters {
             axes_frame: self.axes_frame.clone(),
             reference: self.reference.clone(),
+            tunable: self.tunable,
             singularity_threshold: self.singularity_threshold,
             damping_zone: self.damping_zone,
             escape: self.escape,

@@ -22,8 +22,8 @@ const POSE_ELEMENTS: [&str; 7] = ["x", "y", "z", "qw", "qx", "qy", "qz"];
 /// An input: its name, unit, elements and first index.
 type Input = (&'static str, &'static str, &'static [&'static str], usize);
 
-/// Inputs of a task with a streamed reference. The wrench is the target force that the environment should exert ON the
-/// robot on compliant and force axes. Wrench, gains and modes are in the task axes.
+/// All inputs. The wrench is the target force that the environment should exert ON the robot on compliant and force axes.
+/// Wrench, gains and modes are in the task axes.
 const INPUTS: [Input; 7] = [
     ("pose", "m,1", &POSE_ELEMENTS, POSE),
     ("twist", "m/s,rad/s", &AXIS_NAMES, TWIST),
@@ -34,9 +34,40 @@ const INPUTS: [Input; 7] = [
     ("modes", "1", &AXIS_NAMES, MODES),
 ];
 
-/// Inputs of a Cartesian task with a streamed reference.
-pub(crate) fn inputs() -> Vec<Signal> {
-    INPUTS.map(|(name, unit, elements, _)| Signal::new(name, unit, elements)).into()
+/// Inputs of a Cartesian task that a program can change.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum CartesianInputs {
+    /// The streamed reference, and the settings.
+    All,
+    /// Forces, gains and modes.
+    Settings,
+}
+
+impl CartesianInputs {
+    /// Index of the first of them among all values.
+    fn first(self) -> usize {
+        match self {
+            Self::All => POSE,
+            Self::Settings => WRENCH,
+        }
+    }
+
+    /// Signals of the inputs.
+    pub fn signals(self) -> Vec<Signal> {
+        let inputs = INPUTS.iter().filter(|(.., first)| *first >= self.first());
+        inputs.map(|(name, unit, elements, _)| Signal::new(*name, *unit, elements)).collect()
+    }
+
+    /// Reads the settings from a task's values.
+    pub fn settings(self, values: &[f64]) -> [AxisSettings; 6] {
+        let value = |at: usize| given::<1>(values, at - self.first()).map(|[value]| value);
+        std::array::from_fn(|axis| AxisSettings {
+            mode: value(MODES + axis).and_then(AxisMode::from_code),
+            force: value(WRENCH + axis),
+            frequency_rad_per_s: value(FREQUENCY + axis).filter(|&value| value > 0.0),
+            damping_ratio: value(DAMPING_RATIO + axis).filter(|&value| value >= 0.0),
+        })
+    }
 }
 
 /// Streamed settings of one axis; `None` for the configured value.
@@ -49,18 +80,8 @@ pub(crate) struct AxisSettings {
     pub damping_ratio: Option<f64>,
 }
 
-/// Reads the settings from a task's values.
-pub(crate) fn settings(values: &[f64]) -> [AxisSettings; 6] {
-    let value = |at: usize| given::<1>(values, at).map(|[value]| value);
-    std::array::from_fn(|axis| AxisSettings {
-        mode: value(MODES + axis).and_then(AxisMode::from_code),
-        force: value(WRENCH + axis),
-        frequency_rad_per_s: value(FREQUENCY + axis).filter(|&value| value > 0.0),
-        damping_ratio: value(DAMPING_RATIO + axis).filter(|&value| value >= 0.0),
-    })
-}
-
-/// Streamed target of a Cartesian or centre-of-mass task with a streamed reference.
+/// Target of a Cartesian or centre-of-mass task: reference and settings if its reference is streamed, the settings alone
+/// if it is tunable.
 ///
 /// Setters collect values, and [`write`](Self::write) writes them all at once; values that were never set are as
 /// configured. Neither allocates unless it fails.
@@ -68,6 +89,7 @@ pub(crate) fn settings(values: &[f64]) -> [AxisSettings; 6] {
 pub struct CartesianTarget {
     task: TaskHandle,
     name: String,
+    /// Handles of all inputs, of length 0 for those that the task lacks.
     inputs: [InputHandle; 7],
     allowed: AllowedInputs,
     values: [f64; WIDTH],
@@ -80,8 +102,11 @@ impl CartesianTarget {
     /// An unknown task, or a task without these inputs.
     pub fn of(targets: &Targets, name: &str) -> Result<Self, TargetError> {
         let task = targets.task(name)?;
-        let find = |(input, _, elements, _): Input| {
-            let handle = targets.input(&task, input)?;
+        let find = |(input, _, elements, first): Input| {
+            let handle = match targets.input(&task, input) {
+                Err(_) if first < WRENCH => return Ok(InputHandle::absent(&task)),
+                handle => handle?,
+            };
             let (expected, found) = (elements.len(), handle.len());
             if found == expected { Ok(handle) } else { Err(TargetError::Length { expected, found }) }
         };
@@ -98,8 +123,10 @@ impl CartesianTarget {
     /// Sets position (m) and orientation (unit quaternion w, x, y, z), and clears twist and acceleration.
     ///
     /// # Errors
-    /// A value that is not finite; a quaternion whose length is not 1 within [`QUATERNION_TOLERANCE`].
+    /// A value that is not finite; a quaternion whose length is not 1 within [`QUATERNION_TOLERANCE`]; a reference that is
+    /// not streamed.
     pub fn pose(&mut self, position: [f64; 3], quaternion: [f64; 4]) -> Result<&mut Self, TargetError> {
+        self.check_streamed("pose")?;
         check_finite(&position)?;
         check_finite(&quaternion)?;
         let norm = quaternion.iter().map(|x| x * x).sum::<f64>().sqrt();
@@ -123,8 +150,9 @@ impl CartesianTarget {
     /// Sets only the position, m; the orientation of the reference does not change. Clears twist and acceleration.
     ///
     /// # Errors
-    /// A value that is not finite.
+    /// A value that is not finite; a reference that is not streamed.
     pub fn position(&mut self, position: [f64; 3]) -> Result<&mut Self, TargetError> {
+        self.check_streamed("pose")?;
         check_finite(&position)?;
         self.put(POSE, &position);
         Ok(self.forget(POSE + 3..ACCELERATION + 6))
@@ -134,8 +162,9 @@ impl CartesianTarget {
     /// current pose.
     ///
     /// # Errors
-    /// A value that is not finite.
+    /// A value that is not finite; a reference that is not streamed.
     pub fn twist(&mut self, twist: [f64; 6]) -> Result<&mut Self, TargetError> {
+        self.check_streamed("twist")?;
         check_finite(&twist)?;
         Ok(self.put(TWIST, &twist))
     }
@@ -143,8 +172,9 @@ impl CartesianTarget {
     /// Sets linear (m/s²) and angular acceleration (rad/s²), world axes.
     ///
     /// # Errors
-    /// A value that is not finite.
+    /// A value that is not finite; a reference that is not streamed.
     pub fn acceleration(&mut self, acceleration: [f64; 6]) -> Result<&mut Self, TargetError> {
+        self.check_streamed("acceleration")?;
         check_finite(&acceleration)?;
         Ok(self.put(ACCELERATION, &acceleration))
     }
@@ -194,6 +224,15 @@ impl CartesianTarget {
         Ok(self.put(MODES, &codes))
     }
 
+    /// Checks that the task has an input of its reference.
+    fn check_streamed(&self, name: &'static str) -> Result<(), TargetError> {
+        let at = INPUTS.iter().position(|(input, ..)| *input == name);
+        if at.is_some_and(|at| self.inputs[at].len() > 0) {
+            return Ok(());
+        }
+        Err(TargetError::NotStreamed { task: self.name.clone(), name })
+    }
+
     fn check_mode(&self, axis: usize, mode: AxisMode) -> Result<(), TargetError> {
         let allowed = &self.allowed.modes;
         if mode == AxisMode::Free || !allowed[axis].contains(&true) {
@@ -220,12 +259,12 @@ impl CartesianTarget {
         &self.task
     }
 
-    /// Collected values in the form that [`Targets::write`] takes.
+    /// Collected values in the form that [`Targets::write`] takes; no values for inputs that the task lacks.
     #[must_use]
     pub fn inputs(&self) -> [(&InputHandle, &[f64]); 7] {
         std::array::from_fn(|i| {
-            let (_, _, elements, first) = INPUTS[i];
-            (&self.inputs[i], &self.values[first..first + elements.len()])
+            let (handle, (.., first)) = (&self.inputs[i], INPUTS[i]);
+            (handle, &self.values[first..first + handle.len()])
         })
     }
 

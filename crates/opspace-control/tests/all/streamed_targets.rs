@@ -355,12 +355,19 @@ fn reference_holds_before_target_and_resumes_at_hand() {
 }
 
 /// Compared: desired accelerations and forces in a cycle with streamed modes, gains and target force with those of a
-/// controller whose file contains these values.
+/// controller whose file contains these values; with a streamed reference, and with a tunable task that holds.
 #[test]
 fn streamed_modes_gains_and_forces_apply_immediately() {
+    for reference in ["reference.streamed = {}", "reference = \"hold\"\ntunable = true"] {
+        settings_apply_immediately(reference);
+    }
+}
+
+fn settings_apply_immediately(reference: &str) {
     const SENSOR: &str = "force = { sensor = 'wrist', target_n = { x = 0.0 }, integral_per_s = { x = 0.0, z = 0.0 }, ramp_s = 0.0 }";
     let axes = r#"{ x = "force", y = "motion", z = "motion" }"#;
-    let mut bench = Bench::new(&hand(axes, "streamed = {}", SENSOR));
+    let text = hand(axes, "streamed = {}", SENSOR).replace("reference.streamed = {}", reference);
+    let mut bench = Bench::new(&text);
     bench.measurement.wrenches[0].linear = Vector3::new(1.0, 2.0, 3.0);
     bench.measurement.dq.fill(0.1);
     assert!(opspace_model::update(&bench.model, &mut bench.data, &Q, &[0.1; 7]));
@@ -398,6 +405,36 @@ fn streamed_modes_gains_and_forces_apply_immediately() {
     target.write(&mut bench.targets, bench.clock_s).expect("good values");
     bench.cycle();
     assert_eq!(bench.signal("hand.modes"), [2.0, 0.0, 0.0, 3.0, 3.0, 3.0]);
+}
+
+/// Compared: torques of a tunable task, before a change and after its end, with those of the same task that is not tunable,
+/// bit for bit; its reference, which goes on while the gains differ; and the inputs that it has.
+#[test]
+fn tunable_task_keeps_its_reference() {
+    let [mut fixed, mut tunable] = ["", "tunable = true"].map(|more| Bench::new(&hand(ALL, SINUSOID, more)));
+    let mut target = tunable.hand();
+    let refused = target.pose([0.0; 3], [1.0, 0.0, 0.0, 0.0]).map(|_| ()).expect_err("it has a reference");
+    assert!(refused.to_string().contains("not `streamed`: it has no input 'pose'"), "{refused}");
+    assert!(target.twist([0.0; 6]).is_err() && target.acceleration([0.0; 6]).is_err());
+    for k in 0..300 {
+        match k {
+            100 => drop(target.gains([30.0; 6], [0.7; 6]).expect("good gains")),
+            200 => drop(target.clear()),
+            _ => {}
+        }
+        if k % 100 == 0 && k > 0 {
+            target.write(&mut tunable.targets, tunable.clock_s).expect("good values");
+        }
+        fixed.cycle();
+        tunable.cycle();
+        assert_eq!(reference(&fixed), reference(&tunable), "cycle {k}");
+        let is_changed = (100..200).contains(&k);
+        assert_eq!(fixed.torque != tunable.torque, is_changed, "cycle {k}");
+    }
+    let names: Vec<_> = tunable.targets.layout().signals.iter().map(|signal| &signal.name[..]).collect();
+    let expected = ["wrench", "frequency_rad_per_s", "damping_ratio", "modes"];
+    assert_eq!(names[3..], expected.map(|name| format!("target.hand.{name}")));
+    assert!(fixed.targets.layout().signals.is_empty());
 }
 
 /// Compared: the reference in the cycle in which a compliant axis, far from its earlier reference, is switched to
