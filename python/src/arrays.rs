@@ -60,6 +60,29 @@ pub(crate) fn flat(name: &str, value: &Bound<'_, PyAny>) -> PyResult<Vec<f64>> {
     Ok(floats(name, value, NUMBERS_AND_FLAGS)?.as_array().iter().copied().collect())
 }
 
+/// Returns the numbers of `value`, row by row, which has one of these shapes.
+///
+/// # Errors
+/// Values that are no real numbers, or another shape.
+pub(crate) fn shaped(name: &str, value: &Bound<'_, PyAny>, shapes: &[&[usize]]) -> PyResult<Vec<f64>> {
+    let array = floats(name, value, NUMBERS)?;
+    let view = array.as_array();
+    if shapes.contains(&view.shape()) {
+        return Ok(view.iter().copied().collect());
+    }
+    let expected: Vec<String> = shapes.iter().map(|shape| shape_text(shape)).collect();
+    let message = format!("expected {}, got {}", expected.join(" or "), shape_text(view.shape()));
+    Err(argument(name, &message))
+}
+
+/// Describes a shape, also that of a vector.
+fn shape_text(shape: &[usize]) -> String {
+    match shape {
+        [length] => format!("{length} values"),
+        shape => shown(shape),
+    }
+}
+
 /// Converts `value` to an array of 64-bit floats, by numpy.
 fn floats<'py>(name: &str, value: &Bound<'py, PyAny>, kinds: &str) -> PyResult<PyReadonlyArrayDyn<'py, f64>> {
     static ASARRAY: PyOnceLock<Py<PyAny>> = PyOnceLock::new();

@@ -49,8 +49,11 @@ pub(crate) fn step<'py>(
     measured.copy_to(&mut stepping.sample)?;
     let Stepping { stepped, sample, .. } = stepping;
     before(stepped);
-    let result = caught(|| returned(py, stepped.cycle(sample), out.as_ref()))??;
-    match stepping.note_fault().then_some(&stepping.fault) {
+    let result = caught(|| returned(py, stepped.cycle(sample), out.as_ref()));
+    // The exception of a task stands for the fault that it causes.
+    let is_new = stepping.note_fault();
+    let result = result??;
+    match is_new.then_some(&stepping.fault) {
         Some(Some(fault)) => Err(fault.error(py)?),
         _ => Ok(result),
     }

@@ -8,6 +8,7 @@ use pyo3::create_exception;
 use pyo3::exceptions::{PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 use std::any::Any;
+use std::cell::RefCell;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
 create_exception!(
@@ -135,9 +136,30 @@ impl FaultText {
     }
 }
 
-/// Calls `body`; a panic in it becomes an error.
+thread_local! {
+    /// First exception of a task or a metric that is written in Python, in this thread.
+    static RAISED: RefCell<Option<PyErr>> = const { RefCell::new(None) };
+}
+
+/// Keeps an exception that a task or a metric raised inside of a computation, with its traceback, until the computation returns.
+pub(crate) fn keep_raised(error: PyErr) {
+    RAISED.with_borrow_mut(|raised| {
+        raised.get_or_insert(error);
+    });
+}
+
+/// Takes the exception that was kept in this thread.
+pub(crate) fn take_raised() -> Option<PyErr> {
+    RAISED.take()
+}
+
+/// Calls `body`; a panic in it becomes an error, and so does an exception that was kept.
 pub(crate) fn caught<T>(body: impl FnOnce() -> T) -> PyResult<T> {
-    catch_unwind(AssertUnwindSafe(body)).map_err(|panic| of_panic(&*panic))
+    let returned = catch_unwind(AssertUnwindSafe(body));
+    match take_raised() {
+        Some(error) => Err(error),
+        None => returned.map_err(|panic| of_panic(&*panic)),
+    }
 }
 
 /// Returns the error of a panic.

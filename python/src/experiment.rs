@@ -3,6 +3,7 @@
 use crate::arrays::vector;
 use crate::control_loop::ControlLoop;
 use crate::control_loops::ControlLoops;
+use crate::entries::Entries;
 use crate::errors::{FaultText, argument, caught, of_file, of_run};
 use crate::interrupt::interruptible;
 use crate::model::Model;
@@ -87,16 +88,24 @@ fn source(name: &str, table: &Table) -> std::result::Result<Source, FileError> {
 ///
 /// An experiment can be pickled, and is a constant: several threads and processes may run it.
 ///
+/// tasks: classes of tasks by the names of their kinds, `[task.NAME.KIND]`. metrics: classes of metrics by their keys. The page "Tasks
+/// and metrics in Python" describes both. A cycle and a summary then take Python's time, and an exception stops the robot and is raised
+/// with its traceback.
+///
 /// Raises OpspaceError for a mistake, with file, line, key and help.
 #[pyclass(frozen, module = "opspace")]
 pub(crate) struct Experiment {
     pub(crate) experiment: Arc<opspace_experiment::Experiment>,
     /// Parts that are dictionaries, by their names.
     dictionaries: Vec<&'static str>,
+    entries: Entries,
 }
 
 /// Function that builds an experiment again, and its arguments.
-type Reduced<'py> = (Bound<'py, PyAny>, (Bound<'py, PyBytes>, Vec<&'static str>));
+type Reduced<'py> = (
+    Bound<'py, PyAny>,
+    (Bound<'py, PyBytes>, Vec<&'static str>, Option<Bound<'py, PyDict>>, Option<Bound<'py, PyDict>>),
+);
 
 /// Options of the constructor.
 struct Options {
@@ -108,11 +117,11 @@ struct Options {
 }
 
 impl Options {
-    fn load(self) -> std::result::Result<opspace_experiment::Experiment, FileError> {
-        let (files, extensions) = (Files::Disk, Extensions::default());
+    fn load(self, extensions: &Extensions) -> std::result::Result<opspace_experiment::Experiment, FileError> {
+        let files = Files::Disk;
         let (robot_settings, task_settings) = overrides::split(&self.settings, ROBOT);
         let task = match self.task {
-            Part::Path(path) => TaskDefinition::load_with(&extensions, files, &path, &task_settings)?,
+            Part::Path(path) => TaskDefinition::load_with(extensions, files, &path, &task_settings)?,
             Part::Dictionary(mut table) => {
                 if self.robot.is_some() {
                     table.entry(ROBOT).or_insert_with(|| Value::String(".".to_owned()));
@@ -120,7 +129,7 @@ impl Options {
                 let source = source(TASK, &table)?;
                 Kind::Task.require(&source)?;
                 let source = overrides::apply(&source, &task_settings)?;
-                TaskDefinition::from_sources_with(&extensions, source, |named| files.read(&named.path))?
+                TaskDefinition::from_sources_with(extensions, source, |named| files.read(&named.path))?
             }
         };
         let robot = match self.robot {
@@ -151,7 +160,7 @@ impl Options {
 impl Experiment {
     #[new]
     #[pyo3(signature = (task, robot=None, *, backend=None, controller=None, transformer=None, profile=None, set=None,
-        seed=None, duration_s=None, allow=None))]
+        seed=None, duration_s=None, allow=None, tasks=None, metrics=None))]
     #[expect(clippy::too_many_arguments, reason = "keyword arguments of Python")]
     fn new(
         py: Python<'_>,
@@ -165,7 +174,10 @@ impl Experiment {
         seed: Option<u64>,
         duration_s: Option<f64>,
         allow: Option<Vec<String>>,
+        tasks: Option<&Bound<'_, PyDict>>,
+        metrics: Option<&Bound<'_, PyDict>>,
     ) -> PyResult<Self> {
+        let entries = Entries::new(tasks, metrics)?;
         let task = Part::new(TASK, task)?;
         let robot = robot.map(|robot| Part::new(ROBOT, robot)).transpose()?;
         let parts = [(TASK, Some(&task)), (ROBOT, robot.as_ref())].into_iter();
@@ -192,9 +204,9 @@ impl Experiment {
         };
         let settings = set.map(settings).transpose()?.unwrap_or_default();
         let options = Options { task, robot, backend, options, settings };
-        let loaded = py.detach(|| caught(|| options.load()))?;
+        let loaded = py.detach(|| caught(|| Ok::<_, PyErr>(options.load(&entries.extensions()?))))??;
         let experiment = loaded.map_err(|error| of_file(&error, &dictionaries))?;
-        Ok(Self { experiment: Arc::new(experiment), dictionaries })
+        Ok(Self { experiment: Arc::new(experiment), dictionaries, entries })
     }
 
     /// Name of the task.
@@ -343,7 +355,7 @@ impl Experiment {
             }
             None => LogSink::Memory(Vec::new()),
         };
-        Run::new(Arc::clone(&self.experiment), sink, log.map(absolute), simulation)
+        Run::new(Arc::clone(&self.experiment), self.entries.clone(), sink, log.map(absolute), simulation)
     }
 
     /// Runs the experiment on a robot that is written in Python, and returns its result.
@@ -403,14 +415,15 @@ impl Experiment {
     fn __reduce__<'py>(&self, py: Python<'py>) -> PyResult<Reduced<'py>> {
         let bytes = bytes_of(&self.experiment)?;
         let build = py.import("opspace._opspace")?.getattr("_experiment_of_bytes")?;
-        Ok((build, (PyBytes::new(py, &bytes), self.dictionaries.clone())))
+        let [tasks, metrics] = self.entries.dictionaries(py);
+        Ok((build, (PyBytes::new(py, &bytes), self.dictionaries.clone(), tasks, metrics)))
     }
 }
 
 impl Experiment {
     /// Returns the object of an experiment that has been read.
-    pub(crate) fn of(experiment: Arc<opspace_experiment::Experiment>) -> Self {
-        Self { experiment, dictionaries: Vec::new() }
+    pub(crate) fn of(experiment: Arc<opspace_experiment::Experiment>, entries: Entries) -> Self {
+        Self { experiment, dictionaries: Vec::new(), entries }
     }
 
     /// Returns the result of a run.
@@ -422,7 +435,7 @@ impl Experiment {
             }
             _ => None,
         };
-        Result::new(Arc::clone(&self.experiment), summary, fault, log)
+        Result::new(Arc::clone(&self.experiment), self.entries.clone(), summary, fault, log)
     }
 }
 
@@ -438,9 +451,10 @@ pub(crate) fn bytes_of(experiment: &opspace_experiment::Experiment) -> PyResult<
 }
 
 /// Builds an experiment from the bytes of [`bytes_of`].
-pub(crate) fn of_bytes(bytes: &[u8]) -> PyResult<opspace_experiment::Experiment> {
-    let read = caught(|| opspace_experiment::Experiment::of_log(&Recording::from_bytes(bytes)?))?;
-    read.map_err(|error| of_run(&error, &[]))
+pub(crate) fn of_bytes(bytes: &[u8], entries: &Entries) -> PyResult<opspace_experiment::Experiment> {
+    let extensions = entries.extensions()?;
+    let read = || opspace_experiment::Experiment::of_log_with(&extensions, &Recording::from_bytes(bytes)?);
+    caught(read)?.map_err(|error| of_run(&error, &[]))
 }
 
 /// Builds a pickled experiment.
@@ -450,11 +464,14 @@ pub(crate) fn experiment_of_bytes(
     py: Python<'_>,
     bytes: &[u8],
     dictionaries: Vec<String>,
+    tasks: Option<&Bound<'_, PyDict>>,
+    metrics: Option<&Bound<'_, PyDict>>,
 ) -> PyResult<Experiment> {
-    let experiment = py.detach(|| of_bytes(bytes))?;
+    let entries = Entries::new(tasks, metrics)?;
+    let experiment = py.detach(|| of_bytes(bytes, &entries))?;
     let is_dictionary = |name: &&str| dictionaries.iter().any(|dictionary| dictionary == name);
     let dictionaries = [TASK, ROBOT].into_iter().filter(is_dictionary).collect();
-    Ok(Experiment { experiment: Arc::new(experiment), dictionaries })
+    Ok(Experiment { experiment: Arc::new(experiment), dictionaries, entries })
 }
 
 /// Place of the log of a run.

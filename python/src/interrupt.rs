@@ -1,6 +1,6 @@
 //! Computations without Python's lock that Ctrl-C stops, and processes that were forked while one was going on.
 
-use crate::errors::{of_panic, refused};
+use crate::errors::{of_panic, refused, take_raised};
 use opspace_experiment::Progress;
 use pyo3::prelude::*;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
@@ -94,7 +94,8 @@ pub(crate) fn interruptible<T: Send>(
             let (done, wait) = channel::<()>();
             let thread = scope.spawn(move || {
                 let _done = done;
-                body()
+                let value = body();
+                (value, take_raised())
             });
             let mut raised: Option<PyErr> = None;
             // The channel is closed when the body returns or panics.
@@ -108,9 +109,12 @@ pub(crate) fn interruptible<T: Send>(
             (thread.join(), raised)
         })
     });
-    let result = result.map_err(|panic| of_panic(&*panic));
-    match raised {
-        Some(error) => Err(error),
-        None => result,
+    let (value, of_body) = result
+        .map_err(|panic| of_panic(&*panic))
+        .map_or_else(|error| (None, Some(error)), |(value, of_body)| (Some(value), of_body));
+    match (raised.or(of_body), value) {
+        (None, Some(value)) => Ok(value),
+        (Some(error), _) => Err(error),
+        (None, None) => Err(refused("the computation ended without a value", None)),
     }
 }

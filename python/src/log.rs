@@ -1,6 +1,7 @@
 //! Logs: classes `Log`, `Channel` and `Replay`.
 
 use crate::arrays::{owned1, owned2};
+use crate::entries::Entries;
 use crate::errors::{caught, of_log, of_run, refused};
 use numpy::{PyArray1, PyArray2};
 use opspace_experiment::Experiment;
@@ -276,16 +277,23 @@ impl Replay {
 
 /// Recomputes each cycle of a log from its inputs, and compares all numbers with those of the log.
 ///
+/// tasks: classes of the tasks of the log that are written in Python, as of `Experiment`.
+///
 /// Raises OpspaceError for a file that is not a log of a run, or of another version.
 #[pyfunction]
-pub(crate) fn replay(py: Python<'_>, path: PathBuf) -> PyResult<Replay> {
-    let shown = path.display().to_string();
+#[pyo3(signature = (path, *, tasks=None))]
+pub(crate) fn replay(py: Python<'_>, path: PathBuf, tasks: Option<&Bound<'_, PyDict>>) -> PyResult<Replay> {
+    let (shown, entries) = (path.display().to_string(), Entries::new(tasks, None)?);
     let replayed = py.detach(|| {
         caught(|| {
-            let log = LogFile::open(&path)?;
-            replay_log(&Experiment::of_log(log.recording())?, &log)
+            let extensions = entries.extensions()?;
+            let read = || {
+                let log = LogFile::open(&path)?;
+                replay_log(&Experiment::of_log_with(&extensions, log.recording())?, &log)
+            };
+            Ok::<_, PyErr>(read())
         })
-    })?;
+    })??;
     let report = replayed.map_err(|error| match error {
         opspace_experiment::RunError::Log(error) => of_log(&error, &shown),
         other => of_run(&other, &[]),

@@ -9,8 +9,8 @@ use opspace_control::orientation::quaternion;
 use opspace_experiment::files::robot::load_urdf;
 use opspace_experiment::{Files, RobotDefinition, Source};
 use opspace_model::{
-    Data, FrameId, Inversion, OperationalSpace, Placement, UrdfOptions, frame_jacobian, frame_placement,
-    update,
+    Data, FrameId, Inversion, Motion, OperationalSpace, Placement, UrdfOptions, frame_bias_acceleration,
+    frame_jacobian, frame_placement, frame_velocity, update,
 };
 use pyo3::prelude::*;
 use std::path::PathBuf;
@@ -74,6 +74,15 @@ impl Model {
         let friction = joints.iter().map(|joint| joint.friction.coulomb_nm.get()).collect();
         let damping = joints.iter().map(|joint| joint.friction.viscous_nms_per_rad.get()).collect();
         Self::new(Arc::new(robot.model.clone()), friction, damping)
+    }
+
+    /// Takes the state of a control cycle.
+    pub(crate) fn follow(&self, data: &Data) {
+        let mut state = self.lock();
+        state.data.clone_from(data);
+        state.q.copy_from_slice(data.q.as_slice());
+        state.dq.copy_from_slice(data.dq.as_slice());
+        state.is_updated = true;
     }
 
     fn lock(&self) -> MutexGuard<'_, State> {
@@ -306,6 +315,23 @@ impl Model {
         Ok(out)
     }
 
+    /// Velocity of a frame (6): of its origin, m/s, and its angular velocity, rad/s, in world axes. It is J dq.
+    ///
+    /// Raises OpspaceError for an unknown frame.
+    fn velocity<'py>(&self, py: Python<'py>, frame: &str) -> PyResult<Bound<'py, PyArray1<f64>>> {
+        let frame = self.frame(frame)?;
+        Ok(of_motion(py, &frame_velocity(&self.model, &self.updated()?.data, frame)))
+    }
+
+    /// Acceleration of a frame (6) without joint accelerations, dJ/dt dq: m/s² and rad/s², in world axes. In pin the classical
+    /// acceleration for ddq = 0.
+    ///
+    /// Raises OpspaceError for an unknown frame.
+    fn bias_acceleration<'py>(&self, py: Python<'py>, frame: &str) -> PyResult<Bound<'py, PyArray1<f64>>> {
+        let frame = self.frame(frame)?;
+        Ok(of_motion(py, &frame_bias_acceleration(&self.model, &self.updated()?.data, frame)))
+    }
+
     /// Operational-space inertia Λ = (J M⁻¹ Jᵀ)⁻¹ (k, k) of a frame; kg, kg m and kg m².
     ///
     /// rows: the k rows of J that count, each once, 0 to 5: x, y, z, then the rotations about them; None is all six.
@@ -393,6 +419,11 @@ impl Model {
     fn __repr__(&self) -> String {
         format!("Model('{}', n={})", self.model.name(), self.model.n())
     }
+}
+
+/// Returns the six numbers of a motion, the linear ones first.
+fn of_motion<'py>(py: Python<'py>, motion: &Motion) -> Bound<'py, PyArray1<f64>> {
+    owned1(py, motion.linear.iter().chain(motion.angular.iter()).copied().collect())
 }
 
 /// Results of `Model.batch` for N states.

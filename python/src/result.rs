@@ -1,5 +1,6 @@
 //! Class `Result`: summary, outcome and log of a run.
 
+use crate::entries::Entries;
 use crate::errors::{FaultText, caught, of_log, refused};
 use crate::experiment::{bytes_of, of_bytes};
 use crate::log::Log;
@@ -12,7 +13,7 @@ use opspace_log::Recording;
 use opspace_report::document::RunSection;
 use pyo3::prelude::*;
 use pyo3::sync::PyOnceLock;
-use pyo3::types::PyBytes;
+use pyo3::types::{PyBytes, PyDict};
 use std::fmt::Write;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -43,6 +44,7 @@ impl StoredLog {
 #[pyclass(frozen, module = "opspace")]
 pub(crate) struct Result {
     experiment: Arc<Experiment>,
+    entries: Entries,
     summary: Box<Summary>,
     /// `summary` as in summary.json.
     json: String,
@@ -51,25 +53,36 @@ pub(crate) struct Result {
     read: PyOnceLock<Py<Log>>,
 }
 
-/// Arguments of [`result_of_parts`]: experiment, summary, fault, bytes of the log, path of the log.
+/// Arguments of [`result_of_parts`]: experiment, summary, fault, bytes of the log, path of the log, tasks, metrics.
 type Parts<'py> = (
     Bound<'py, PyBytes>,
     String,
     Option<(u32, Option<String>, String, f64)>,
     Option<Bound<'py, PyBytes>>,
     Option<PathBuf>,
+    Option<Bound<'py, PyDict>>,
+    Option<Bound<'py, PyDict>>,
 );
 
 impl Result {
     /// Creates the result of a run.
     pub(crate) fn new(
         experiment: Arc<Experiment>,
+        entries: Entries,
         summary: Summary,
         fault: Option<FaultText>,
         log: StoredLog,
     ) -> PyResult<Self> {
         let json = serde_json::to_string(&summary).map_err(|error| refused(error.to_string(), None))?;
-        Ok(Self { experiment, summary: Box::new(summary), json, fault, log, read: PyOnceLock::new() })
+        Ok(Self {
+            experiment,
+            entries,
+            summary: Box::new(summary),
+            json,
+            fault,
+            log,
+            read: PyOnceLock::new(),
+        })
     }
 }
 
@@ -84,7 +97,7 @@ impl Result {
     /// The experiment that ran.
     #[getter]
     fn experiment(&self) -> crate::experiment::Experiment {
-        crate::experiment::Experiment::of(Arc::clone(&self.experiment))
+        crate::experiment::Experiment::of(Arc::clone(&self.experiment), self.entries.clone())
     }
 
     /// Outcome: "completed", "interrupted" or "faulted".
@@ -166,7 +179,8 @@ impl Result {
             StoredLog::Path(path) => (None, Some(path.clone())),
         };
         let build = py.import("opspace._opspace")?.getattr("_result_of_parts")?;
-        Ok((build, (experiment, self.json.clone(), fault, bytes, path)))
+        let [tasks, metrics] = self.entries.dictionaries(py);
+        Ok((build, (experiment, self.json.clone(), fault, bytes, path, tasks, metrics)))
     }
 }
 
@@ -191,6 +205,8 @@ pub(crate) fn result_of_parts(
     fault: Option<(u32, Option<String>, String, f64)>,
     bytes: Option<&[u8]>,
     path: Option<PathBuf>,
+    tasks: Option<&Bound<'_, PyDict>>,
+    metrics: Option<&Bound<'_, PyDict>>,
 ) -> PyResult<Result> {
     let summary: Summary =
         serde_json::from_str(&summary).map_err(|error| refused(error.to_string(), None))?;
@@ -199,7 +215,9 @@ pub(crate) fn result_of_parts(
         (_, Some(path)) => StoredLog::Path(path),
         (bytes, None) => StoredLog::Bytes(bytes.unwrap_or_default().into()),
     };
-    Result::new(Arc::new(of_bytes(experiment)?), summary, fault, log)
+    let entries = Entries::new(tasks, metrics)?;
+    let experiment = of_bytes(experiment, &entries)?;
+    Result::new(Arc::new(experiment), entries, summary, fault, log)
 }
 
 /// Table as HTML without style, which the notebook adds.

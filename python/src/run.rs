@@ -1,6 +1,7 @@
 //! Class `Run`: a control loop with its log, stepped by Python.
 
 use crate::control_loop::{signals, step};
+use crate::entries::Entries;
 use crate::errors::{FaultText, caught, of_log, of_run, refused};
 use crate::measured::{Measured, Returned};
 use crate::result::{Result, StoredLog};
@@ -21,6 +22,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 #[pyclass(frozen, module = "opspace")]
 pub(crate) struct Run {
     experiment: Arc<Experiment>,
+    entries: Entries,
     stepping: Mutex<Option<Stepping>>,
     simulation: Option<Arc<Mutex<Arm>>>,
     path: Option<PathBuf>,
@@ -29,6 +31,7 @@ pub(crate) struct Run {
 impl Run {
     pub(crate) fn new(
         experiment: Arc<Experiment>,
+        entries: Entries,
         sink: LogSink,
         path: Option<PathBuf>,
         simulation: Option<&Simulation>,
@@ -51,7 +54,7 @@ impl Run {
         };
         let run = caught(start)?.map_err(|error| of_run(&error, &[]))?;
         let stepping = Mutex::new(Some(Stepping::new(Stepped::Run(Box::new(run)))));
-        Ok(Self { experiment, stepping, simulation, path })
+        Ok(Self { experiment, entries, stepping, simulation, path })
     }
 
     fn lock(&self) -> MutexGuard<'_, Option<Stepping>> {
@@ -182,6 +185,6 @@ impl Run {
             }
             _ => None,
         };
-        Result::new(Arc::clone(experiment), summary, fault, log)
+        Result::new(Arc::clone(experiment), self.entries.clone(), summary, fault, log)
     }
 }

@@ -87,6 +87,14 @@ def test_robots_are_those_of_pinocchio(robot):
         )
         mass_matrix = np.triu(data.M) + np.triu(data.M, 1).T
         compare(worst, model, frame, mass_matrix, data.nle, jacobian)
+        pin.forwardKinematics(other, data, own_q, dq, np.zeros(model.n))
+        axes = other.getFrameId(frame), pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+        velocity = pin.getFrameVelocity(other, data, *axes).vector
+        acceleration = pin.getFrameClassicalAcceleration(other, data, *axes).vector
+        assert np.allclose(model.velocity(frame), velocity, atol=1e-12 * max(1.0, np.abs(velocity).max()))
+        assert np.allclose(
+            model.bias_acceleration(frame), acceleration, atol=1e-12 * max(1.0, np.abs(acceleration).max())
+        )
         position, quaternion = model.pose(frame)
         place = data.oMf[other.getFrameId(frame)]
         assert np.allclose(position, place.translation, atol=1e-13)

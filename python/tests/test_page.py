@@ -14,6 +14,7 @@ if __name__ == "__main__":
     assert len(results) == 4
     assert loop.phase == "control" and kind == "position" and values.shape == (7,)
     assert result.outcome == "completed" and observation.shape == (14,) and not terminated
+    assert 0.0 < range_rad < 1.0
     assert folder.name == "two-links" and experiment.joints == ["shoulder", "elbow"]
     assert inertia.shape == (3, 3) and states.jacobian.shape == (1000, 6, 7)
 """
