@@ -250,13 +250,14 @@ fn robot_with_the_values_of_a_template_runs() {
     assert!(error_m < 0.005, "{error_m} m");
 }
 
-/// `OPSPACE_SEED=7 cargo test --workspace --test all many_random_robots -- --ignored` draws others.
+/// `OPSPACE_SEED=7 cargo test --test all many_random_robots -- --ignored` draws others; `OPSPACE_ROBOTS` is their number.
 #[test]
 #[ignore = "more than ten seconds"]
 fn many_random_robots_run_without_a_value() {
     let seed = std::env::var("OPSPACE_SEED").map_or(2, |seed| seed.parse().unwrap());
     let mut random = Random(seed);
-    for _ in 0..20 {
+    let robots = std::env::var("OPSPACE_ROBOTS").map_or(20, |robots| robots.parse().unwrap());
+    for _ in 0..robots {
         let joints = random.between(1.0, 9.0) as usize;
         let urdf = random_urdf(&mut random, joints);
         runs_without_a_value(&urdf, &urdf);
