@@ -10,6 +10,7 @@ use crate::header::{Channel, GAPS, Header, LOG, TIME_ZERO_NS};
 use crate::outcome::{OUTCOME, OutcomeRecord};
 use crate::schema::{self, Shape};
 use crate::viewer::{Viewer, nanoseconds, warning};
+use crate::viewer_receiver::{ViewerReceiver, ViewerTopic};
 use mcap::records::MessageHeader;
 use mcap::write::{Metadata, NoSeek};
 use opspace_backend::Layout;
@@ -48,6 +49,7 @@ pub(crate) struct File<W: Write> {
     mcap: mcap::Writer<NoSeek<BufWriter<W>>>,
     rows: Vec<(Topic, Vec<Shape>)>,
     viewer: Option<(Viewer, Vec<Topic>)>,
+    receivers: Vec<Box<dyn ViewerReceiver>>,
     log: Topic,
     /// Size of the messages in the open chunk, bytes; and the time of the first one.
     chunk_bytes: usize,
@@ -59,10 +61,17 @@ pub(crate) struct File<W: Write> {
 }
 
 impl<W: Write> File<W> {
-    /// Writes the header and all definitions, which are known before the run.
-    pub fn create(sink: W, header: Header, channels: &[Channel]) -> Result<Self, LogError> {
+    /// Writes the header and all definitions, which are known before the run. `receivers` get what viewers see.
+    pub fn create(
+        sink: W,
+        header: Header,
+        channels: &[Channel],
+        mut receivers: Vec<Box<dyn ViewerReceiver>>,
+    ) -> Result<Self, LogError> {
         let layouts: Vec<&Layout> = channels.iter().map(|c| &c.layout).collect();
         let viewer = Viewer::new(&layouts, header.model, header.scene)?;
+        let shown: Vec<ViewerTopic> = viewer.iter().flat_map(Viewer::topics).map(described).collect();
+        receivers.iter_mut().for_each(|receiver| receiver.begin(&shown, &layouts));
         let mut mcap = mcap::WriteOptions::new()
             .profile("opspace")
             .library(concat!("opspace ", env!("CARGO_PKG_VERSION")))
@@ -105,6 +114,7 @@ impl<W: Write> File<W> {
             mcap,
             rows,
             viewer,
+            receivers,
             log,
             chunk_bytes: 0,
             chunk_from_ns: 0,
@@ -131,11 +141,13 @@ impl<W: Write> File<W> {
         self.message.clear();
         schema::encode(shapes, time_s, row, &mut self.message);
         self.chunk_bytes += put(&mut self.mcap, topic, ns, &self.message)?;
-        let Self { viewer: Some((viewer, topics)), mcap, message, chunk_bytes, .. } = self else {
+        self.receivers.iter_mut().for_each(|receiver| receiver.row(channel, time_s, row));
+        let Self { viewer: Some((viewer, topics)), mcap, message, chunk_bytes, receivers, .. } = self else {
             return Ok(());
         };
         viewer.show(channel, ns, row, &mut |topic, shown| {
             encode(shown, message);
+            receivers.iter_mut().for_each(|receiver| receiver.message(topic, ns, message));
             *chunk_bytes += put(mcap, &mut topics[topic], ns, message)?;
             Ok(())
         })
@@ -197,6 +209,18 @@ fn own_metadata() -> BTreeMap<String, String> {
         ("clock", clock.to_owned()),
     ];
     entries.into_iter().map(|(k, v)| (k.to_owned(), v)).collect()
+}
+
+/// Describes a topic for receivers.
+fn described((topic, kind): &(String, Kind)) -> ViewerTopic {
+    let [definition, messages] = kind.encodings;
+    ViewerTopic {
+        topic: topic.clone(),
+        encoding: messages.to_owned(),
+        schema_name: kind.name.to_owned(),
+        schema_encoding: definition.to_owned(),
+        schema: kind.definition.to_vec(),
+    }
 }
 
 /// Adds a topic of a message type for viewers.

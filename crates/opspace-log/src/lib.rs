@@ -63,6 +63,8 @@ pub mod replay_backend;
 mod schema;
 pub mod segments;
 mod viewer;
+mod viewer_messages;
+pub mod viewer_receiver;
 mod walk;
 
 pub use compare::{Comparer, Difference};
@@ -77,11 +79,12 @@ pub use log_file::{ChannelContents, LogFile};
 pub use mcap::MAGIC;
 pub use outcome::{OutcomeRecord, ReplayedCommands};
 pub use parts::PartDifference;
-pub use recorder::{Pace, Recorder, WriteStats, Writer, record};
+pub use recorder::{Pace, Recorder, WriteStats, Writer, record, record_with};
 pub use recording::{ChannelData, Column, Recording};
 pub use recover::{RECOVERED, Recovery, recover};
 pub use replay_backend::{LoggedTargets, ReplayBackend};
 pub use segments::SegmentRecorder;
+pub use viewer_receiver::{ViewerReceiver, ViewerTopic};
 
 /// Code examples of the README, compiled and run as doctests.
 #[cfg(doctest)]

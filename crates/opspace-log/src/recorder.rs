@@ -4,6 +4,7 @@ use crate::error::LogError;
 use crate::file::{File, Gap};
 use crate::header::{Channel, Header};
 use crate::outcome::OutcomeRecord;
+use crate::viewer_receiver::ViewerReceiver;
 use rtrb::{Consumer, Producer, RingBuffer};
 use std::collections::BTreeSet;
 use std::io::{self, Write};
@@ -84,11 +85,25 @@ pub fn record<W: Write + Send + 'static>(
     channels: Vec<Channel>,
     pace: Pace,
 ) -> Result<(Recorder, Writer<W>), LogError> {
+    record_with(sink, header, channels, pace, Vec::new())
+}
+
+/// Begins a log as [`record`] does. `receivers` get the messages for viewers and the rows, in the thread that writes them.
+///
+/// # Errors
+/// As [`record`].
+pub fn record_with<W: Write + Send + 'static>(
+    sink: W,
+    header: Header,
+    channels: Vec<Channel>,
+    pace: Pace,
+    receivers: Vec<Box<dyn ViewerReceiver>>,
+) -> Result<(Recorder, Writer<W>), LogError> {
     let mut names = BTreeSet::new();
     if let Some(c) = channels.iter().find(|c| !names.insert(c.layout.channel.as_str())) {
         return Err(LogError::DuplicateChannel { name: c.layout.channel.clone() });
     }
-    let file = File::create(sink, header, &channels)?;
+    let file = File::create(sink, header, &channels, receivers)?;
     let (producer, consumer) = RingBuffer::new(ring_size(&channels));
     let widths: Vec<usize> = channels.iter().map(|c| c.layout.width()).collect();
     let dropped = Arc::new(AtomicU64::new(0));
