@@ -6,10 +6,11 @@
 use nalgebra::Vector3;
 use opspace_backend::signal_names::EXTERNAL_CHANNEL;
 use opspace_backend::{Layout, SignalRecorder};
-use opspace_model::{Force, FrameId, Model};
-use std::sync::{Arc, Mutex, PoisonError};
+use opspace_model::{Force, FrameId, Model, Motion, Placement};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::vec::IntoIter;
 
-/// Force on the origin of a frame.
+/// Force on a frame: on its origin, or on a point that is fixed in it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ExternalForce {
     /// Frame on which it acts.
@@ -33,25 +34,57 @@ pub enum Pull {
     },
     /// Constant force and moment, world axes (N, Nm).
     Wrench(Force),
+    /// Spring from a point of the frame to a target point, and damper, as a hand that drags the point: `F = K (x_target − x) − B ẋ`,
+    /// shortened to the largest force.
+    Drag {
+        /// Point that is dragged, fixed in the frame, m.
+        point_m: Vector3<f64>,
+        /// Target point, world axes, m.
+        target_m: Vector3<f64>,
+        /// Stiffness K, N/m.
+        stiffness_n_per_m: f64,
+        /// Damping B, Ns/m.
+        damping_ns_per_m: f64,
+        /// Largest force, N.
+        largest_force_n: f64,
+    },
 }
 
 impl Pull {
-    /// Returns force and moment (world axes; N, Nm) on a frame at position `x` (m) with velocity `v` (m/s).
+    /// Returns force and moment (world axes; N, Nm) on the origin of a frame with this placement and velocity in the world (m, m/s).
     #[must_use]
-    pub fn wrench(&self, x: &Vector3<f64>, v: &Vector3<f64>) -> Force {
+    pub fn wrench(&self, placement: &Placement, velocity: &Motion) -> Force {
         match self {
             Self::Spring { target_m, stiffness_n_per_m, damping_ns_per_m } => Force {
-                linear: (target_m - x) * *stiffness_n_per_m - v * *damping_ns_per_m,
+                linear: (target_m - placement.translation) * *stiffness_n_per_m
+                    - velocity.linear * *damping_ns_per_m,
                 angular: Vector3::zeros(),
             },
             Self::Wrench(wrench) => *wrench,
+            Self::Drag { point_m, target_m, stiffness_n_per_m, damping_ns_per_m, largest_force_n } => {
+                let arm = placement.rotation * point_m;
+                let v = velocity.linear + velocity.angular.cross(&arm);
+                let force =
+                    (target_m - placement.translation - arm) * *stiffness_n_per_m - v * *damping_ns_per_m;
+                // A force of zero has no direction.
+                let shortened = (largest_force_n / force.norm()).min(1.0);
+                let linear = force * shortened;
+                Force { linear, angular: arm.cross(&linear) }
+            }
         }
     }
 }
 
 /// Handle that sets the external force on one arm, from any thread. Clones set the same force.
 #[derive(Clone, Debug, Default)]
-pub struct ExternalForceHandle(Arc<Mutex<Option<ExternalForce>>>);
+pub struct ExternalForceHandle(Arc<Mutex<Forces>>);
+
+/// Force that is set, or the forces of the cycles to come.
+#[derive(Debug, Default)]
+struct Forces {
+    set: Option<ExternalForce>,
+    recorded: Option<IntoIter<Option<ExternalForce>>>,
+}
 
 impl ExternalForceHandle {
     /// Sets the force from the next interface cycle on.
@@ -66,18 +99,40 @@ impl ExternalForceHandle {
 
     /// Sets the force, or removes it, from the next interface cycle on.
     pub fn set(&self, force: Option<ExternalForce>) {
-        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = force;
+        *self.lock() = Forces { set: force, recorded: None };
+    }
+
+    /// Applies these forces in the next interface cycles, one in each, and none after them: those of a log, to repeat its
+    /// simulation.
+    pub fn repeat(&self, forces: Vec<Option<ExternalForce>>) {
+        *self.lock() = Forces { set: None, recorded: Some(forces.into_iter()) };
     }
 
     /// Force that is set, if any.
     #[must_use]
     pub fn get(&self) -> Option<ExternalForce> {
-        *self.0.lock().unwrap_or_else(PoisonError::into_inner)
+        self.lock().set
+    }
+
+    /// Returns the force of an interface cycle that begins.
+    pub(crate) fn of_next_cycle(&self) -> Option<ExternalForce> {
+        let mut forces = self.lock();
+        if let Some(recorded) = &mut forces.recorded {
+            forces.set = recorded.next().flatten();
+        }
+        forces.set
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Forces> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
 /// Number of values in a row.
-const WIDTH: usize = 16;
+const WIDTH: usize = 20;
+
+/// Number of values before those of a point and a largest force, which older logs do not have.
+const OLDER_WIDTH: usize = 16;
 
 /// Layout of the channel `external`.
 #[must_use]
@@ -89,6 +144,7 @@ pub fn layout() -> Layout {
 /// Records the force that is set, the index of its frame, and the force that acted in the last step (N).
 fn record(set: Option<Pull>, frame: f64, acting: &Vector3<f64>, out: &mut SignalRecorder<'_>) {
     let (mut target, mut gains, mut wrench) = ([f64::NAN; 3], [f64::NAN; 2], [f64::NAN; 6]);
+    let (mut point, mut largest) = ([f64::NAN; 3], f64::NAN);
     let pull = match set {
         None => 0.0,
         Some(Pull::Spring { target_m, stiffness_n_per_m, damping_ns_per_m }) => {
@@ -100,19 +156,27 @@ fn record(set: Option<Pull>, frame: f64, acting: &Vector3<f64>, out: &mut Signal
             wrench = [linear.x, linear.y, linear.z, angular.x, angular.y, angular.z];
             2.0
         }
+        Some(Pull::Drag { point_m, target_m, stiffness_n_per_m, damping_ns_per_m, largest_force_n }) => {
+            target = target_m.into();
+            gains = [stiffness_n_per_m, damping_ns_per_m];
+            (point, largest) = (point_m.into(), largest_force_n);
+            3.0
+        }
     };
     let axes = ["x", "y", "z"];
-    out.signal("pull", "1", &["0 none, 1 spring, 2 wrench"], &[pull]);
+    out.signal("pull", "1", &["0 none, 1 spring, 2 wrench, 3 drag"], &[pull]);
     out.signal("frame", "1", &["index in the model"], &[frame]);
     out.signal("target", "m", &axes, &target);
     out.scalar("stiffness", "N/m", gains[0]);
     out.scalar("damping", "Ns/m", gains[1]);
     out.signal("wrench", "N,Nm", &["fx", "fy", "fz", "mx", "my", "mz"], &wrench);
     out.signal("force", "N", &axes, acting.as_slice());
+    out.signal("point", "m", &axes, &point);
+    out.scalar("largest_force", "N", largest);
 }
 
 /// Returns the external force of a row of the channel `external`; `None` if no force was set, or if the row doesn't fit
-/// the model.
+/// the model. Rows of older logs, which have no point, are decoded too.
 #[must_use]
 pub fn decode(row: &[f64], model: &Model) -> Option<ExternalForce> {
     let [pull, frame, tx, ty, tz, stiffness, damping, fx, fy, fz, mx, my, mz, ..] = *row else {
@@ -125,6 +189,16 @@ pub fn decode(row: &[f64], model: &Model) -> Option<ExternalForce> {
             damping_ns_per_m: damping,
         },
         2.0 => Pull::Wrench(Force { linear: Vector3::new(fx, fy, fz), angular: Vector3::new(mx, my, mz) }),
+        3.0 => {
+            let [px, py, pz, largest_force_n] = *row.get(OLDER_WIDTH..)?.first_chunk()?;
+            Pull::Drag {
+                point_m: Vector3::new(px, py, pz),
+                target_m: Vector3::new(tx, ty, tz),
+                stiffness_n_per_m: stiffness,
+                damping_ns_per_m: damping,
+                largest_force_n,
+            }
+        }
         _ => return None,
     };
     let frame = model.frames().get(frame as usize)?;

@@ -156,7 +156,7 @@ impl ArmInterface {
             drives.begin_cycle();
         }
         if let Some(handle) = &self.external {
-            let force = handle.get();
+            let force = handle.of_next_cycle();
             self.rows.add_external(force.as_ref(), &plant.external_force(self.index));
             plant.push(self.index, force);
         }

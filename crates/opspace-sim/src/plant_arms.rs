@@ -222,8 +222,10 @@ impl MovingArm {
             self.contacts[index].force = self.objects[index].force(time_s, dt_s, &x, &v);
         }
         if let Some(force) = self.external.set {
-            let (x, v) = self.point(force.frame);
-            self.external.wrench = force.pull.wrench(&x, &v);
+            let middle = self.integrator.middle();
+            let placement = frame_placement(&self.model, middle, force.frame);
+            let velocity = frame_velocity(&self.model, middle, force.frame);
+            self.external.wrench = force.pull.wrench(&placement, &velocity);
         }
     }
 

@@ -118,13 +118,13 @@ fn external_forces_are_read_and_recorded_every_cycle() {
     let first = rows(&arm).remove(0).1;
     assert_eq!(first.len(), width);
     assert_eq!(&first[2..5], target_m.as_slice());
-    assert_eq!(&first[13..], [0.0; 3], "it acts from this cycle on");
+    assert_eq!(&first[13..16], [0.0; 3], "it acts from this cycle on");
     assert_eq!(external::decode(&first, &model), Some(ExternalForce { frame, pull }));
     assert_eq!(handle.get(), Some(ExternalForce { frame, pull }));
     for _ in 0..600 {
         sample = read(&mut arm);
     }
-    let force = Vector3::from_column_slice(&rows(&arm).remove(0).1[13..]);
+    let force = Vector3::from_column_slice(&rows(&arm).remove(0).1[13..16]);
     let (_, x) = hand(&config, &arm.true_q());
     let expected = (target_m - x) * STIFFNESS;
     assert!(expected.norm() > 5.0 && (force - expected).norm() < 1e-3, "{force} for {expected}");
@@ -142,7 +142,74 @@ fn external_forces_are_read_and_recorded_every_cycle() {
     read(&mut arm);
     assert_eq!(external::decode(&rows(&arm)[0].1, &model), None);
     read(&mut arm);
-    assert_eq!(&rows(&arm)[0].1[13..], [0.0; 3]);
+    assert_eq!(&rows(&arm)[0].1[13..16], [0.0; 3]);
+}
+
+/// Compared: the force of a drag in the rows and, at rest, its stiffness times the distance of the dragged point from the target; the
+/// force beyond the largest one, and the largest one; the force decoded from a row and the force that was set. A row of an older log
+/// has no point.
+#[test]
+fn drag_acts_on_a_point_and_has_a_largest_force() {
+    const STIFFNESS: f64 = 150.0;
+    let config = arm_with_external_forces(CommandKind::Position);
+    let model = config.model.clone();
+    let frame = model.frame_id("hand").expect("the hand");
+    let point_m = Vector3::new(0.02, -0.05, 0.04);
+    let mut arm = arm(config.clone());
+    let handle = arm.external_force().expect("it may be pulled");
+    let placed = |arm: &SimulatedArm| {
+        let mut data = Data::new(&model);
+        kinematics(&model, &mut data, arm.true_q().as_slice(), &[0.0; 4]);
+        let hand = frame_placement(&model, &data, frame);
+        (hand.translation + hand.rotation * point_m, hand)
+    };
+    let target_m = placed(&arm).0 + Vector3::new(0.1, 0.05, -0.02);
+    let drag = |largest_force_n| Pull::Drag {
+        point_m,
+        target_m,
+        stiffness_n_per_m: STIFFNESS,
+        damping_ns_per_m: 4.0,
+        largest_force_n,
+    };
+    for (largest_force_n, is_reached) in [(60.0, false), (3.0, true)] {
+        let pull = drag(largest_force_n);
+        handle.apply(frame, pull);
+        (0..800).for_each(|_| drop(read(&mut arm)));
+        let row = rows(&arm).remove(0).1;
+        assert_eq!(external::decode(&row, &model), Some(ExternalForce { frame, pull }));
+        assert_eq!(external::decode(&row[..16], &model), None);
+        let (force, (x, _)) = (Vector3::from_column_slice(&row[13..16]), placed(&arm));
+        let spring = (target_m - x) * STIFFNESS;
+        let expected = if is_reached { spring * (largest_force_n / spring.norm()) } else { spring };
+        assert!(spring.norm() > 5.0 && (force - expected).norm() < 1e-3, "{force} for {expected}");
+    }
+    let (x, hand) = placed(&arm);
+    let wrench = drag(3.0).wrench(&hand, &opspace_model::Motion::zero());
+    let moment = (x - hand.translation).cross(&wrench.linear);
+    assert!((wrench.angular - moment).norm() < 1e-12 && moment.norm() > 0.01);
+}
+
+/// Compared: true states of an arm under forces set in each cycle, and of one that repeats the forces of its rows.
+#[test]
+fn forces_of_a_log_repeat_its_simulation() {
+    let config = arm_with_external_forces(CommandKind::Position);
+    let model = config.model.clone();
+    let frame = model.frame_id("hand").expect("the hand");
+    let mut pulled = arm(config.clone());
+    let handle = pulled.external_force().expect("it may be pulled");
+    let mut logged = Vec::new();
+    for cycle in 0..200 {
+        let target_m = Vector3::new(0.5, 1e-3 * f64::from(cycle), 0.4);
+        let pull = Pull::Spring { target_m, stiffness_n_per_m: 100.0, damping_ns_per_m: 1.0 };
+        handle.set((cycle % 50 > 20).then_some(ExternalForce { frame, pull }));
+        read(&mut pulled);
+        logged.extend(rows(&pulled).iter().map(|(_, row)| external::decode(row, &model)));
+    }
+    let mut repeated = arm(config);
+    repeated.external_force().expect("it may be pulled").repeat(logged);
+    (0..200).for_each(|_| drop(read(&mut repeated)));
+    assert_eq!((pulled.true_q(), pulled.true_dq()), (repeated.true_q(), repeated.true_dq()));
+    assert_ne!(pulled.true_q(), DVector::from_column_slice(&START));
 }
 
 /// Compared: layouts and true states of an arm that accepts external forces but receives none, and of an arm that
