@@ -49,6 +49,21 @@ pub struct Driven<'a, 'b> {
 /// # Panics
 /// If the timeline or a link refers to a robot that is not in `robots`.
 pub fn drive_together(robots: &mut [Driven<'_, '_>], links: &mut [Link], timeline: &mut Timeline) {
+    drive_together_with(robots, links, timeline, &mut |_, _, _| true);
+}
+
+/// Drives several robots as [`drive_together`] does. `before` is called before each cycle of a run that is not over, with the numbers
+/// of the robot and of the cycle; it may write the targets of the cycle, and returns false if there are no
+/// further cycles of any robot.
+///
+/// # Panics
+/// As [`drive_together`].
+pub fn drive_together_with(
+    robots: &mut [Driven<'_, '_>],
+    links: &mut [Link],
+    timeline: &mut Timeline,
+    before: &mut dyn FnMut(usize, u64, &mut Run<'_>) -> bool,
+) {
     let mut samples: Vec<Sample> = robots.iter_mut().map(|robot| prepare(robot.backend, robot.run)).collect();
     let mut calls: Vec<DriverCalls> =
         robots.iter().map(|robot| DriverCalls::new(robot.backend.capabilities())).collect();
@@ -58,6 +73,9 @@ pub fn drive_together(robots: &mut [Driven<'_, '_>], links: &mut [Link], timelin
             let Driven { backend, run } = &mut robots[next.robot];
             if run.is_over() || is_lost(*backend, timeline.number(next)) {
                 continue;
+            }
+            if !before(next.robot, timeline.number(next), run) {
+                break;
             }
             let of_driver = &mut calls[next.robot];
             cycle(*backend, of_driver, run, &mut samples[next.robot], &mut |run, clock_s| {

@@ -65,6 +65,7 @@ pub mod high_pass;
 pub mod link;
 pub mod loop_config;
 mod oscillation_detector;
+pub mod pacer;
 pub mod phase;
 mod reference_motion;
 mod retraction;
@@ -82,11 +83,12 @@ pub use collision_detector::{
     CollisionDetectionParameters, CollisionDetector, CollisionReaction, ExpectedContact,
 };
 pub use control_loop::{ControlLoop, Step};
-pub use drive::{Driven, drive, drive_together, drive_with};
+pub use drive::{Driven, drive, drive_together, drive_together_with, drive_with};
 pub use estimated_force::{EstimatedForce, EstimatedForceParameters};
 pub use fault::Fault;
 pub use link::{ChannelParameters, Link, LinkError};
 pub use loop_config::{LoopConfig, LoopError};
+pub use pacer::{PaceControl, Pacer, SteadyClock, SystemClock};
 pub use phase::Phase;
 pub use retraction::RetractionParameters;
 pub use run::{Run, RunOutcome};
