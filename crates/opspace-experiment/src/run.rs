@@ -2,6 +2,7 @@
 
 mod capabilities;
 pub mod collision;
+pub mod companion;
 mod comparisons;
 pub mod compliance;
 pub(crate) mod coupling_expectations;
@@ -21,6 +22,7 @@ mod path_dynamics;
 pub mod physics;
 mod placed_finding;
 pub mod real_robot;
+mod repeat;
 pub mod replay;
 pub mod result_files;
 pub mod robot_logs;

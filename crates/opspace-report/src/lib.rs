@@ -32,4 +32,6 @@ pub mod what_if;
 
 pub use move_to_start::move_to_start;
 pub use run_figures::FigureKind;
-pub use scenario_run::{LeftBehind, run_in_folder, run_on_drivers, summary_and_page};
+pub use scenario_run::{
+    LeftBehind, run_arms_in_folder, run_in_folder, run_on_drivers, run_on_drivers_with, summary_and_page,
+};

@@ -28,7 +28,8 @@ pub fn move_to_start(
         let Some(motion) = experiment.motion_to_start(&positions(backend)?)? else { return Ok(None) };
         motion.check_robot(backend)?;
         let folder = ResultFolder::open(folder)?;
-        let summary = run_robots(&Scenario::from(motion), &mut [backend], &folder, progress, left_behind)?;
+        let summary =
+            run_robots(&Scenario::from(motion), &mut [backend], &folder, progress, (&mut (), left_behind))?;
         Ok(summary.robots.into_values().next())
     })
 }

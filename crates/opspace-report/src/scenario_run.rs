@@ -2,7 +2,7 @@
 
 use crate::coupling_figures::coupling_figures;
 use crate::coupling_pages::coupling_page;
-use crate::document::RunSection;
+use crate::document::{RunSection, page};
 use crate::figure::Figure;
 use crate::folder::{
     NewLog, finish_folder, finish_left_behind as finish_log_left_behind, save, save_summary,
@@ -12,12 +12,15 @@ use opspace_experiment::evaluate::run_summary::{CouplingsEvaluator, RunSummary};
 use opspace_experiment::evaluate::summary::Summary;
 use opspace_experiment::extensions::Extensions;
 use opspace_experiment::files::source::FileError;
+use opspace_experiment::metrics::columns::default_columns;
+use opspace_experiment::run::companion::Companion;
 use opspace_experiment::run::error::RunError;
 use opspace_experiment::run::execute::{LogCloser, Progress};
 use opspace_experiment::run::result_files::{LOG, REPORT, ResultFolder};
 use opspace_experiment::run::robot_watch::RobotWatch;
 use opspace_experiment::run::scenario::Scenario;
-use opspace_log::{LogError, LogFile, OutcomeRecord};
+use opspace_log::{LogError, LogFile, OutcomeRecord, ViewerReceiver};
+use opspace_sim::SimulatedArm;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -45,10 +48,23 @@ pub fn run_in_folder(
     folder: &ResultFolder,
     progress: &Progress,
 ) -> Result<RunSummary, RunError> {
-    let mut arms = scenario.simulated_arms()?;
+    run_arms_in_folder(scenario, &mut scenario.simulated_arms()?, folder, progress, &mut ())
+}
+
+/// Runs the scenario in a folder as [`run_in_folder`] does, on simulated arms of the caller, in its order, and with a companion.
+///
+/// # Errors
+/// As [`run_in_folder`].
+pub fn run_arms_in_folder(
+    scenario: &Scenario,
+    arms: &mut [SimulatedArm],
+    folder: &ResultFolder,
+    progress: &Progress,
+    companion: &mut dyn Companion,
+) -> Result<RunSummary, RunError> {
     let mut robots: Vec<&mut dyn Backend> = arms.iter_mut().map(|arm| arm as &mut dyn Backend).collect();
     // Simulated robots are not watched.
-    run_robots(scenario, &mut robots, folder, progress, &|_| {})
+    run_robots(scenario, &mut robots, folder, progress, (companion, &|_| {}))
 }
 
 /// Runs the scenario in a folder as [`run_in_folder`] does, with the real robots opened by drivers in
@@ -68,6 +84,20 @@ pub fn run_on_drivers(
     progress: &Progress,
     left_behind: LeftBehind<'_>,
 ) -> Result<RunSummary, RunError> {
+    run_on_drivers_with(scenario, extensions, folder, progress, (&mut (), left_behind))
+}
+
+/// Runs the scenario as [`run_on_drivers`] does, with a companion beside the function for robots that cannot be reached.
+///
+/// # Errors
+/// As [`run_on_drivers`].
+pub fn run_on_drivers_with(
+    scenario: &Scenario,
+    extensions: &Extensions,
+    folder: &ResultFolder,
+    progress: &Progress,
+    (companion, left_behind): (&mut dyn Companion, LeftBehind<'_>),
+) -> Result<RunSummary, RunError> {
     if let (Some(robot), Some(object)) = (scenario.real_robots().first(), scenario.objects.keys().next()) {
         let message =
             format!("objects are simulated, but robot '{robot}' is real: its robot.toml has a [driver]");
@@ -75,7 +105,7 @@ pub fn run_on_drivers(
         return Err(FileError::at_key(&scenario.source, ["objects", object], message, help).into());
     }
     with_robots(scenario, extensions, Vec::new(), &mut |robots| {
-        run_robots(scenario, robots, folder, progress, left_behind)
+        run_robots(scenario, robots, folder, progress, (&mut *companion, left_behind))
     })
 }
 
@@ -104,7 +134,7 @@ pub(crate) fn run_robots(
     robots: &mut [&mut dyn Backend],
     folder: &ResultFolder,
     progress: &Progress,
-    left_behind: LeftBehind<'_>,
+    (companion, left_behind): (&mut dyn Companion, LeftBehind<'_>),
 ) -> Result<RunSummary, RunError> {
     // A single robot has no folder of its own.
     let members = scenario.members.iter().filter(|_| scenario.single().is_none());
@@ -121,19 +151,22 @@ pub(crate) fn run_robots(
     let closers = Mutex::new(Vec::new());
     // The robots are opened in their order.
     let mut files = files.into_iter();
-    let open = |number: usize, capabilities: &Capabilities, truth| {
-        let file = files.next().ok_or_else(|| RunError::Incomplete { what: "a log".to_owned() })?;
-        let (control, log) = scenario.members[number].experiment.open(capabilities, truth, file, progress)?;
-        lock(&closers).push(log.closer());
-        Ok((control, log))
-    };
+    let open =
+        |number: usize, capabilities: &Capabilities, truth, receivers: Vec<Box<dyn ViewerReceiver>>| {
+            let file = files.next().ok_or_else(|| RunError::Incomplete { what: "a log".to_owned() })?;
+            let experiment = &scenario.members[number].experiment;
+            let (control, log) = experiment.open_with(capabilities, truth, file, progress, receivers)?;
+            lock(&closers).push(log.closer());
+            Ok((control, log))
+        };
     let give_up = |silent_s: f64| {
         let closed = close_left_behind(scenario, silent_s, progress, &lock(&closers));
         left_behind(closed.and_then(|record| finish_left_behind(scenario, folder, &folders, &logs, &record)));
     };
     let watch = RobotWatch::new(scenario, robots, progress);
-    let driven =
-        created.and_then(|()| watched(watch, give_up, || scenario.drive_robots(robots, progress, open)));
+    let driven = created.and_then(|()| {
+        watched(watch, give_up, || scenario.drive_robots_with(robots, progress, companion, open))
+    });
     let driven = driven.inspect_err(|_| logs.iter().for_each(NewLog::discard))?;
     let mut summaries = Vec::new();
     for (((experiment, own), log), (sink, outcome)) in
@@ -185,6 +218,9 @@ fn finish_left_behind(
 fn finish(scenario: &Scenario, folder: &ResultFolder, robots: Vec<Summary>) -> Result<RunSummary, RunError> {
     match scenario.single() {
         Some(_) => Ok(CouplingsEvaluator::new(scenario).finish(robots)),
+        None if scenario.couplings.is_empty() && scenario.objects.is_empty() => {
+            write_comparison(scenario, folder.path(), robots)
+        }
         None => write_pages(scenario, folder.path(), robots),
     }
 }
@@ -217,6 +253,26 @@ fn write_pages(scenario: &Scenario, folder: &Path, robots: Vec<Summary>) -> Resu
     let (mut summary, html) = summary_and_page(scenario, &logs.collect::<Result<Vec<_>, _>>()?, robots)?;
     summary.not_saved.extend(save(folder, REPORT, &html));
     summary.not_saved.extend(save_summary(folder, &summary)?);
+    Ok(summary)
+}
+
+/// Writes the page about robots that ran side by side.
+fn write_comparison(
+    scenario: &Scenario,
+    folder: &Path,
+    robots: Vec<Summary>,
+) -> Result<RunSummary, RunError> {
+    let mut sections = Vec::new();
+    for (member, robot) in scenario.members.iter().zip(&robots) {
+        let log = LogFile::open(folder.join(&member.name).join(LOG))?;
+        sections.push(RunSection::of_file(&member.experiment, &log, robot.clone())?);
+    }
+    let added =
+        scenario.experiments().next().map(|experiment| default_columns(experiment.task().tables.added()));
+    let lead = "The same task on several robots, under the same external forces.";
+    let html = page(&scenario.name(), lead, &robots, &added.unwrap_or_default(), &sections);
+    let mut summary = CouplingsEvaluator::new(scenario).finish(robots);
+    summary.not_saved.extend(save(folder, REPORT, &html));
     Ok(summary)
 }
 

@@ -5,7 +5,7 @@ use crate::run::experiment::Experiment;
 use opspace_backend::{Backend, Capabilities, GroundTruth, Layout, SERVO, Sink, TruthLayouts, World};
 use opspace_log::{
     Channel, LogError, LoggedTargets, OutcomeRecord, Pace, Recorder, Recording, ReplayBackend,
-    ReplayedCommands, WriteStats, Writer, record,
+    ReplayedCommands, ViewerReceiver, WriteStats, Writer, record_with,
 };
 use opspace_loop::{ControlLoop, Fault, Run, RunOutcome, drive, drive_with};
 use std::io::{self, Write};
@@ -273,12 +273,29 @@ impl Experiment {
         sink: W,
         progress: &Progress,
     ) -> Result<(ControlLoop, OpenLog<W>), RunError> {
+        self.open_with(capabilities, truth, sink, progress, Vec::new())
+    }
+
+    /// Returns control loop and log as [`open`](Self::open) does. `receivers` get the messages for viewers and the rows, in the thread
+    /// that writes the log.
+    ///
+    /// # Errors
+    /// As [`open`](Self::open).
+    pub fn open_with<W: Write + Send + 'static>(
+        &self,
+        capabilities: &Capabilities,
+        truth: Option<TruthLayouts>,
+        sink: W,
+        progress: &Progress,
+        receivers: Vec<Box<dyn ViewerReceiver>>,
+    ) -> Result<(ControlLoop, OpenLog<W>), RunError> {
         let (control, channels) = self.prepare(capabilities, truth)?;
         let pace = match capabilities.world {
             World::Simulated => Pace::Simulated,
             World::Real => Pace::RealTime,
         };
-        let (recorder, writer) = record(sink, self.header(capabilities.world), channels, pace)?;
+        let header = self.header(capabilities.world);
+        let (recorder, writer) = record_with(sink, header, channels, pace, receivers)?;
         let shared = Shared {
             writer: Mutex::new(Some(writer)),
             cycles: AtomicU64::new(0),

@@ -14,6 +14,7 @@ use crate::files::origin::{Files, Kind, beside};
 use crate::files::overrides;
 use crate::files::source::{FileError, Source, checked, parse};
 use crate::files::toml_path::{depth_of, dotted};
+use crate::run::companion::Companion;
 use crate::run::coupling_expectations::check_expectations;
 use crate::run::couplings::{Coupling, SEEDS_OF_A_SCENARIO, couplings, links, task_settings};
 use crate::run::error::RunError;
@@ -23,9 +24,10 @@ use crate::run::member::Member;
 use crate::run::membership::Membership;
 use crate::transformers::check_name;
 use opspace_backend::{Backend, Capabilities, CommandKind, GroundTruth, Sink, TruthLayouts};
-use opspace_loop::{ControlLoop, Driven, Run, RunOutcome, Timeline, TimelineError, drive_together};
+use opspace_log::ViewerReceiver;
+use opspace_loop::{ControlLoop, Driven, Run, RunOutcome, Timeline, TimelineError, drive_together_with};
 use opspace_sim::{
-    HeldObjectConfig, HeldObjectParameters, Key, PhysicsEngine, SimulatedArm, SimulationConfig,
+    ArmConfig, HeldObjectConfig, HeldObjectParameters, Key, PhysicsEngine, SimulatedArm, SimulationConfig,
     SimulationError,
 };
 use std::collections::BTreeMap;
@@ -221,6 +223,21 @@ impl Scenario {
         }
     }
 
+    /// Combines several robots, with their names, that run side by side without couplings, for comparison.
+    ///
+    /// # Errors
+    /// A robot whose rate is not a whole number of hertz.
+    pub fn beside(robots: Vec<(String, Experiment)>) -> Result<Self, FileError> {
+        let members = robots.into_iter().map(|(name, experiment)| {
+            let source = experiment.task().source.clone();
+            Member::new(&name, experiment, &source)
+        });
+        let members = members.collect::<Result<Vec<_>, _>>()?;
+        let first = members.first().map(|member| Self::from(member.experiment.clone()));
+        let first = first.ok_or_else(|| FileError::of_file("", "at least one robot is needed", None))?;
+        Ok(Self { members, ..first })
+    }
+
     /// Experiment of the robot, if there is only one.
     #[must_use]
     pub fn single(&self) -> Option<&Experiment> {
@@ -312,14 +329,36 @@ impl Scenario {
         progress: &Progress,
         mut open: impl FnMut(usize, &Capabilities, Option<TruthLayouts>) -> Result<(ControlLoop, S), RunError>,
     ) -> Result<Vec<(S, RunOutcome)>, RunError> {
+        let open = |number, capabilities: &Capabilities, truth, _| open(number, capabilities, truth);
+        self.drive_robots_with(robots, progress, &mut (), open)
+    }
+
+    /// Runs the scenario on these robots as [`drive_robots`](Self::drive_robots) does, with a companion. `open` gets its receivers too.
+    pub fn drive_robots_with<S: Sink>(
+        &self,
+        robots: &mut [&mut dyn Backend],
+        progress: &Progress,
+        companion: &mut dyn Companion,
+        mut open: impl FnMut(
+            usize,
+            &Capabilities,
+            Option<TruthLayouts>,
+            Vec<Box<dyn ViewerReceiver>>,
+        ) -> Result<(ControlLoop, S), RunError>,
+    ) -> Result<Vec<(S, RunOutcome)>, RunError> {
         let mut loops = Vec::new();
         let mut sinks = Vec::new();
+        let mut periods_s = Vec::new();
         for (number, robot) in robots.iter().enumerate() {
             let truth = robot.ground_truth().map(GroundTruth::layouts);
-            let (control, sink) = open(number, robot.capabilities(), truth)?;
+            periods_s.push(robot.capabilities().period_s);
+            let (control, sink) = open(number, robot.capabilities(), truth, companion.receivers(number))?;
             loops.push(control);
             sinks.push(sink);
         }
+        let mut before = |robot: usize, cycle: u64, run: &mut Run<'_>| {
+            companion.before_cycle(robot, cycle as f64 * periods_s[robot], run)
+        };
         let rates: Vec<u32> = self.members.iter().map(|member| member.rate_hz).collect();
         let mistake =
             |error: TimelineError| FileError::at_key(&self.source, "robots", error.to_string(), None);
@@ -339,7 +378,7 @@ impl Scenario {
             .zip(&mut runs)
             .map(|(robot, run)| Driven { backend: &mut **robot, run })
             .collect();
-        progress.driving(|| drive_together(&mut driven, &mut links, &mut timeline));
+        progress.driving(|| drive_together_with(&mut driven, &mut links, &mut timeline, &mut before));
         drop(driven);
         let outcomes: Vec<RunOutcome> = runs.into_iter().map(Run::finish).collect();
         Ok(sinks.into_iter().zip(outcomes).collect())
@@ -347,11 +386,24 @@ impl Scenario {
 
     /// Arms of the simulation: each in a plant of its own, or all in one if hands hold an object.
     pub fn simulated_arms(&self) -> Result<Vec<SimulatedArm>, FileError> {
+        self.arms(false)
+    }
+
+    /// Arms of the simulation as [`simulated_arms`](Self::simulated_arms), on which a program may apply external forces.
+    pub fn pushable_arms(&self) -> Result<Vec<SimulatedArm>, FileError> {
+        self.arms(true)
+    }
+
+    fn arms(&self, external_forces: bool) -> Result<Vec<SimulatedArm>, FileError> {
+        let config = |experiment: &Experiment| {
+            experiment.arm_config().map(|config| ArmConfig { external_forces, ..config })
+        };
         if self.objects.is_empty() {
-            return self.experiments().map(Experiment::simulated_arm).collect();
+            let arm = |experiment: &Experiment| experiment.simulated_arm_of(config(experiment)?);
+            return self.experiments().map(arm).collect();
         }
         let names: Vec<String> = self.members.iter().map(|member| member.name.clone()).collect();
-        let arms = self.members.iter().map(|member| member.experiment.arm_config());
+        let arms = self.experiments().map(config);
         let objects = self.objects.iter().map(|(name, object)| HeldObjectConfig {
             name: name.clone(),
             arms: names.clone(),
