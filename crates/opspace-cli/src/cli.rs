@@ -4,6 +4,7 @@ use crate::browser;
 use crate::console::Console;
 use crate::plant::{PlantChoice, plant_choice, plant_forms};
 use crate::shard::{ShardChoice, shard_choice};
+use crate::view_address::{Side, ViewAddress, side, view_address};
 use clap::builder::{PossibleValue, PossibleValuesParser, StyledStr, TypedValueParser};
 use clap::error::{ContextKind, ContextValue};
 use clap::{Arg, Args, Parser, Subcommand, ValueEnum};
@@ -181,6 +182,41 @@ impl OpenArgs {
     }
 }
 
+/// Live view of a run.
+#[derive(Debug, Args)]
+pub struct ViewArgs {
+    /// Show the run in a browser while it takes place, in real time, and pull a simulated robot by hand. The page is at ADDRESS: a port,
+    /// or HOST:PORT [default: 127.0.0.1:8765]. Only this computer reaches the page, unless the host is another one; the page then has a
+    /// token. The run begins when a page connects. The view remains until Ctrl-C, or until no page is connected.
+    #[arg(
+        long,
+        value_name = "ADDRESS",
+        num_args = 0..=1,
+        require_equals = true,
+        default_missing_value = "",
+        value_parser = view_address,
+        conflicts_with = "log"
+    )]
+    pub view: Option<ViewAddress>,
+}
+
+/// Show a log in a browser, as a run is shown with `opspace run --view`: play it, go to any time, slow it down.
+#[derive(Debug, Parser)]
+#[command(
+    name = "view",
+    after_help = "\
+In the folder of an experiment with several robots, shows all of them. The view remains until Ctrl-C."
+)]
+pub struct ViewLogArgs {
+    /// A log (run.mcap) or the folder of a run, or that of several robots.
+    pub log: PathBuf,
+
+    /// Address of the page: a port, or HOST:PORT [default: 127.0.0.1:8765]. Only this computer reaches the page, unless the host is
+    /// another one; the page then has a token.
+    #[arg(long, value_name = "ADDRESS", value_parser = view_address)]
+    pub at: Option<ViewAddress>,
+}
+
 /// Refusals that the user allows.
 #[derive(Debug, Args)]
 pub struct AllowArgs {
@@ -239,6 +275,8 @@ Examples:
   opspace run tasks/compliant-x.toml --set robot.simulated.true_over_nominal.kp=1.02
   opspace run tasks/panda-reach.toml --plant mujoco
   opspace run tasks/panda-reach.toml --open
+  opspace run tasks/compliant-x.toml --view
+  opspace run tasks/compliant-x.toml --view --beside torque --beside ik
   opspace run tasks/cartesian-tracking.toml --backend replay --log runs/compliant-x-asimo-arm-position
   opspace run tasks/experiments/teleop-wall.toml --set leader.task.hand.coupled.damping_ns_per_m=8
 
@@ -297,6 +335,14 @@ pub struct RunArgs {
     /// Plant of the simulation, its rigid bodies and contacts.
     #[arg(long, value_name = "PLANT", value_parser = unlisted_plant, default_value = OWN_PLANT, conflicts_with = "move_to_start")]
     pub plant: PlantChoice,
+
+    #[command(flatten)]
+    pub view: ViewArgs,
+
+    /// With --view: the same task also on a robot with this interface, or with this controller, in the same view: position, velocity,
+    /// torque, ik or ik-lead. The hand pulls all of them. Can be repeated.
+    #[arg(long, value_name = "ROBOT", value_parser = side, requires = "view", conflicts_with = "log")]
+    pub beside: Vec<Side>,
 
     #[command(flatten)]
     pub allow: AllowArgs,
@@ -452,6 +498,11 @@ pub struct ReplayArgs {
     /// Override a value of the task file, or, with the prefix `robot.`, of the robot file. Can be repeated.
     #[arg(long, value_name = "KEY=VALUE")]
     pub set: Vec<String>,
+
+    /// Simulate the run of the log again, from its files and seed, its targets and the external forces on the robot, and compare every
+    /// message of the two logs.
+    #[arg(long, conflicts_with_all = ["task", "controller", "transformer", "set", "report"])]
+    pub simulate: bool,
 
     /// With one of these: also write a page with the logged and the recomputed torques and their difference.
     #[arg(long, value_name = "FILE.html")]

@@ -2,10 +2,10 @@
 
 use crate::cli::{
     BenchArgs, CheckArgs, Cli, CompletionArgs, ExplainArgs, IdentifyArgs, LogArgs, MergeArgs, ModelArgs,
-    NewArgs, ReplayArgs, ReportArgs, RunArgs, SchemaArgs, with_names,
+    NewArgs, ReplayArgs, ReportArgs, RunArgs, SchemaArgs, ViewLogArgs, with_names,
 };
 use crate::commands::{
-    bench, check, completion, explain, identify, log, merge, model, new, replay, report, run, schema,
+    bench, check, completion, explain, identify, log, merge, model, new, replay, report, run, schema, view,
 };
 use crate::console::{self, Console, Exit, Outcome};
 use clap::{ArgMatches, CommandFactory, FromArgMatches};
@@ -86,7 +86,7 @@ impl fmt::Debug for Command {
 }
 
 /// The built-in commands, in the order of the help.
-static BUILT_IN: [Command; 13] = [
+static BUILT_IN: [Command; 14] = [
     Command::built_in::<RunArgs>("run", |m, extensions, console| run::run(&args(m)?, extensions, console)),
     Command::built_in::<BenchArgs>("bench", |m, extensions, console| {
         bench::bench(&args(m)?, extensions, console)
@@ -99,6 +99,9 @@ static BUILT_IN: [Command; 13] = [
     }),
     Command::built_in::<ReportArgs>("report", |m, extensions, console| {
         report::report(&args(m)?, extensions, console)
+    }),
+    Command::built_in::<ViewLogArgs>("view", |m, extensions, console| {
+        view::view(&args(m)?, extensions, console)
     }),
     Command::built_in::<LogArgs>("log", |m, _, console| log::log(&args::<LogArgs>(m)?.command, console)),
     Command::built_in::<CheckArgs>("check", |m, extensions, console| {

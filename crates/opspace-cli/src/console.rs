@@ -135,6 +135,11 @@ impl Console {
         }
     }
 
+    /// Prints to stderr what the user must know to go on, also if quiet.
+    pub fn announce(self, text: &str) {
+        let _ = writeln!(io::stderr(), "{}", escaped(text));
+    }
+
     /// Prints a detail to stderr, if verbose.
     pub fn detail(self, text: &str) {
         if self.verbose {

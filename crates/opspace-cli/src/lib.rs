@@ -29,6 +29,7 @@ mod schema_defaults;
 mod shard;
 mod suite_results;
 mod sweep;
+mod view_address;
 mod xacro;
 
 pub use clap;

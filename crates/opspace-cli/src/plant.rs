@@ -53,6 +53,11 @@ pub fn plant_choice(text: &str, forms: &[String]) -> Result<PlantChoice, String>
 }
 
 impl PlantChoice {
+    /// Plant of this name, without argument.
+    pub fn named(name: &str) -> Self {
+        Self { name: name.to_owned(), argument: None }
+    }
+
     /// True for the library's own plant.
     pub fn is_own(&self) -> bool {
         self.name == OWN_PLANT

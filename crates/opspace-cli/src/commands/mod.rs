@@ -15,5 +15,8 @@ pub mod posture;
 pub mod replay;
 pub mod report;
 pub mod run;
+pub mod run_in_view;
 pub mod run_on_log;
 pub mod schema;
+pub mod simulate_log;
+pub mod view;

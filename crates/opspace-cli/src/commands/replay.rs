@@ -2,6 +2,7 @@
 
 use crate::cli::ReplayArgs;
 use crate::commands::run_on_log::{Changes, experiment_on_log, record_on_log, say_files};
+use crate::commands::simulate_log::simulate_log;
 use crate::console::{Console, Exit, Failure, Outcome, note};
 use crate::output::{Format, log_path, logs_of_experiment, open_log, pretty, read_log, write_named};
 use crate::outputs::check_outputs;
@@ -15,6 +16,9 @@ use serde_json::{Map, Value, json};
 use std::path::Path;
 
 pub fn replay(args: &ReplayArgs, extensions: &Extensions, console: Console) -> Outcome {
+    if args.simulate {
+        return simulate_log(args, extensions, console);
+    }
     let robots = logs_of_experiment(&args.log);
     let changes = Changes {
         task: args.task.as_deref(),

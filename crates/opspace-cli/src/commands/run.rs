@@ -2,6 +2,7 @@
 
 use crate::cli::{BackendChoice, RunArgs};
 use crate::commands::check::large_log;
+use crate::commands::run_in_view::{open_view, run_on_drivers_in_view, simulate_in_view, with_robots_beside};
 use crate::commands::run_on_log::{run_on_log, say_fault, say_written};
 use crate::console::{Console, Exit, Failure, Outcome, note, render, report, results as table};
 use crate::interrupt;
@@ -18,6 +19,7 @@ use opspace_experiment::{
     ControllerKind, Experiment, Extensions, FileError, Files, Metric, Progress, RunError, RunSummary,
     Scenario, Summary,
 };
+use opspace_live::ViewKind;
 use opspace_preflight::{checked_for_real_robots, coupling_diagnostics, problems};
 use opspace_report::coupling_table::coupling_table;
 use opspace_report::run_in_folder;
@@ -39,6 +41,7 @@ pub fn run(args: &RunArgs, extensions: &Extensions, console: Console) -> Outcome
     }
     let (robot, options) = (args.robot.as_deref(), args.options());
     let scenario = Scenario::load(extensions, Files::Disk, &args.task, robot, backend, options, &args.set)?;
+    let scenario = with_robots_beside(scenario, args, extensions)?;
     let real = scenario.real_robots().first().map(|name| (*name).to_owned()).filter(|_| !args.simulate);
     if let (Some(name), true) = (&real, !args.plant.is_own()) {
         let robot = scenario.single().map_or_else(|| format!("robot '{name}'"), |_| "this robot".to_owned());
@@ -66,10 +69,20 @@ pub fn run(args: &RunArgs, extensions: &Extensions, console: Console) -> Outcome
     {
         return Ok(exit);
     }
+    let live = args.view.view.map(|address| open_view(address, &scenario.name(), ViewKind::Run, console));
+    let live = live.transpose()?;
+    if let Some(live) = live.as_ref().filter(|_| real.is_none()) {
+        return simulate_in_view(live, results, &file_names(&scenario), view);
+    }
     let summary = with_bar((&scenario.name(), scenario.ticks()), &progress, console, || {
         if real.is_some() {
             let left_behind = |summary| exit_with(view.say_left_behind(summary, folder));
-            run_on_drivers(&scenario, extensions, &results, &progress, &left_behind)
+            match &live {
+                Some(live) => {
+                    run_on_drivers_in_view(live, &scenario, extensions, &results, &progress, &left_behind)
+                }
+                None => run_on_drivers(&scenario, extensions, &results, &progress, &left_behind),
+            }
         } else {
             run_in_folder(&scenario, &results, &progress)
         }
@@ -79,17 +92,17 @@ pub fn run(args: &RunArgs, extensions: &Extensions, console: Console) -> Outcome
 
 /// Data with which the results of a run are shown, also in the thread that watches the robots.
 #[derive(Clone, Copy)]
-struct RunView<'a> {
-    scenario: &'a Scenario,
+pub struct RunView<'a> {
+    pub scenario: &'a Scenario,
     args: &'a RunArgs,
     columns: &'a [Metric],
-    progress: &'a Progress,
-    console: Console,
+    pub progress: &'a Progress,
+    pub console: Console,
 }
 
 impl RunView<'_> {
     /// Shows the results of a run.
-    fn say(self, summary: &RunSummary, folder: &Path) -> Outcome {
+    pub fn say(self, summary: &RunSummary, folder: &Path) -> Outcome {
         let Self { scenario, args, columns, progress, console } = self;
         args.output.json.print(|| pretty(summary), || text(summary, columns, console))?;
         match summary.single() {
@@ -159,6 +172,7 @@ fn default_folder(scenario: &Scenario, plant: &PlantChoice) -> PathBuf {
     let of_robot = scenario.single().map_or_else(String::new, |experiment| {
         format!("-{}-{}", experiment.robot().name(), experiment.options().backend.name())
     });
+    let of_robot = if is_comparison(scenario) { "-beside".to_owned() } else { of_robot };
     let plant = plant.suffix();
     PathBuf::from(format!("runs/{}{of_robot}{plant}", scenario.name()))
 }
@@ -173,6 +187,11 @@ fn file_names(scenario: &Scenario) -> Vec<String> {
         .iter()
         .flat_map(|member| [LOG, REPORT, SUMMARY].map(|file| format!("{}/{file}", member.name)));
     [REPORT, SUMMARY].map(str::to_owned).into_iter().chain(of_robots).collect()
+}
+
+/// True for robots that run side by side for comparison.
+fn is_comparison(scenario: &Scenario) -> bool {
+    scenario.single().is_none() && scenario.couplings.is_empty() && scenario.objects.is_empty()
 }
 
 /// Describes the start of one robot, or names several.
@@ -210,6 +229,10 @@ fn move_to_start(
 fn text(summary: &RunSummary, columns: &[Metric], console: Console) -> String {
     match summary.single() {
         Some(robot) => table(console, std::slice::from_ref(robot), columns),
+        None if summary.couplings.is_empty() => {
+            let robots: Vec<Summary> = summary.robots.values().cloned().collect();
+            table(console, &robots, columns)
+        }
         None => {
             let of_robot = |(name, robot): (&String, &Summary)| {
                 headline(robot).iter().map(|line| format!("{name}: {line}\n")).collect::<String>()

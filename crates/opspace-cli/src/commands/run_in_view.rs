@@ -1,0 +1,137 @@
+//! `opspace run --view`: a run that a browser shows while it takes place.
+
+use crate::cli::RunArgs;
+use crate::commands::run::RunView;
+use crate::console::{Console, Exit, Failure, Outcome};
+use crate::result_folder::empty;
+use crate::view_address::{Side, ViewAddress};
+use opspace_experiment::run::result_files::ResultFolder;
+use opspace_experiment::{Extensions, Files, Progress, RunError, RunSummary, Scenario};
+use opspace_live::{LiveRun, LiveView, ViewKind};
+use opspace_report::{LeftBehind, run_arms_in_folder, run_on_drivers_with};
+use std::net::SocketAddr;
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::time::{Duration, Instant};
+
+/// Time without a page after which a view of a finished run ends.
+const ALONE: Duration = Duration::from_secs(3);
+
+/// Begins to serve a view at an address, and prints where it is.
+pub fn open_view(
+    address: ViewAddress,
+    title: &str,
+    kind: ViewKind,
+    console: Console,
+) -> Result<LiveView, Failure> {
+    let ViewAddress { socket, any_port } = address;
+    let another = || any_port.then(|| LiveView::start(SocketAddr::new(socket.ip(), 0), title, kind));
+    let view = LiveView::start(socket, title, kind).or_else(|error| another().unwrap_or(Err(error)));
+    let view = view.map_err(|error| {
+        Failure::Other(format!("{socket}: the view cannot be served there: {error}"), Exit::Bad)
+    })?;
+    console.announce(&format!("view at {}", view.address().page()));
+    Ok(view)
+}
+
+/// Adds the robots of `--beside` to the scenario of a task.
+pub fn with_robots_beside(
+    scenario: Scenario,
+    args: &RunArgs,
+    extensions: &Extensions,
+) -> Result<Scenario, Failure> {
+    let Some(own) = scenario.single().filter(|_| !args.beside.is_empty()) else {
+        if args.beside.is_empty() {
+            return Ok(scenario);
+        }
+        let text = "--beside is for a task of one robot: an experiment states its robots itself";
+        return Err(Failure::Other(text.to_owned(), Exit::Bad));
+    };
+    let first = Side { backend: own.options().backend, controller: own.options().controller };
+    let mut robots = vec![(first.name().to_owned(), own.clone())];
+    for side in &args.beside {
+        let options = opspace_experiment::RunOptions { controller: side.controller, ..args.options() };
+        let (robot, backend) = (args.robot.as_deref(), Some(side.backend));
+        let beside = Scenario::load(extensions, Files::Disk, &args.task, robot, backend, options, &args.set)?;
+        if robots.iter().any(|(name, _)| name == side.name()) {
+            let text = format!("--beside {}: this robot is in the view already", side.name());
+            return Err(Failure::Other(text, Exit::Bad));
+        }
+        robots.extend(beside.single().map(|experiment| (side.name().to_owned(), experiment.clone())));
+    }
+    Ok(Scenario::beside(robots)?)
+}
+
+/// Runs a scenario on its real robots, and shows it. The view only watches.
+pub fn run_on_drivers_in_view(
+    live: &LiveView,
+    scenario: &Scenario,
+    extensions: &Extensions,
+    results: &ResultFolder,
+    progress: &Progress,
+    left_behind: LeftBehind<'_>,
+) -> Result<RunSummary, RunError> {
+    let mut companion = LiveRun::new(live, scenario, None, Arc::clone(&progress.interrupt));
+    let summary =
+        run_on_drivers_with(scenario, extensions, results, progress, (&mut companion, left_behind))?;
+    live.end(&outcome(&summary));
+    Ok(summary)
+}
+
+/// Simulates a scenario and shows it, until the user ends the view; again if the page asks for it.
+pub fn simulate_in_view(
+    live: &LiveView,
+    results: ResultFolder,
+    files: &[String],
+    view: RunView<'_>,
+) -> Outcome {
+    let RunView { scenario, progress, console, .. } = view;
+    let mut results = results;
+    loop {
+        let mut arms = scenario.pushable_arms()?;
+        let mut companion = LiveRun::new(live, scenario, Some(&arms), Arc::clone(&progress.interrupt));
+        let summary = run_arms_in_folder(scenario, &mut arms, &results, progress, &mut companion)?;
+        live.end(&outcome(&summary));
+        let exit = view.say(&summary, results.path())?;
+        say_pace(live, console);
+        if !wait_for_restart(live, progress) {
+            return Ok(exit);
+        }
+        // The folder is moved aside, which its lock would prevent.
+        let path = results.path().to_owned();
+        drop(results);
+        results = empty(ResultFolder::open(&path)?, false, false, files, console)?;
+    }
+}
+
+/// Waits for a page to ask for a new run; returns false if the user ends the view, or no page is left.
+fn wait_for_restart(live: &LiveView, progress: &Progress) -> bool {
+    let mut seen = Instant::now();
+    while !live.wants_restart() {
+        if live.pages() > 0 {
+            seen = Instant::now();
+        }
+        if progress.interrupt.load(Ordering::Relaxed) || seen.elapsed() > ALONE {
+            return false;
+        }
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    true
+}
+
+/// Prints how well the run kept its pace, and what pages have missed.
+fn say_pace(live: &LiveView, console: Console) {
+    console.note(&format!(
+        "view: {} cycles began late, {} messages were dropped for slow pages",
+        live.late_cycles(),
+        live.dropped()
+    ));
+}
+
+/// Describes the outcome of a run for the page.
+pub fn outcome(summary: &RunSummary) -> String {
+    let robots = summary.robots.values();
+    let fault = robots.clone().find_map(|robot| robot.faulted.clone());
+    let interrupted = robots.clone().any(|robot| robot.interrupted);
+    fault.unwrap_or_else(|| (if interrupted { "interrupted" } else { "completed" }).to_owned())
+}

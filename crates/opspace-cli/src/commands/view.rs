@@ -1,0 +1,45 @@
+//! `opspace view`: a log in a browser.
+
+use crate::cli::ViewLogArgs;
+use crate::commands::run_in_view::open_view;
+use crate::console::{Console, Exit, Failure, Outcome};
+use crate::interrupt;
+use crate::output::{log_path, logs_of_experiment, open_log};
+use opspace_experiment::{Experiment, Extensions, RunError};
+use opspace_live::{Pictures, ViewKind, viewed};
+use opspace_log::{LogFile, OutcomeRecord};
+
+pub fn view(args: &ViewLogArgs, extensions: &Extensions, console: Console) -> Outcome {
+    let robots = logs_of_experiment(&args.log);
+    let paths = if robots.is_empty() { vec![log_path(&args.log)] } else { robots };
+    let (mut logs, mut shown, mut duration_s) = (Vec::<LogFile>::new(), Vec::new(), 0.0_f64);
+    for path in &paths {
+        let (path, log) = open_log(path)?;
+        if let Some(damage) = &log.recording().damage {
+            console.note(&format!("{}: damaged: {damage}", path.display()));
+        }
+        let bad = |error: RunError| Failure::Other(format!("{}: {error}", path.display()), Exit::Bad);
+        let experiment = Experiment::of_log_with(extensions, log.recording()).map_err(bad)?;
+        duration_s = duration_s.max(experiment.duration_s());
+        let folder = path.parent().and_then(|folder| folder.file_name()).unwrap_or_default();
+        let name = match experiment.membership() {
+            Some(membership) => membership.robot.clone(),
+            None => folder.to_string_lossy().into_owned(),
+        };
+        let prefix = if paths.len() > 1 { format!("/{name}") } else { String::new() };
+        shown.push(viewed(&experiment, prefix, &name, false));
+        logs.push(log);
+    }
+    let outcomes: Vec<OutcomeRecord> = logs.iter().map(|log| OutcomeRecord::of(log.recording())).collect();
+    let fault = outcomes.iter().find_map(|outcome| outcome.fault.clone());
+    let interrupted = outcomes.iter().any(|outcome| outcome.interrupted);
+    let outcome = fault.unwrap_or_else(|| (if interrupted { "interrupted" } else { "completed" }).to_owned());
+    let progress = interrupt::watch();
+    let live =
+        open_view(args.at.unwrap_or_default(), &args.log.display().to_string(), ViewKind::Log, console)?;
+    live.show(shown, duration_s, true);
+    let bad = |error| Failure::Other(format!("{}: {error}", args.log.display()), Exit::Bad);
+    let pictures = Pictures::read(&live, &logs).map_err(bad)?;
+    pictures.play(&live, &outcome, &progress.interrupt);
+    Ok(Exit::Done)
+}
