@@ -1,0 +1,149 @@
+//! Scene of the live view from messages: a robot for each prefix of topics, and the environment.
+
+import { Group, Object3D, Quaternion, Vector3 } from "three";
+import { Environment } from "./environment.ts";
+import { entities, poseInFrame, rosText, transforms, type Entity } from "./messages.ts";
+import { capsule } from "./parts.ts";
+import { Robot } from "./robot.ts";
+import type { Stage } from "./stage.ts";
+import { comparedColor } from "./theme.ts";
+import { visuals } from "./urdf.ts";
+
+/** Length of the arrow of a force in `/scene/forces`, m/N. */
+const ARROW_M_PER_N = 0.01;
+const GHOST_OPACITY = 0.45;
+const X = new Vector3(1, 0, 0);
+
+export class LiveScene {
+  readonly robots = new Map<string, Robot>();
+  private readonly environment: Environment;
+  private framed = 0;
+  private readonly moved = new Set<string>();
+
+  constructor(private readonly stage: Stage) {
+    this.environment = new Environment(stage);
+  }
+
+  /** Makes a robot for each prefix; those that are no longer there are removed. */
+  setRobots(prefixes: string[]): void {
+    for (const [prefix, robot] of this.robots) {
+      if (prefixes.includes(prefix)) continue;
+      robot.remove();
+      this.robots.delete(prefix);
+    }
+    prefixes.forEach((prefix, i) => {
+      if (this.robots.has(prefix)) return;
+      const isAlone = prefixes.length === 1;
+      // The first of several is solid: it is the one that is looked at.
+      const robot = isAlone
+        ? new Robot(this.stage, prefix)
+        : new Robot(this.stage, prefix, comparedColor(i), i === 0 ? 1 : GHOST_OPACITY);
+      this.robots.set(prefix, robot);
+    });
+  }
+
+  /** Shows a message. Returns false for a topic that is no part of the scene. */
+  message(topic: string, schema: string, bytes: Uint8Array): boolean {
+    const [robot, name] = this.owner(topic);
+    if (!robot) return false;
+    if (name === "/tf" || name === "/tf_static") {
+      for (const transform of transforms(bytes)) robot.place(transform.parent, transform.child, transform);
+      if (name === "/tf") this.moved.add(robot.prefix);
+    } else if (name === "/robot_description") {
+      visuals(rosText(bytes), (link, shape) => {
+        robot.setShape(link, "visual", shape);
+        this.stage.request();
+      });
+    } else if (name === "/scene/collision" || name === "/scene/environment") {
+      entities(bytes).forEach(entity => this.addEntity(robot, entity));
+    } else if (name === "/scene/forces") {
+      for (const { id, arrows } of entities(bytes)) {
+        const arrow = arrows[0];
+        const force = new Vector3();
+        if (arrow) force.copy(X).applyQuaternion(arrow.rotation).multiplyScalar(arrow.length / ARROW_M_PER_N);
+        robot.setForce(id, arrow?.position ?? new Vector3(), force);
+      }
+    } else if (name === "/scene/paths") {
+      for (const { id, frame, lines } of entities(bytes)) {
+        const task = robot.task(id.replace(/\.reference$/, ""));
+        const points = lines[0] ?? [];
+        const place = robot.hasFrame(frame) ? robot.frame(frame) : undefined;
+        task.setReferencePath(place ? points.map(point => place.localToWorld(point)) : points);
+      }
+    } else if (schema === "foxglove.PoseInFrame") {
+      const shown = poseInFrame(bytes);
+      const [, task = "", what] = name.split("/");
+      if (robot.hasFrame(shown.frame)) {
+        const place = robot.frame(shown.frame);
+        place.updateWorldMatrix(true, false);
+        place.localToWorld(shown.position);
+        shown.rotation.premultiply(place.getWorldQuaternion(new Quaternion()));
+      }
+      if (what === "reference") robot.task(task).setReference(shown);
+      else if (what === "controlled_frame") robot.task(task).setControlled(shown);
+    } else {
+      return false;
+    }
+    this.frame();
+    this.stage.request();
+    return true;
+  }
+
+  clearTrails(): void {
+    this.robots.forEach(robot => robot.clearTrails());
+  }
+
+  /** Robot of a topic, and the topic without its prefix. */
+  owner(topic: string): [Robot | undefined, string] {
+    // A prefix may begin another one.
+    const prefixes = [...this.robots.keys()].sort((a, b) => b.length - a.length);
+    const prefix = prefixes.find(prefix => topic.startsWith(`${prefix}/`));
+    return prefix === undefined ? [undefined, topic] : [this.robots.get(prefix), topic.slice(prefix.length)];
+  }
+
+  private addEntity(robot: Robot, entity: Entity): void {
+    const shape = new Group();
+    const ends = entity.spheres.map(sphere => sphere.position);
+    const radius = (entity.spheres[0]?.size.x ?? entity.cylinders[0]?.size.x ?? 0) / 2;
+    const isInWorld = !robot.hasFrame(entity.frame) || /^world_*$/.test(entity.frame);
+    const [start, end = start] = ends;
+    if (start && end) {
+      if (isInWorld) {
+        this.environment.addCapsule(entity.id, start, end, radius);
+        return;
+      }
+      const part = capsule(start, end, radius, robot.plain);
+      part.userData["plain"] = true;
+      shape.add(part);
+    }
+    for (const { position, rotation, size } of entity.cubes) {
+      this.environment.addWall(entity.id, position, X.clone().applyQuaternion(rotation), size);
+    }
+    if (shape.children.length > 0) this.addToLink(robot, entity.frame, entity.id, shape);
+  }
+
+  /** A link may have several capsules, which arrive as entities of their own. */
+  private addToLink(robot: Robot, link: string, id: string, part: Object3D): void {
+    const whole = this.capsules.get(robot) ?? new Map<string, Map<string, Object3D>>();
+    this.capsules.set(robot, whole);
+    const parts = whole.get(link) ?? new Map<string, Object3D>();
+    whole.set(link, parts.set(id, part));
+    robot.setShape(link, "collision", new Group().add(...parts.values()));
+  }
+
+  private readonly capsules = new WeakMap<Robot, Map<string, Map<string, Object3D>>>();
+
+  /** Places the camera once all robots have moved to their start. */
+  private frame(): void {
+    if (this.framed === this.robots.size || this.moved.size < this.robots.size) return;
+    this.framed = this.robots.size;
+    // Messages that are written once arrive together with the first picture.
+    setTimeout(() => this.show(), 150);
+  }
+
+  /** Places the camera so that all robots are seen. */
+  show(): void {
+    this.robots.forEach(robot => robot.addSticks());
+    this.stage.show([...this.robots.values()].map(robot => robot.root));
+  }
+}

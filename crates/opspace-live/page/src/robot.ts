@@ -1,0 +1,306 @@
+//! One robot of the scene: its frames, the shapes of its links, the frames and paths of its tasks, forces.
+
+import { Color, Group, Material, Mesh, MeshLambertMaterial, Object3D, Quaternion, Vector3 } from "three";
+import type { Label } from "./labels.ts";
+import { Arrow, Rod, Trail, capsule, triad } from "./parts.ts";
+import { SOLID, type Stage } from "./stage.ts";
+import { onTheme, theme } from "./theme.ts";
+
+export interface Pose {
+  position: Vector3;
+  rotation: Quaternion;
+}
+
+/** Radius of the line that stands for a link without a shape, m. */
+const STICK_M = 0.012;
+/** Length of the arrow of a force, m/N. */
+const ARROW_M_PER_N = 0.01;
+/** An arrow that is longer would leave the picture, m. */
+const LONGEST_ARROW_M = 0.5;
+/** Force that is shown, N: below it an arrow is shorter than its head. */
+const LEAST_FORCE_N = 0.3;
+const PATH_POINTS = 400;
+
+/** Kinds of shapes of a link; only those of the best kind that there is are shown. */
+export type ShapeKind = "visual" | "collision" | "stick";
+const KINDS: ShapeKind[] = ["visual", "collision", "stick"];
+
+export class Robot {
+  readonly root = new Group();
+  private readonly frames = new Map<string, Object3D>();
+  private readonly shapes = new Map<string, Map<ShapeKind, Object3D>>();
+  private readonly tasks = new Map<string, TaskFrames>();
+  private readonly forces = new Map<string, ForceArrow>();
+  private readonly materials: [MeshLambertMaterial, MeshLambertMaterial];
+  private readonly selectedMaterial: MeshLambertMaterial;
+  private selected = "";
+
+  /** `color` marks one robot among several; `opacity` below 1 makes a ghost. */
+  constructor(
+    private readonly stage: Stage,
+    readonly prefix: string,
+    readonly color?: number,
+    readonly opacity = 1,
+  ) {
+    const material = () => new MeshLambertMaterial({ transparent: opacity < 1, opacity });
+    this.materials = [material(), material()];
+    this.selectedMaterial = material();
+    onTheme(colors => {
+      this.materials.forEach((material, i) => {
+        material.color.set(colors.links[i]!);
+        if (color !== undefined) material.color.lerp(new Color(color), i === 0 ? 0.75 : 0.95);
+      });
+      this.selectedMaterial.color.set(colors.hand).lerp(new Color(0xffffff), 0.25);
+    });
+    stage.scene.add(this.root);
+  }
+
+  remove(): void {
+    this.root.removeFromParent();
+    for (const task of this.tasks.values()) task.remove();
+    for (const force of this.forces.values()) force.remove();
+  }
+
+  /** Frame of that name; it is in the world until its parent is known. */
+  frame(name: string): Object3D {
+    let frame = this.frames.get(name);
+    if (!frame) {
+      frame = new Group();
+      frame.name = name;
+      this.frames.set(name, frame);
+      this.root.add(frame);
+    }
+    return frame;
+  }
+
+  frameNames(): string[] {
+    return [...this.frames.keys()];
+  }
+
+  hasFrame(name: string): boolean {
+    return this.frames.has(name);
+  }
+
+  place(parent: string, child: string, { position, rotation }: Pose): void {
+    const [above, frame] = [this.frame(parent), this.frame(child)];
+    if (frame.parent !== above) above.add(frame);
+    frame.position.copy(position);
+    frame.quaternion.copy(rotation);
+  }
+
+  /** Position of a frame in the world, m. */
+  position(frame: string): Vector3 {
+    const object = this.frame(frame);
+    object.updateWorldMatrix(true, false);
+    return new Vector3().setFromMatrixPosition(object.matrixWorld);
+  }
+
+  /** Gives a link a shape of a kind, in place of the former one. Its parts without a material get that of the robot. */
+  setShape(link: string, kind: ShapeKind, shape: Object3D): void {
+    const own = this.shapes.get(link) ?? new Map<ShapeKind, Object3D>();
+    this.shapes.set(link, own);
+    own.get(kind)?.removeFromParent();
+    own.set(kind, shape);
+    const number = [...this.shapes.keys()].indexOf(link);
+    shape.traverse(part => {
+      part.layers.set(SOLID);
+      part.userData["link"] = link;
+      if (part instanceof Mesh && (this.color !== undefined || part.material === undefined || part.userData["plain"])) {
+        part.material = this.materials[number % 2]!;
+      }
+    });
+    this.frame(link).add(shape);
+    const best = KINDS.find(other => own.has(other));
+    for (const [other, object] of own) object.visible = other === best;
+    this.select(this.selected);
+  }
+
+  /** Material for shapes that have none of their own. */
+  get plain(): Material {
+    return this.materials[0];
+  }
+
+  /** Draws links without a shape as lines to the frames behind them. */
+  addSticks(): void {
+    for (const [name, frame] of this.frames) {
+      const has = this.shapes.get(name);
+      // The frame at the top is the world.
+      if (has && (has.has("visual") || has.has("collision")) || frame.parent === this.root) continue;
+      const ends = frame.children.filter(child => this.frames.get(child.name) === child && child.position.length() > STICK_M);
+      if (ends.length === 0) continue;
+      const sticks = new Group();
+      for (const end of ends) {
+        const stick = capsule(new Vector3(), end.position.clone(), STICK_M, this.plain);
+        stick.userData["plain"] = true;
+        sticks.add(stick);
+      }
+      this.setShape(name, "stick", sticks);
+    }
+  }
+
+  /** Marks a link; "" marks none. */
+  select(link: string): void {
+    this.selected = link;
+    for (const [name, kinds] of this.shapes) {
+      for (const shape of kinds.values()) {
+        shape.traverse(part => {
+          if (!(part instanceof Mesh)) return;
+          part.userData["own"] ??= part.material;
+          part.material = name === link ? this.selectedMaterial : part.userData["own"];
+        });
+      }
+    }
+    this.stage.request();
+  }
+
+  /** Shapes that a ray can meet. */
+  solids(): Object3D[] {
+    return [...this.shapes.values()].flatMap(kinds => [...kinds.values()].filter(shape => shape.visible));
+  }
+
+  task(name: string): TaskFrames {
+    let task = this.tasks.get(name);
+    if (!task) {
+      task = new TaskFrames(this.stage, this, name);
+      this.tasks.set(name, task);
+    }
+    return task;
+  }
+
+  /** Shows a force (N) at a point (m), both in the world. */
+  setForce(name: string, at: Vector3, force_n: Vector3): void {
+    let arrow = this.forces.get(name);
+    if (!arrow) {
+      arrow = new ForceArrow(this.stage, theme().force);
+      this.forces.set(name, arrow);
+    }
+    arrow.set(at, force_n);
+  }
+
+  hideForces(): void {
+    for (const force of this.forces.values()) force.set(new Vector3(), new Vector3());
+  }
+
+  clearTrails(): void {
+    for (const task of this.tasks.values()) task.clear();
+  }
+}
+
+/** Reference and controlled frame of a task, with their paths. */
+export class TaskFrames {
+  private readonly group = new Group();
+  private readonly reference = triad(0.11, 0.0018, 0.55);
+  private readonly controlled = triad(0.075, 0.0032);
+  private readonly referencePath: Trail;
+  private readonly path: Trail;
+  private readonly labels: Label[];
+
+  constructor(private readonly stage: Stage, robot: Robot, name: string) {
+    const colors = theme();
+    this.referencePath = new Trail(colors.reference, 0.0016, PATH_POINTS, 0.6);
+    this.path = new Trail(robot.color ?? colors.force, 0.0026, PATH_POINTS);
+    onTheme(colors => {
+      this.referencePath.material.color.set(colors.reference);
+      this.path.material.color.set(robot.color ?? colors.hand);
+    });
+    this.reference.visible = this.controlled.visible = false;
+    this.group.add(this.reference, this.controlled, this.referencePath, this.path);
+    stage.scene.add(this.group);
+    const where = new Vector3(0.012, 0.012, 0.012);
+    const label = robot.color === undefined ? [stage.labels.add(name, this.controlled, "frame", where)] : [];
+    this.labels = [...label, stage.labels.add(`${name} reference`, this.reference, "frame reference", new Vector3(0, 0, 0.12))];
+  }
+
+  remove(): void {
+    this.group.removeFromParent();
+    this.labels.forEach(label => this.stage.labels.remove(label));
+  }
+
+  setReference(pose: Pose): void {
+    show(this.reference, pose);
+    // Two texts at one place are not readable.
+    this.labels.at(-1)!.element.style.opacity =
+      this.controlled.visible && this.controlled.position.distanceTo(pose.position) < 0.02 ? "0" : "1";
+  }
+
+  setReferencePath(points: Vector3[]): void {
+    this.referencePath.clear();
+    points.forEach(point => this.referencePath.add_point(point));
+  }
+
+  appendReference(point: Vector3): void {
+    this.referencePath.add_point(point);
+  }
+
+  setControlled(pose: Pose): void {
+    show(this.controlled, pose);
+    this.path.add_point(pose.position);
+  }
+
+  clear(): void {
+    this.path.clear();
+    this.referencePath.clear();
+  }
+}
+
+function show(object: Object3D, { position, rotation }: Pose): void {
+  object.visible = true;
+  object.position.copy(position);
+  object.quaternion.copy(rotation);
+}
+
+/** Force as an arrow with its size in newtons. */
+class ForceArrow {
+  private readonly arrow: Arrow;
+  private readonly tip = new Object3D();
+  private readonly label: Label;
+
+  constructor(private readonly stage: Stage, color: number) {
+    this.arrow = new Arrow(color, 0.006);
+    stage.scene.add(this.arrow, this.tip);
+    this.label = stage.labels.add("", this.tip, "force");
+  }
+
+  set(at: Vector3, force_n: Vector3): void {
+    const size_n = force_n.length();
+    const isShown = Number.isFinite(size_n) && size_n >= LEAST_FORCE_N;
+    this.label.element.textContent = isShown ? `${size_n.toFixed(1)} N` : "";
+    const length = Math.min(LONGEST_ARROW_M, size_n * ARROW_M_PER_N);
+    const vector = isShown ? force_n.clone().multiplyScalar(length / size_n) : new Vector3();
+    this.arrow.set(at, vector);
+    this.tip.position.copy(at).add(vector);
+  }
+
+  remove(): void {
+    this.arrow.removeFromParent();
+    this.tip.removeFromParent();
+    this.stage.labels.remove(this.label);
+  }
+}
+
+/** Spring of the hand: from the grasped point to the pointer, with its force. */
+export class HandSpring {
+  private readonly rod: Rod;
+  private readonly middle = new Object3D();
+  private readonly label: Label;
+
+  constructor(private readonly stage: Stage) {
+    this.rod = new Rod(theme().hand, 0.0035);
+    onTheme(colors => this.rod.material.color.set(colors.hand));
+    stage.scene.add(this.rod, this.middle);
+    this.label = stage.labels.add("", this.middle, "hand");
+  }
+
+  set(from: Vector3, to: Vector3, force_n: number): void {
+    this.rod.set(from, to);
+    this.middle.position.copy(to);
+    this.label.element.textContent = `${force_n.toFixed(1)} N`;
+    this.stage.request();
+  }
+
+  hide(): void {
+    this.rod.visible = false;
+    this.label.element.textContent = "";
+    this.stage.request();
+  }
+}
