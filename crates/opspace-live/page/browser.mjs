@@ -36,6 +36,7 @@ export class Browser {
       this.#process.once("error", () => done(false));
     });
     if (!isRunning) return false;
+    process.once("exit", () => this.#process.kill("SIGKILL"));
     this.#process.stdio[4].on("data", data => {
       const parts = (this.#rest + data).split("\0");
       this.#rest = parts.pop();

@@ -13,7 +13,7 @@ use opspace_model::collision::{
 use opspace_model::{Data, Frame, FrameId, Model, forward_kinematics, frame_placement};
 
 /// Radius of the lines that stand for links without collision geometry, m.
-const LINE_RADIUS_M: f64 = 0.008;
+pub(crate) const LINE_RADIUS_M: f64 = 0.008;
 
 /// Arm, obstacles and environment at a moment of a run, or the links of an arm at several moments, in world axes.
 #[derive(Clone, Debug)]

@@ -40,7 +40,7 @@ pub fn page(
     // What happened comes first where there is one run.
     if let ([run], [_]) = (shown, summaries) {
         let head = Page::new(&run.sentence).story(&run.story).lead(&format!("{lead} {}.", run.title));
-        let head = run_head(with_assumed(head, summaries), run);
+        let head = run_head(with_assumed(head, summaries).player(run.pictures.as_ref()), run);
         let page = run_body(with_table(head.section("Results")), run);
         return with_assumed_lists(page, summaries).render();
     }

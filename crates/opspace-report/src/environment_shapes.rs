@@ -104,7 +104,7 @@ fn half_space(point_m: [f64; 3], normal: [f64; 3]) -> HalfSpace {
 }
 
 /// Position of a frame at the start, m.
-fn start_of(experiment: &Experiment, frame: &str) -> Option<Vector3<f64>> {
+pub(crate) fn start_of(experiment: &Experiment, frame: &str) -> Option<Vector3<f64>> {
     let model = &experiment.robot().model;
     let frame = model.frame_id(frame).ok()?;
     let mut data = Data::new(model);

@@ -1,4 +1,4 @@
-//! Report as one self-contained HTML page: without network access or fonts. Its only script saves figures as files.
+//! Report as one self-contained HTML page: without network access or fonts. Its scripts save figures as files, and play a run.
 //!
 //! The page is valid XML and HTML, has a light and a dark colour scheme, and can be printed.
 
@@ -13,6 +13,8 @@ use crate::collision_moments::CollisionMoment;
 use crate::collision_views::{caption, title, views};
 use crate::dot_columns::DotColumns;
 use crate::figure::{Comparison, Figure, INK, PALETTE, escape};
+use crate::player::{CODE_HASH, LOADER, PLACE, scripts};
+use crate::run_pictures::RunPictures;
 use opspace_experiment::evaluate::table::{Cell, Table};
 
 /// Page under construction; blocks appear in the order in which they are added.
@@ -23,12 +25,14 @@ pub struct Page {
     body: String,
     tables: usize,
     figures: usize,
+    /// Elements of the player at the end of the page; empty without one.
+    player: String,
 }
 
 impl Page {
     /// Creates an empty page.
     pub fn new(title: impl Into<String>) -> Self {
-        Self { title: title.into(), body: String::new(), tables: 0, figures: 0 }
+        Self { title: title.into(), body: String::new(), tables: 0, figures: 0, player: String::new() }
     }
 
     /// Sets the summary at the top of the page: one or two sentences.
@@ -149,6 +153,13 @@ impl Page {
         self.block(&html)
     }
 
+    /// Adds the player of a run, of which a page has one; nothing without pictures.
+    pub(crate) fn player(mut self, pictures: Option<&RunPictures>) -> Self {
+        let Some(pictures) = pictures else { return self };
+        self.player = scripts(pictures);
+        self.block(PLACE)
+    }
+
     /// Returns the whole page.
     #[must_use]
     pub fn render(&self) -> String {
@@ -158,11 +169,12 @@ impl Page {
              <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\"/>\n\
              <meta name=\"color-scheme\" content=\"light dark\"/>\n<title>{title}</title>\n\
              <meta http-equiv=\"Content-Security-Policy\" content=\"{}\"/>\n\
-             <style>\n{STYLE}{}</style>\n</head>\n<body>\n<main>\n<h1>{}</h1>\n{}</main>\n<script>{SCRIPT}</script>\n</body>\n</html>\n",
-            policy(),
+             <style>\n{STYLE}{}</style>\n</head>\n<body>\n<main>\n<h1>{}</h1>\n{}</main>\n<script>{SCRIPT}</script>\n{}</body>\n</html>\n",
+            policy(!self.player.is_empty()),
             dark_figures(),
             unbroken(&title),
-            self.body
+            self.body,
+            self.player
         )
     }
 
@@ -236,11 +248,15 @@ fn dark_figures() -> String {
     format!("@media screen and (prefers-color-scheme: dark) {{\n{rules}}}\n")
 }
 
-/// Permissions of the page in a browser: its own styles, its own script by its hash, and the images that this script draws; nothing
+/// Permissions of the page in a browser: its own styles, its own scripts by their hashes, and the images that they draw; nothing
 /// else, should a name ever become code.
-fn policy() -> String {
-    let hash = STANDARD.encode(Hash::hash(SCRIPT.as_bytes()));
-    format!("default-src 'none'; style-src 'unsafe-inline'; img-src blob:; script-src 'sha256-{hash}'")
+fn policy(has_player: bool) -> String {
+    let hash = |script: &str| format!(" 'sha256-{}'", STANDARD.encode(Hash::hash(script.as_bytes())));
+    let player = if has_player { format!("{} 'sha256-{CODE_HASH}'", hash(LOADER)) } else { String::new() };
+    format!(
+        "default-src 'none'; style-src 'unsafe-inline'; img-src blob:; script-src{}{player}",
+        hash(SCRIPT)
+    )
 }
 
 /// Script that saves figures. The page is valid XML, so that it has neither `<` nor `&`.

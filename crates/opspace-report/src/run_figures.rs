@@ -7,6 +7,7 @@ use crate::figure::{Figure, Panel, Scale, Series, Style};
 use crate::lines::{COLUMNS, append, complete, element, joint_figure, label_of, time_panel};
 use crate::path_figures::PathFigures;
 use crate::response_figures::ResponseFigures;
+use crate::run_pictures::{PictureRows, RunPictures};
 use crate::slack_figure::slack_figure;
 use crate::task_figures::{FORCE, task_figures};
 use opspace_backend::signal_names::{
@@ -101,6 +102,8 @@ pub(crate) struct RunDrawings {
     pub(crate) arm: Option<CollisionMoment>,
     /// Collision geometry; empty without one.
     pub(crate) collisions: Vec<CollisionMoment>,
+    /// Moving picture.
+    pub(crate) pictures: Option<RunPictures>,
 }
 
 /// Figures of a run while segments of its log arrive: the response to pushes, the tasks, then torques and setpoints by joint.
@@ -116,6 +119,7 @@ pub(crate) struct RunFigures<'a> {
     times: CycleTimes,
     events: EventTimes<'a>,
     collisions: CollisionMoments<'a>,
+    pictures: PictureRows<'a>,
 }
 
 impl<'a> RunFigures<'a> {
@@ -130,6 +134,7 @@ impl<'a> RunFigures<'a> {
             times: CycleTimes::default(),
             events: EventTimes::new(experiment),
             collisions: CollisionMoments::new(experiment),
+            pictures: PictureRows::new(experiment),
         }
     }
 
@@ -144,6 +149,7 @@ impl<'a> RunFigures<'a> {
         self.responses.add(&run);
         self.paths.add(&run);
         self.collisions.add(&run);
+        self.pictures.add(&run);
         self.add_torque_errors(&run);
     }
 
@@ -169,7 +175,7 @@ impl<'a> RunFigures<'a> {
         }
     }
 
-    /// Returns the figures, the arm and the collision geometry; none if the log has no control cycle.
+    /// Returns the figures, the arm, the collision geometry and the moving picture; none if the log has no control cycle.
     pub(crate) fn finish(self) -> RunDrawings {
         if self.control.start_s.is_none() {
             return RunDrawings::default();
@@ -183,7 +189,7 @@ impl<'a> RunFigures<'a> {
         figures.extend(torque_error_spectrum(self.experiment, self.errors));
         figures.extend(computing_times(&self.times));
         let (arm, collisions) = self.collisions.finish();
-        RunDrawings { figures, arm, collisions }
+        RunDrawings { figures, arm, collisions, pictures: self.pictures.finish() }
     }
 }
 

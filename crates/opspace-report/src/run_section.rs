@@ -4,6 +4,7 @@ pub use crate::collision_moments::{ClosestPair, CollisionMoment, PlacedShape};
 use crate::figure::Figure;
 use crate::kinds::label_or_settings;
 use crate::run_figures::{RunDrawings, RunFigures};
+use crate::run_pictures::RunPictures;
 use opspace_experiment::evaluate::headline::{headline, operator};
 use opspace_experiment::evaluate::notes::final_notes;
 use opspace_experiment::evaluate::response_sentences::response_sentences;
@@ -34,6 +35,8 @@ pub struct RunSection {
     pub arm: Option<CollisionMoment>,
     /// Collision geometry at the start, at the least distance and at the end; empty if the experiment keeps no distances.
     pub collisions: Vec<CollisionMoment>,
+    /// Moving picture, for a page about this run alone; `None` if nothing can be shown.
+    pub(crate) pictures: Option<RunPictures>,
     /// Start of the statistics, s after the start of control.
     pub(crate) settle_s: f64,
     /// Names of the tasks by priority, then of the joints as in the robot.
@@ -68,7 +71,7 @@ impl RunSection {
     fn with_figures(
         experiment: &Experiment,
         recording: &Recording,
-        RunDrawings { figures, arm, collisions }: RunDrawings,
+        RunDrawings { figures, arm, collisions, pictures }: RunDrawings,
         summary: Summary,
     ) -> Self {
         let mut warnings = Vec::new();
@@ -113,6 +116,7 @@ impl RunSection {
             figures,
             arm,
             collisions,
+            pictures,
             summary,
             warnings,
             facts: logged.chain(facts_of(experiment)).collect(),

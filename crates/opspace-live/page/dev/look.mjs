@@ -13,6 +13,7 @@ const { values, positionals: [url, out] } = parseArgs({
   },
 });
 const [width, height] = [Number(values.width), Number(values.height)];
+setTimeout(() => process.exit(1), 60e3).unref();
 const browser = await Browser.start(width, height);
 const scheme = [{ name: "prefers-color-scheme", value: values.dark ? "dark" : "light" }];
 await browser.call("Emulation.setEmulatedMedia", { features: scheme });

@@ -186,12 +186,13 @@ export class Charts {
         [...this.histories.values()].map((history, robot): Line => {
           const color = several && names.length === 1 ? css(comparedColor(robot)) : COLORS[(this.chosen.indexOf(name) + 3 * robot) % COLORS.length]!;
           const first = this.isLog ? 0 : Math.max(0, history.time_s.findIndex(t => t >= this.range[0]));
-          const label = history.label ? `${name} ${history.label}` : name;
+          // The legend of one signal of several robots names these; the chip above names the signal.
+          const label = history.label ? (names.length === 1 ? history.label : `${name} ${history.label}`) : name;
           return { label, color, x: history.time_s.slice(first), y: history.values.get(name)?.slice(first) ?? [] };
         }),
       );
       const cursor = this.cursor_s ?? (this.isLog ? now_s : undefined);
-      plot.draw({ title: unit || "1", xLabel: "time (s)", lines, xRange: this.range, cursor });
+      plot.draw({ title: several && names.length === 1 ? `${names[0]} (${unit || "1"})` : unit || "1", xLabel: "time (s)", lines, xRange: this.range, cursor });
     }
   }
 
@@ -208,7 +209,9 @@ export class Charts {
     const of = (pattern: RegExp) => names.filter(name => pattern.test(name)).slice(0, 3);
     const positions = of(/\.position\.x$/).slice(0, 1).flatMap(name => AXES.map(axis => name.replace(/x$/, axis)));
     const forces = of(/\.force\.x/).slice(0, 1);
-    this.chosen = [...positions.filter(name => names.includes(name)), ...forces];
+    // Several robots have a line each.
+    const most = this.histories.size > 1 ? 1 : 3;
+    this.chosen = [...positions.filter(name => names.includes(name)).slice(0, most), ...forces];
     if (this.chosen.length === 0) this.chosen = names.filter(name => name.startsWith("q.")).slice(0, 4);
     this.writeChips();
   }

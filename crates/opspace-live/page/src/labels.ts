@@ -9,6 +9,9 @@ interface Label {
 }
 
 const point = new Vector3();
+/** Height of a line of text, and about the width of a letter. */
+const LINE_PX = 16;
+const LETTER_PX = 7;
 
 export class Labels {
   private readonly labels = new Set<Label>();
@@ -31,8 +34,9 @@ export class Labels {
     this.labels.delete(label);
   }
 
-  /** Moves all texts to their points. */
+  /** Moves all texts to their points; one that would cover another one moves below it. */
   place(camera: PerspectiveCamera, width_px: number, height_px: number): void {
+    const taken: [number, number, number][] = [];
     for (const { element, at, offset } of this.labels) {
       let shown = element.textContent !== "";
       for (let node: Object3D | null = at; node; node = node.parent) shown &&= node.visible;
@@ -40,7 +44,12 @@ export class Labels {
       shown &&= Math.abs(point.z) < 1 && Math.abs(point.x) < 1.1 && Math.abs(point.y) < 1.1;
       element.hidden = !shown;
       if (!shown) continue;
-      const [x, y] = [(point.x + 1) * 0.5 * width_px, (1 - point.y) * 0.5 * height_px];
+      const x = (point.x + 1) * 0.5 * width_px;
+      let y = (1 - point.y) * 0.5 * height_px;
+      const right = x + LETTER_PX * element.textContent!.length;
+      const covers = ([left, end, top]: [number, number, number]) => x < end && right > left && Math.abs(y - top) < LINE_PX;
+      for (let other = taken.find(covers); other; other = taken.find(covers)) y = other[2] + LINE_PX + 1;
+      taken.push([x, right, y]);
       element.style.transform = `translate(${x.toFixed(1)}px, ${y.toFixed(1)}px)`;
     }
   }

@@ -3,6 +3,7 @@
 import { Group, Object3D, Quaternion, Vector3 } from "three";
 import { Environment } from "./environment.ts";
 import { entities, poseInFrame, rosText, transforms, type Entity } from "./messages.ts";
+import { loadMesh } from "./meshes.ts";
 import { capsule } from "./parts.ts";
 import { Robot } from "./robot.ts";
 import type { Stage } from "./stage.ts";
@@ -11,7 +12,6 @@ import { visuals } from "./urdf.ts";
 
 /** Length of the arrow of a force in `/scene/forces`, m/N. */
 const ARROW_M_PER_N = 0.01;
-const GHOST_OPACITY = 0.45;
 const X = new Vector3(1, 0, 0);
 
 export class LiveScene {
@@ -34,10 +34,9 @@ export class LiveScene {
     prefixes.forEach((prefix, i) => {
       if (this.robots.has(prefix)) return;
       const isAlone = prefixes.length === 1;
-      // The first of several is solid: it is the one that is looked at.
       const robot = isAlone
         ? new Robot(this.stage, prefix)
-        : new Robot(this.stage, prefix, comparedColor(i), i === 0 ? 1 : GHOST_OPACITY);
+        : new Robot(this.stage, prefix, comparedColor(i), i);
       this.robots.set(prefix, robot);
     });
   }
@@ -50,10 +49,11 @@ export class LiveScene {
       for (const transform of transforms(bytes)) robot.place(transform.parent, transform.child, transform);
       if (name === "/tf") this.moved.add(robot.prefix);
     } else if (name === "/robot_description") {
-      visuals(rosText(bytes), (link, shape) => {
+      const found = (link: string, shape: Object3D) => {
         robot.setShape(link, "visual", shape);
         this.stage.request();
-      });
+      };
+      visuals(rosText(bytes), found, loadMesh);
     } else if (name === "/scene/collision" || name === "/scene/environment") {
       entities(bytes).forEach(entity => this.addEntity(robot, entity));
     } else if (name === "/scene/forces") {

@@ -3,7 +3,7 @@
 import {
   BoxGeometry, BufferAttribute, BufferGeometry, CapsuleGeometry, Color, ConeGeometry, CylinderGeometry, DoubleSide,
   EdgesGeometry, Group, InstancedMesh, LineBasicMaterial, LineSegments, Material, Matrix4, Mesh, MeshBasicMaterial,
-  MeshLambertMaterial, Quaternion, SphereGeometry, Vector3,
+  MeshLambertMaterial, Object3D, Quaternion, SphereGeometry, Vector3,
 } from "three";
 
 const X = new Vector3(1, 0, 0);
@@ -64,6 +64,17 @@ export function triad(length: number, radius: number, opacity = 1): Mesh {
   geometry.setAttribute("position", new BufferAttribute(new Float32Array(positions), 3));
   geometry.setAttribute("color", new BufferAttribute(new Float32Array(colors), 3));
   return new Mesh(geometry, new MeshBasicMaterial({ vertexColors: true, transparent: opacity < 1, opacity }));
+}
+
+/** Draws an object over all others: what is inside a link is seen, too. */
+export function onTop<T extends Object3D>(object: T, order: number): T {
+  object.traverse(part => {
+    part.renderOrder = order;
+    if (!(part instanceof Mesh)) return;
+    // Opaque objects are drawn before transparent ones, whatever their order.
+    Object.assign(part.material as Material, { depthTest: false, transparent: true });
+  });
+  return object;
 }
 
 /** Arrow from a point along a vector. */

@@ -10,7 +10,7 @@ import { ICONS } from "./icons.ts";
 
 const STYLE = `
 .player { --label: var(--ink) }
-.player .stage { position: relative; aspect-ratio: 16 / 9; min-height: 18rem; width: 100%; border: 1px solid var(--line); border-radius: 10px;
+.player .stage { position: relative; aspect-ratio: 2 / 1; min-height: 18rem; width: 100%; border: 1px solid var(--line); border-radius: 10px;
   overflow: hidden; background: linear-gradient(#fbfcfd, #eef1f4) }
 .player .stage canvas { touch-action: pan-y }
 .player .bar { display: flex; align-items: center; gap: 0.6rem; margin: 0.5rem 0 1.2rem; font-size: 0.9rem; color: var(--soft) }

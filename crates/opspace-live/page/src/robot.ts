@@ -2,7 +2,7 @@
 
 import { Color, Group, Material, Mesh, MeshLambertMaterial, Object3D, Quaternion, Vector3 } from "three";
 import type { Label } from "./labels.ts";
-import { Arrow, Rod, Trail, capsule, triad } from "./parts.ts";
+import { Arrow, Rod, Trail, capsule, onTop, triad } from "./parts.ts";
 import { SOLID, type Stage } from "./stage.ts";
 import { onTheme, theme } from "./theme.ts";
 
@@ -20,6 +20,7 @@ const LONGEST_ARROW_M = 0.5;
 /** Force that is shown, N: below it an arrow is shorter than its head. */
 const LEAST_FORCE_N = 0.3;
 const PATH_POINTS = 400;
+const GHOST_OPACITY = 0.4;
 
 /** Kinds of shapes of a link; only those of the best kind that there is are shown. */
 export type ShapeKind = "visual" | "collision" | "stick";
@@ -35,14 +36,22 @@ export class Robot {
   private readonly selectedMaterial: MeshLambertMaterial;
   private selected = "";
 
-  /** `color` marks one robot among several; `opacity` below 1 makes a ghost. */
+  /** `color` marks one robot among several. The first of them is solid, and the others are its ghosts: they have links and paths only. */
   constructor(
     private readonly stage: Stage,
     readonly prefix: string,
     readonly color?: number,
-    readonly opacity = 1,
+    private readonly number = 0,
   ) {
-    const material = () => new MeshLambertMaterial({ transparent: opacity < 1, opacity });
+    const material = () =>
+      new MeshLambertMaterial({
+        transparent: this.isGhost,
+        opacity: this.isGhost ? GHOST_OPACITY : 1,
+        // Where robots coincide, the first one is seen.
+        polygonOffset: this.isGhost,
+        polygonOffsetFactor: number,
+        polygonOffsetUnits: 4 * number,
+      });
     this.materials = [material(), material()];
     this.selectedMaterial = material();
     onTheme(colors => {
@@ -53,6 +62,10 @@ export class Robot {
       this.selectedMaterial.color.set(colors.hand).lerp(new Color(0xffffff), 0.25);
     });
     stage.scene.add(this.root);
+  }
+
+  get isGhost(): boolean {
+    return this.number > 0;
   }
 
   remove(): void {
@@ -169,9 +182,10 @@ export class Robot {
 
   /** Shows a force (N) at a point (m), both in the world. */
   setForce(name: string, at: Vector3, force_n: Vector3): void {
+    if (this.isGhost) return;
     let arrow = this.forces.get(name);
     if (!arrow) {
-      arrow = new ForceArrow(this.stage, theme().force);
+      arrow = new ForceArrow(this.stage, name.replace(/\.(force|wrench)$/, ""), theme().force);
       this.forces.set(name, arrow);
     }
     arrow.set(at, force_n);
@@ -189,13 +203,16 @@ export class Robot {
 /** Reference and controlled frame of a task, with their paths. */
 export class TaskFrames {
   private readonly group = new Group();
-  private readonly reference = triad(0.11, 0.0018, 0.55);
-  private readonly controlled = triad(0.075, 0.0032);
+  private readonly reference = onTop(triad(0.11, 0.0018, 0.55), 2);
+  private readonly controlled = onTop(triad(0.075, 0.0028), 3);
   private readonly referencePath: Trail;
   private readonly path: Trail;
   private readonly labels: Label[];
+  private readonly referenceLabel: Label;
+  private readonly isGhost: boolean;
 
-  constructor(private readonly stage: Stage, robot: Robot, name: string) {
+  constructor(private readonly stage: Stage, robot: Robot, private readonly name: string) {
+    this.isGhost = robot.isGhost;
     const colors = theme();
     this.referencePath = new Trail(colors.reference, 0.0016, PATH_POINTS, 0.6);
     this.path = new Trail(robot.color ?? colors.force, 0.0026, PATH_POINTS);
@@ -204,11 +221,11 @@ export class TaskFrames {
       this.path.material.color.set(robot.color ?? colors.hand);
     });
     this.reference.visible = this.controlled.visible = false;
-    this.group.add(this.reference, this.controlled, this.referencePath, this.path);
+    this.group.add(...(robot.isGhost ? [this.path] : [this.reference, this.controlled, this.referencePath, this.path]));
     stage.scene.add(this.group);
     const where = new Vector3(0.012, 0.012, 0.012);
-    const label = robot.color === undefined ? [stage.labels.add(name, this.controlled, "frame", where)] : [];
-    this.labels = [...label, stage.labels.add(`${name} reference`, this.reference, "frame reference", new Vector3(0, 0, 0.12))];
+    this.referenceLabel = stage.labels.add(robot.isGhost ? "" : `${name} reference`, this.reference, "frame reference", where);
+    this.labels = [stage.labels.add(robot.isGhost ? "" : name, this.controlled, "frame", where), this.referenceLabel];
   }
 
   remove(): void {
@@ -218,9 +235,9 @@ export class TaskFrames {
 
   setReference(pose: Pose): void {
     show(this.reference, pose);
-    // Two texts at one place are not readable.
-    this.labels.at(-1)!.element.style.opacity =
-      this.controlled.visible && this.controlled.position.distanceTo(pose.position) < 0.02 ? "0" : "1";
+    // Where both are at one place, one name is enough.
+    const isNear = this.controlled.visible && this.controlled.position.distanceTo(pose.position) < 0.03;
+    this.referenceLabel.element.textContent = isNear || this.isGhost ? "" : `${this.name} reference`;
   }
 
   setReferencePath(points: Vector3[]): void {
@@ -255,8 +272,8 @@ class ForceArrow {
   private readonly tip = new Object3D();
   private readonly label: Label;
 
-  constructor(private readonly stage: Stage, color: number) {
-    this.arrow = new Arrow(color, 0.006);
+  constructor(private readonly stage: Stage, private readonly name: string, color: number) {
+    this.arrow = onTop(new Arrow(color, 0.006), 4);
     stage.scene.add(this.arrow, this.tip);
     this.label = stage.labels.add("", this.tip, "force");
   }
@@ -264,7 +281,7 @@ class ForceArrow {
   set(at: Vector3, force_n: Vector3): void {
     const size_n = force_n.length();
     const isShown = Number.isFinite(size_n) && size_n >= LEAST_FORCE_N;
-    this.label.element.textContent = isShown ? `${size_n.toFixed(1)} N` : "";
+    this.label.element.textContent = isShown ? `${this.name} ${size_n.toFixed(1)} N` : "";
     const length = Math.min(LONGEST_ARROW_M, size_n * ARROW_M_PER_N);
     const vector = isShown ? force_n.clone().multiplyScalar(length / size_n) : new Vector3();
     this.arrow.set(at, vector);
@@ -285,7 +302,7 @@ export class HandSpring {
   private readonly label: Label;
 
   constructor(private readonly stage: Stage) {
-    this.rod = new Rod(theme().hand, 0.0035);
+    this.rod = onTop(new Rod(theme().hand, 0.0035), 5);
     onTheme(colors => this.rod.material.color.set(colors.hand));
     stage.scene.add(this.rod, this.middle);
     this.label = stage.labels.add("", this.middle, "hand");

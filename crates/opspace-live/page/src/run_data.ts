@@ -10,6 +10,8 @@ export interface RunData {
   period_s: number;
   pictures: number;
   base: PlacementArray;
+  /** Links of the URDF with their visual shapes. */
+  urdf: string;
   bodies: Body[];
   frames: { name: string; body: number; placement: PlacementArray }[];
   /** Capsules of links, by the index of their frame, and of the world (-1). */

@@ -7,6 +7,7 @@ import { capsule } from "./parts.ts";
 import { Robot, type Pose } from "./robot.ts";
 import { Pictures, type RunData } from "./run_data.ts";
 import type { Stage } from "./stage.ts";
+import { visuals } from "./urdf.ts";
 
 /** Length of the paths, s. */
 const PATH_S = 3;
@@ -39,6 +40,8 @@ export class RunScene {
       links.set(frame, link.add(capsule(start, end, radius_m, this.robot.plain)));
       link.children.forEach(part => (part.userData["plain"] = true));
     }
+    data.frames.forEach(frame => this.robot.frame(frame.name));
+    visuals(data.urdf, (link, shape) => this.robot.hasFrame(link) && this.robot.setShape(link, "visual", shape));
     for (const [frame, shape] of links) this.robot.setShape(data.frames[frame]!.name, "collision", shape);
     for (const { name, point_m, normal } of data.walls) {
       const out = new Vector3(...normal).normalize();

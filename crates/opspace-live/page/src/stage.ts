@@ -16,6 +16,9 @@ export const SOLID = 1;
 const GRID_M = 2;
 const GRID_STEP_M = 0.1;
 
+/** Room around the robot in the picture: forces and motions need some. */
+const MARGIN = 1.2;
+
 /** Below this rate of drawing the picture becomes coarser, 1/s. */
 const SLOW_HZ = 24;
 
@@ -116,7 +119,7 @@ export class Stage {
     // An arm may hang from its base.
     this.groundHeight = box.min.z > -0.13 ? 0 : Math.floor((box.min.z - 0.02) * 20) / 20;
     const sphere = box.getBoundingSphere(new Sphere());
-    this.orbit.frame(sphere.center, Math.max(0.1, sphere.radius));
+    this.orbit.frame(sphere.center, Math.max(0.1, MARGIN * sphere.radius));
   }
 
   /** Asks for a picture. */

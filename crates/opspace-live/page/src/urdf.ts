@@ -1,11 +1,14 @@
 //! Visual shapes of the links of a URDF.
 
 import { Color, Euler, Group, MeshLambertMaterial, Object3D } from "three";
-import { loadMesh } from "./meshes.ts";
 import { box, cylinder, sphere } from "./parts.ts";
 
-/** Calls `found` with the shapes of each link that has some; again when a mesh has been read. */
-export function visuals(urdf: string, found: (link: string, shape: Object3D) => void): void {
+/** Reader of a mesh from its address; a colour replaces those of the mesh. */
+type LoadMesh = (url: string, color: Color | undefined) => Promise<Object3D>;
+
+/** Calls `found` with the shapes of each link that has some; again when a mesh has been read. Without a reader of meshes, a link with a mesh
+ * has no shape. */
+export function visuals(urdf: string, found: (link: string, shape: Object3D) => void, loadMesh?: LoadMesh): void {
   const document = new DOMParser().parseFromString(urdf, "application/xml");
   const colors = new Map<string, Color>();
   for (const material of children(document.documentElement, "material")) {
@@ -14,6 +17,7 @@ export function visuals(urdf: string, found: (link: string, shape: Object3D) => 
   }
   for (const link of children(document.documentElement, "link")) {
     const name = link.getAttribute("name") ?? "";
+    if (!loadMesh && link.querySelector("visual mesh")) continue;
     const shape = new Group();
     for (const visual of children(link, "visual")) {
       const place = new Group();
@@ -25,14 +29,20 @@ export function visuals(urdf: string, found: (link: string, shape: Object3D) => 
       const material = children(visual, "material")[0];
       const color = material && colorOf(material, colors);
       const geometry = children(visual, "geometry")[0]?.firstElementChild;
-      if (geometry) addGeometry(geometry, place, color, () => found(name, shape));
+      if (geometry) addGeometry(geometry, place, color, loadMesh, () => found(name, shape));
       shape.add(place);
     }
     if (holdsMesh(shape)) found(name, shape);
   }
 }
 
-function addGeometry(geometry: Element, place: Group, color: Color | undefined, changed: () => void): void {
+function addGeometry(
+  geometry: Element,
+  place: Group,
+  color: Color | undefined,
+  loadMesh: LoadMesh | undefined,
+  changed: () => void,
+): void {
   const number = (name: string) => Number(geometry.getAttribute(name) ?? 0);
   const material = new MeshLambertMaterial({ color: color ?? 0xffffff });
   const add = (shape: Object3D) => {
@@ -49,7 +59,7 @@ function addGeometry(geometry: Element, place: Group, color: Color | undefined, 
   } else if (geometry.tagName === "mesh") {
     const url = geometry.getAttribute("filename") ?? "";
     // Only what the program serves: nothing comes from another place.
-    if (!url.startsWith("/mesh/")) return;
+    if (!loadMesh || !url.startsWith("/mesh/")) return;
     loadMesh(url, color).then(
       mesh => {
         mesh.scale.fromArray(numbers(geometry, "scale", [1, 1, 1])).multiply(mesh.userData["unit"] ?? { x: 1, y: 1, z: 1 });
