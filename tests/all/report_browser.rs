@@ -4,6 +4,7 @@
 #![expect(clippy::unwrap_used, reason = "a test")]
 
 use crate::cli_common::{opspace, project, run, scratch};
+use opspace_log::Recording;
 use opspace_testing::browser::Browser;
 use serde_json::{Value, json};
 use std::fs;
@@ -116,6 +117,59 @@ fn run_report_is_drawn() {
         let is_titled = |axis: &str| texts.iter().any(|text| text.split(',').next() == Some(axis));
         assert!(["x", "y", "z"].into_iter().all(is_titled), "{figure}: {texts:?}");
     }
+}
+
+/// Checks that the player of a run is drawn and plays, that its hand is where the log says, and that a page without scripts has none.
+#[test]
+#[ignore = "needs a browser: .ci/run browser"]
+fn player_plays() {
+    let folder = scratch();
+    let log = run(folder.path(), "out", "compliant-x", &["--duration-s", "2"]);
+    let url = format!("file://{}", log.with_file_name("report.html").display());
+    let profile = scratch();
+    let mut browser = Browser::start(profile.path(), 1200, 900);
+    browser.open(&url);
+    // The code is unpacked after the page is there.
+    browser.evaluate(
+        "new Promise(done => { const look = () => window.opspaceView ? done() : setTimeout(look, 20); look(); })",
+    );
+    let drawn = browser.evaluate(
+        "(async () => {
+          opspaceView.toggle();
+          const end = performance.now() + 30e3;
+          while (opspaceView.time_s() < 0.5 && performance.now() < end) await new Promise(r => setTimeout(r, 20));
+          opspaceView.toggle();
+          const box = document.querySelector('.player canvas').getBoundingClientRect();
+          const { x, y } = opspaceView.pixel('hand');
+          return { pictures: opspaceView.drawn(), time_s: opspaceView.time_s(), width: box.width, height: box.height,
+            inside: x > box.left && x < box.right && y > box.top && y < box.bottom,
+            labels: [...document.querySelectorAll('.player .label')].map(label => label.textContent) };
+        })()",
+    );
+    assert!(drawn["time_s"].as_f64().unwrap() >= 0.5 && drawn["pictures"].as_u64().unwrap() > 3, "{drawn}");
+    assert!(drawn["width"].as_f64().unwrap() > 800.0 && drawn["height"].as_f64().unwrap() > 300.0, "{drawn}");
+    assert!(drawn["inside"].as_bool().unwrap() && drawn["labels"].to_string().contains(" N"), "{drawn}");
+
+    let recording = Recording::read(&log).unwrap();
+    let tick = recording.tick().unwrap();
+    let logged = tick.signal("hand.position").unwrap();
+    for time_s in [0.0, 0.5, 1.5] {
+        let frames = browser.evaluate(&format!("opspaceView.seek({time_s}), opspaceView.frames()"));
+        let row = tick.time_s.partition_point(|t| *t < time_s - 1e-6);
+        for (axis, position) in logged.row(row).iter().enumerate() {
+            let shown = frames["hand"][axis].as_f64().unwrap();
+            assert!(
+                (shown - position).abs() < 1e-3,
+                "axis {axis} at {time_s} s: {shown} m, not {position} m"
+            );
+        }
+    }
+    assert_eq!(browser.complaints(), [""; 0]);
+
+    browser.call("Emulation.setScriptExecutionDisabled", &json!({ "value": true }));
+    browser.open(&url);
+    let player = browser.evaluate("document.querySelector('.player').getBoundingClientRect().height");
+    assert_eq!(player, json!(0), "hidden without scripts");
 }
 
 #[test]

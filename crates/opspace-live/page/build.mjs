@@ -1,22 +1,28 @@
 //! Builds the two bundles that the programs embed: the live page, and the player of reports.
 //!
-//!     node build.mjs             writes both
-//!     node build.mjs --check     fails unless the files in the repository are what this build makes
+//!     node build.mjs                     writes both
+//!     node build.mjs --check [CRATES]    fails unless the files in the repository, whose folder of crates is CRATES, are what this build makes
 
 import { createHash } from "node:crypto";
 import { mkdirSync, readFileSync, writeFileSync } from "node:fs";
+import { resolve } from "node:path";
+import { fileURLToPath, pathToFileURL } from "node:url";
 import { build } from "esbuild";
 import { gzipSync } from "fflate";
 import { slim } from "./slim.mjs";
 
-const VIEW = new URL("../src/page/view.html", import.meta.url);
-const PLAYER = new URL("../../opspace-report/src/player/player.js.gz", import.meta.url);
-const PLAYER_HASH = new URL("../../opspace-report/src/player/player.js.sha256", import.meta.url);
+const folder = fileURLToPath(new URL(".", import.meta.url));
+const isCheck = process.argv[2] === "--check";
+const crates = pathToFileURL(`${resolve(process.argv[3] ?? fileURLToPath(new URL("../..", import.meta.url)))}/`);
+const VIEW = new URL("opspace-live/src/page/view.html", crates);
+const PLAYER = new URL("opspace-report/src/player/player.js.gz", crates);
+const PLAYER_HASH = new URL("opspace-report/src/player/player.js.sha256", crates);
 
 /** One script of an entry and all that it imports. */
 async function script(entry) {
   const { outputFiles } = await build({
-    entryPoints: [new URL(`src/${entry}`, import.meta.url).pathname],
+    absWorkingDir: folder,
+    entryPoints: [`src/${entry}`],
     bundle: true,
     minify: true,
     write: false,
@@ -47,7 +53,7 @@ const files = [
 ];
 let different = 0;
 for (const [url, bytes] of files) {
-  if (process.argv.includes("--check")) {
+  if (isCheck) {
     if (readFileSync(url).equals(bytes)) continue;
     different += 1;
     console.error(`${url.pathname} is not what this build makes: npm run build`);

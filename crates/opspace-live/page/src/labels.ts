@@ -44,9 +44,10 @@ export class Labels {
       shown &&= Math.abs(point.z) < 1 && Math.abs(point.x) < 1.1 && Math.abs(point.y) < 1.1;
       element.hidden = !shown;
       if (!shown) continue;
-      const x = (point.x + 1) * 0.5 * width_px;
+      const width = LETTER_PX * element.textContent!.length;
+      const x = Math.min((point.x + 1) * 0.5 * width_px, width_px - width - 14);
       let y = (1 - point.y) * 0.5 * height_px;
-      const right = x + LETTER_PX * element.textContent!.length;
+      const right = x + width;
       const covers = ([left, end, top]: [number, number, number]) => x < end && right > left && Math.abs(y - top) < LINE_PX;
       for (let other = taken.find(covers); other; other = taken.find(covers)) y = other[2] + LINE_PX + 1;
       taken.push([x, right, y]);

@@ -14,7 +14,7 @@ export interface Pose {
 /** Radius of the line that stands for a link without a shape, m. */
 const STICK_M = 0.012;
 /** Length of the arrow of a force, m/N. */
-const ARROW_M_PER_N = 0.01;
+const ARROW_M_PER_N = 0.02;
 /** An arrow that is longer would leave the picture, m. */
 const LONGEST_ARROW_M = 0.5;
 /** Force that is shown, N: below it an arrow is shorter than its head. */

@@ -19,6 +19,9 @@ const GRID_STEP_M = 0.1;
 /** Room around the robot in the picture: forces and motions need some. */
 const MARGIN = 1.2;
 
+/** A picture that has not changed for this long is drawn finely, ms. */
+const STILL_MS = 250;
+
 /** Below this rate of drawing the picture becomes coarser, 1/s. */
 const SLOW_HZ = 24;
 
@@ -38,7 +41,10 @@ export class Stage {
   private requested = false;
   private last_ms = 0;
   private cost_ms = 0;
-  private ratio = Math.min(2, devicePixelRatio);
+  private readonly finest = Math.min(2, devicePixelRatio);
+  private ratio = this.finest;
+  private still = 0;
+  private isFine = false;
   private grid: LineSegments<BufferGeometry, LineBasicMaterial>;
 
   /** Returns a stage in the element; none if the browser draws no WebGL. */
@@ -137,16 +143,24 @@ export class Stage {
   }
 
   private resize(container: HTMLElement): void {
+    this.setSize(container);
+    this.request();
+  }
+
+  private setSize(container: HTMLElement): void {
     const [width, height] = [Math.max(1, container.clientWidth), Math.max(1, container.clientHeight)];
     this.renderer.setPixelRatio(this.ratio);
     this.renderer.setSize(width, height, false);
     this.camera.aspect = width / height;
     this.camera.updateProjectionMatrix();
-    this.request();
   }
 
   private draw(now_ms: number): void {
     this.requested = false;
+    if (this.isFine) {
+      this.isFine = false;
+      this.setSize(this.canvas.parentElement!);
+    }
     const dt_s = Math.min(0.1, Math.max(0, (now_ms - this.last_ms) / 1e3));
     this.coarsen(now_ms - this.last_ms);
     this.last_ms = now_ms;
@@ -164,6 +178,19 @@ export class Stage {
     this.renderer.render(this.scene, this.camera);
     this.labels.place(this.camera, this.canvas.clientWidth, this.canvas.clientHeight);
     this.drawn += 1;
+    clearTimeout(this.still);
+    if (this.ratio < this.finest) this.still = setTimeout(() => this.refine(), STILL_MS);
+  }
+
+  /** Draws a picture that stays with all its pixels; what moves then is coarse again. */
+  private refine(): void {
+    const coarse = this.ratio;
+    this.ratio = this.finest;
+    this.setSize(this.canvas.parentElement!);
+    this.draw(performance.now());
+    clearTimeout(this.still);
+    this.ratio = coarse;
+    this.isFine = true;
   }
 
   /** Draws fewer pixels where pictures that follow each other take long, as without a graphics processor. */
