@@ -26,6 +26,7 @@ mod hostile_inputs;
 mod identification;
 mod identified;
 mod identified_without_current;
+mod live_view;
 mod logs;
 mod model_samples;
 mod mounting;
