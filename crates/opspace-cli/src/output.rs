@@ -102,6 +102,17 @@ pub fn logs_of_experiment(path: &Path) -> Vec<PathBuf> {
     if log_path(path).exists() { Vec::new() } else { robot_logs(path) }
 }
 
+/// Logs that a path denotes: one, or those of the robots of an experiment, or of robots that ran side by side.
+pub fn logs_of_run(path: &Path) -> Vec<PathBuf> {
+    let mut logs = logs_of_experiment(path);
+    if logs.is_empty() && path.is_dir() && !log_path(path).exists() {
+        let folders = std::fs::read_dir(path).into_iter().flatten().flatten();
+        logs.extend(folders.map(|folder| folder.path().join(LOG)).filter(|log| log.is_file()));
+        logs.sort();
+    }
+    if logs.is_empty() { vec![log_path(path)] } else { logs }
+}
+
 /// Reads the log that a path denotes, as [`log_path`] does.
 pub fn read_log(path: &Path) -> Result<(PathBuf, Recording), Failure> {
     let path = log_path(path);

@@ -106,7 +106,7 @@ fn clear(folder: &Path) -> Result<(), Failure> {
     if holds_results(&motion) {
         clear(&motion)?;
     }
-    for log in robot_logs(folder) {
+    for log in robot_logs(folder).into_iter().chain(logs_of_summary(folder)).filter(|log| log.is_file()) {
         clear_robot(&log)?;
     }
     let mut ours = vec![LOG, REPORT, SUMMARY, ROWS, SUITE_ROWS, IDENTIFICATION];
@@ -122,6 +122,16 @@ fn clear(folder: &Path) -> Result<(), Failure> {
     }
     logs.retain(|name| !folder.join(name).is_dir());
     ours.into_iter().chain(logs.iter().map(String::as_str)).try_for_each(|name| remove(&folder.join(name)))
+}
+
+/// Logs of the robots that the summary in a folder names: of several robots, each has a folder.
+fn logs_of_summary(folder: &Path) -> Vec<PathBuf> {
+    let text = open_file(&folder.join(SUMMARY)).and_then(io::read_to_string).ok();
+    let read = text.and_then(|text| serde_json::from_str::<Value>(&text).ok());
+    let names = read.as_ref().and_then(|summary| summary["robots"].as_object()).into_iter().flatten();
+    // A name with a folder in it is none of a robot.
+    let names = names.map(|(name, _)| name).filter(|name| Path::new(name).file_name() == Some(name.as_ref()));
+    names.map(|name| folder.join(name).join(LOG)).collect()
 }
 
 /// Removes the log of a robot of an experiment, and the other results beside it; their folder too if it is then empty.

@@ -8,7 +8,7 @@ use opspace_backend::Layout;
 use opspace_log::{TIME_ZERO_NS, ViewerReceiver, ViewerTopic};
 use serde_json::{Map, Value};
 use std::path::PathBuf;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
 /// Topic of the URDF, whose meshes the page loads from the server.
@@ -29,6 +29,8 @@ pub(crate) struct Shown {
     force: [AtomicU64; 3],
     /// Numbers of the robot's channels.
     pub channels: Mutex<Vec<u32>>,
+    /// True once the log of the robot is closed.
+    pub is_closed: AtomicBool,
 }
 
 impl Shown {
@@ -90,6 +92,13 @@ impl<P: Publish> Feed<P> {
         }
     }
 
+    /// States that more is shown of the robot than this feed passes on.
+    pub fn keep_open(self) {
+        let shown = Arc::clone(&self.shown);
+        drop(self);
+        shown.is_closed.store(false, Ordering::Relaxed);
+    }
+
     /// Sends the signals of the last rows, once for each time of messages.
     fn send_signals(&mut self, log_time_ns: u64) {
         if self.last_ns.replace(log_time_ns) == Some(log_time_ns) {
@@ -102,6 +111,12 @@ impl<P: Publish> Feed<P> {
             let value = self.signals.value(name).filter(|value| value.is_finite()).unwrap_or(0.0);
             force.store(value.to_bits(), Ordering::Relaxed);
         }
+    }
+}
+
+impl<P> Drop for Feed<P> {
+    fn drop(&mut self) {
+        self.shown.is_closed.store(true, Ordering::Relaxed);
     }
 }
 

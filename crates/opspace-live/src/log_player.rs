@@ -63,6 +63,7 @@ impl Pictures {
             let Some(mut feed) = view.feed_to(collector, robot) else { continue };
             log.send_to(&mut feed)?;
             pictures.append(&mut feed.publish.pictures);
+            feed.keep_open();
         }
         pictures.sort_by_key(|picture| picture.log_time_ns);
         view.remove_other_channels();

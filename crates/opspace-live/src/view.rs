@@ -199,6 +199,12 @@ impl LiveView {
         self.state.hub.dropped()
     }
 
+    /// Continues, whether a page has paused or none has connected yet.
+    pub fn play(&self) {
+        self.state.waits.store(false, Ordering::Relaxed);
+        self.state.pace.set_paused(false);
+    }
+
     /// Returns true once a page asks for a new run.
     #[must_use]
     pub fn wants_restart(&self) -> bool {
@@ -322,7 +328,9 @@ impl State {
                 "tasks": viewed.tasks.iter().map(ViewedTask::json).collect::<Vec<_>>(),
             })
         };
-        let state = match (content.is_over, self.pace.is_paused() && content.is_controlled) {
+        let is_closed = |(_, shown): &(_, Arc<Shown>)| shown.is_closed.load(Ordering::Relaxed);
+        let is_over = content.is_over || (!content.robots.is_empty() && content.robots.iter().all(is_closed));
+        let state = match (is_over, self.pace.is_paused() && content.is_controlled) {
             (true, _) => "ended",
             (false, true) => "paused",
             (false, false) => "playing",

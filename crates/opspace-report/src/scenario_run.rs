@@ -273,6 +273,7 @@ fn write_comparison(
     let html = page(&scenario.name(), lead, &robots, &added.unwrap_or_default(), &sections);
     let mut summary = CouplingsEvaluator::new(scenario).finish(robots);
     summary.not_saved.extend(save(folder, REPORT, &html));
+    summary.not_saved.extend(save_summary(folder, &summary)?);
     Ok(summary)
 }
 

@@ -101,6 +101,7 @@ pub fn simulate_in_view(
         let path = results.path().to_owned();
         drop(results);
         results = empty(ResultFolder::open(&path)?, false, false, files, console)?;
+        live.play();
     }
 }
 

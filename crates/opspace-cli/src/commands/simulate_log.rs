@@ -3,7 +3,7 @@
 use crate::cli::ReplayArgs;
 use crate::console::{Console, Exit, Failure, Outcome};
 use crate::interrupt;
-use crate::output::{log_path, logs_of_experiment, open_log, pretty};
+use crate::output::{logs_of_run, open_log, pretty};
 use crate::plant::PlantChoice;
 use crate::run_progress::with_bar;
 use opspace_experiment::run::physics::OWN_PLANT;
@@ -14,8 +14,7 @@ use std::io::Cursor;
 use std::path::Path;
 
 pub fn simulate_log(args: &ReplayArgs, extensions: &Extensions, console: Console) -> Outcome {
-    let robots = logs_of_experiment(&args.log);
-    let logs = if robots.is_empty() { vec![log_path(&args.log)] } else { robots };
+    let logs = logs_of_run(&args.log);
     let (mut text, mut results, mut exit) = (String::new(), Vec::new(), Exit::Done);
     for log in &logs {
         let comparison = simulated_again(log, extensions, console)?;

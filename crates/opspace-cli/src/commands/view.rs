@@ -4,14 +4,13 @@ use crate::cli::ViewLogArgs;
 use crate::commands::run_in_view::open_view;
 use crate::console::{Console, Exit, Failure, Outcome};
 use crate::interrupt;
-use crate::output::{log_path, logs_of_experiment, open_log};
+use crate::output::{logs_of_run, open_log};
 use opspace_experiment::{Experiment, Extensions, RunError};
 use opspace_live::{Pictures, ViewKind, viewed};
 use opspace_log::{LogFile, OutcomeRecord};
 
 pub fn view(args: &ViewLogArgs, extensions: &Extensions, console: Console) -> Outcome {
-    let robots = logs_of_experiment(&args.log);
-    let paths = if robots.is_empty() { vec![log_path(&args.log)] } else { robots };
+    let paths = logs_of_run(&args.log);
     let (mut logs, mut shown, mut duration_s) = (Vec::<LogFile>::new(), Vec::new(), 0.0_f64);
     for path in &paths {
         let (path, log) = open_log(path)?;
