@@ -5,8 +5,10 @@ use opspace_backend::CommandKind;
 use opspace_backend::signal_names::{Q, TRUTH_CHANNEL};
 use opspace_experiment::run::log_header::RUN;
 use opspace_experiment::run::replay::replay;
-use opspace_experiment::{Experiment, Files, Progress, RunOptions};
-use opspace_log::Recording;
+use opspace_experiment::{Companion, Experiment, Files, Progress, RunOptions, Scenario};
+use opspace_log::{LogFile, Recording, ViewerReceiver, compare_logs};
+use opspace_loop::Run;
+use opspace_sim::{ExternalForceHandle, Pull};
 use std::io::Cursor;
 use std::sync::Arc;
 
@@ -96,4 +98,69 @@ fn log_names_its_plant_and_is_replayed() {
     assert_eq!((replayed.differing, replayed.compared), (0, replayed.logged));
     let error = logged.simulated_arm().err().expect("no engine");
     assert!(error.to_string().contains("was simulated by mujoco"), "{error}");
+}
+
+/// Hand that drags the flange for a part of the run.
+struct Hand {
+    handle: ExternalForceHandle,
+    frame: opspace_model::FrameId,
+}
+
+impl Companion for Hand {
+    fn receivers(&mut self, _robot: usize) -> Vec<Box<dyn ViewerReceiver>> {
+        Vec::new()
+    }
+
+    fn before_cycle(&mut self, _robot: usize, time_s: f64, _run: &mut Run<'_>) -> bool {
+        let target_m = nalgebra::Vector3::new(0.5 + 0.1 * (9.0 * time_s).sin(), 0.05, 0.55);
+        let pull = Pull::Drag {
+            point_m: nalgebra::Vector3::new(0.01, 0.02, 0.03),
+            target_m,
+            stiffness_n_per_m: 300.0,
+            damping_ns_per_m: 10.0,
+            largest_force_n: 30.0,
+        };
+        match (0.3..0.9).contains(&time_s) {
+            true => self.handle.apply(self.frame, pull),
+            false => self.handle.release(),
+        }
+        true
+    }
+}
+
+/// Compared: every signal of a run that a hand drags, and of its replay; every message, and those of a simulation of its log.
+#[test]
+fn dragged_runs_are_replayed_and_simulated_again() {
+    let Some(mujoco) = mujoco(None) else { return };
+    let mujoco = Arc::new(mujoco);
+    for (number, backend) in [CommandKind::Torque, CommandKind::Position].into_iter().enumerate() {
+        let settings = ["settle_s=0.1", "environment={}"];
+        let own = experiment("tasks/panda-compliant.toml", backend, 1.2 + 0.1 * number as f64, &settings);
+        let dragged = own.on_engine(Arc::clone(&mujoco) as _).expect("a plant");
+        let scenario = Scenario::from(dragged.clone());
+        let progress = Progress::default();
+        let mut arms = scenario.pushable_arms().expect("arms");
+        let handle = arms[0].external_force().expect("it may be pushed");
+        let frame = dragged.robot().model.frame_id("flange").expect("the flange");
+        let mut robots: Vec<&mut dyn opspace_backend::Backend> =
+            arms.iter_mut().map(|arm| arm as &mut dyn opspace_backend::Backend).collect();
+        let open = |_, capabilities: &_, truth, receivers| {
+            dragged.open_with(capabilities, truth, Cursor::new(Vec::new()), &progress, receivers)
+        };
+        let driven = scenario.drive_robots_with(&mut robots, &progress, &mut Hand { handle, frame }, open);
+        let (log, outcome) = driven.expect("a run").remove(0);
+        let bytes = log.close(&dragged, outcome).expect("a log").sink.into_inner();
+        let log = Recording::from_bytes(&bytes).expect("a log");
+        let force = log.channel("external").and_then(|rows| rows.signal("force")).expect("forces");
+        assert!(force.rows().any(|row| row[0].abs() > 5.0));
+        let of_log = Experiment::of_log(&log)
+            .expect("an experiment")
+            .on_engine(Arc::clone(&mujoco) as _)
+            .expect("a plant");
+        assert_eq!(replay(&of_log, &log).expect("a replay").differing, 0);
+        let again = of_log.repeat(&log, Cursor::new(Vec::new()), &Progress::default()).expect("a simulation");
+        let logs = [bytes, again.sink.into_inner()].map(|bytes| LogFile::from_bytes(bytes).expect("a log"));
+        let comparison = compare_logs(&logs[0], &logs[1]).expect("readable logs");
+        assert!(!comparison.differs(), "{:?}", comparison.parts);
+    }
 }

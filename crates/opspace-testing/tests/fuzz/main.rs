@@ -10,6 +10,7 @@
 mod edits;
 mod inputs;
 mod limits;
+mod live;
 mod log;
 mod mcap_file;
 mod mesh;
