@@ -136,7 +136,7 @@ impl Console {
     }
 
     /// Prints to stderr what the user must know to go on, also if quiet.
-    pub fn announce(self, text: &str) {
+    pub fn tell(self, text: &str) {
         let _ = writeln!(io::stderr(), "{}", escaped(text));
     }
 

@@ -22,7 +22,7 @@ const FORCE: [&str; 3] = ["external.force.x", "external.force.y", "external.forc
 
 /// Facts about a robot that the view states, set by the thread that writes its log.
 #[derive(Debug, Default)]
-pub(crate) struct Shown {
+pub(crate) struct FedState {
     /// Units of the signals.
     pub units: Mutex<Map<String, Value>>,
     /// Bits of the acting external force, N.
@@ -33,7 +33,7 @@ pub(crate) struct Shown {
     pub is_closed: AtomicBool,
 }
 
-impl Shown {
+impl FedState {
     /// Acting external force, N.
     pub fn force(&self) -> [f64; 3] {
         std::array::from_fn(|axis| f64::from_bits(self.force[axis].load(Ordering::Relaxed)))
@@ -56,7 +56,7 @@ impl Publish for Arc<Hub> {
 pub(crate) struct Feed<P = Arc<Hub>> {
     pub publish: P,
     hub: Arc<Hub>,
-    shown: Arc<Shown>,
+    shown: Arc<FedState>,
     meshes: Arc<Mutex<Vec<PathBuf>>>,
     prefix: String,
     /// Channel of each topic, and that of the signals.
@@ -73,7 +73,7 @@ impl<P: Publish> Feed<P> {
     pub fn new(
         publish: P,
         hub: Arc<Hub>,
-        shown: Arc<Shown>,
+        shown: Arc<FedState>,
         meshes: Arc<Mutex<Vec<PathBuf>>>,
         prefix: String,
     ) -> Self {

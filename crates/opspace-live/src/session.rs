@@ -11,7 +11,7 @@ const MOST_SUBSCRIPTIONS: usize = 256;
 /// Largest number of channels of a connection.
 const MOST_CHANNELS: usize = 16;
 
-/// What a message of a client asks for.
+/// Action that a message of a client asks for.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Action {
     /// Sends the messages of the server's channel from now on.
@@ -162,7 +162,7 @@ mod tests {
         );
     }
 
-    /// What is not understood is answered by a warning; subscriptions and channels are limited.
+    /// Messages that are not understood are answered by a warning; subscriptions and channels are limited.
     #[test]
     fn other_messages_are_warned_of() {
         let mut session = Session::default();

@@ -12,12 +12,12 @@ const ACTING_FORCE: &str = "force";
 /// Elements of rows that are shown, and their last values.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Signals {
-    channels: Vec<Shown>,
+    channels: Vec<ChannelSignals>,
 }
 
 /// Elements of a channel's rows that are shown.
 #[derive(Clone, Debug)]
-struct Shown {
+struct ChannelSignals {
     /// Index of the channel in the log.
     channel: usize,
     /// Name, unit and column of each element.
@@ -54,7 +54,7 @@ impl Signals {
                     column += 1;
                 }
             }
-            channels.push(Shown { channel, elements, row: vec![f64::NAN; column] });
+            channels.push(ChannelSignals { channel, elements, row: vec![f64::NAN; column] });
         }
         Self { channels }
     }

@@ -1,6 +1,6 @@
 //! State of a view: what its page shows, and what its page asks for.
 
-use crate::feed::{Feed, Publish, Shown, json_channel};
+use crate::feed::{FedState, Feed, Publish, json_channel};
 use crate::held::{Hand, Pushable};
 use crate::hub::Hub;
 use crate::requests::{ControlMessage, HandMessage};
@@ -53,7 +53,7 @@ pub struct ViewedRobot {
     pub tasks: Vec<ViewedTask>,
 }
 
-/// What a view shows at present.
+/// Content of a view at present.
 #[derive(Debug)]
 struct Content {
     title: String,
@@ -62,7 +62,7 @@ struct Content {
     is_over: bool,
     is_controlled: bool,
     outcome: Option<String>,
-    robots: Vec<(ViewedRobot, Arc<Shown>)>,
+    robots: Vec<(ViewedRobot, Arc<FedState>)>,
 }
 
 /// State that the threads of connections, of logs and of the run share.
@@ -158,7 +158,7 @@ impl LiveView {
         publish: P,
         hub: Arc<Hub>,
         viewed: &ViewedRobot,
-        shown: &Arc<Shown>,
+        shown: &Arc<FedState>,
     ) -> Feed<P> {
         Feed::new(publish, hub, Arc::clone(shown), Arc::clone(&self.state.meshes), viewed.prefix.clone())
     }
@@ -305,7 +305,7 @@ impl State {
     fn json(&self) -> Value {
         let content = lock(&self.content);
         let grasp = self.hand.grasp(Instant::now());
-        let robot = |(viewed, shown): &(ViewedRobot, Arc<Shown>)| {
+        let robot = |(viewed, shown): &(ViewedRobot, Arc<FedState>)| {
             let can_push = viewed.pushable.is_some();
             let hand = grasp.as_ref().filter(|_| can_push).map(|grasp| {
                 json!({
@@ -328,7 +328,7 @@ impl State {
                 "tasks": viewed.tasks.iter().map(ViewedTask::json).collect::<Vec<_>>(),
             })
         };
-        let is_closed = |(_, shown): &(_, Arc<Shown>)| shown.is_closed.load(Ordering::Relaxed);
+        let is_closed = |(_, shown): &(_, Arc<FedState>)| shown.is_closed.load(Ordering::Relaxed);
         let is_over = content.is_over || (!content.robots.is_empty() && content.robots.iter().all(is_closed));
         let state = match (is_over, self.pace.is_paused() && content.is_controlled) {
             (true, _) => "ended",

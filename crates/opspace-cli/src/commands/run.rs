@@ -72,7 +72,14 @@ pub fn run(args: &RunArgs, extensions: &Extensions, console: Console) -> Outcome
     let live = args.view.view.map(|address| open_view(address, &scenario.name(), ViewKind::Run, console));
     let live = live.transpose()?;
     if let Some(live) = live.as_ref().filter(|_| real.is_none()) {
-        return simulate_in_view(live, results, &file_names(&scenario), view);
+        let say = |summary: &RunSummary, folder: &Path| view.say(summary, folder);
+        return simulate_in_view(
+            live,
+            results,
+            &file_names(&scenario),
+            (&scenario, &progress, console),
+            &say,
+        );
     }
     let summary = with_bar((&scenario.name(), scenario.ticks()), &progress, console, || {
         if real.is_some() {
@@ -92,17 +99,17 @@ pub fn run(args: &RunArgs, extensions: &Extensions, console: Console) -> Outcome
 
 /// Data with which the results of a run are shown, also in the thread that watches the robots.
 #[derive(Clone, Copy)]
-pub struct RunView<'a> {
-    pub scenario: &'a Scenario,
+struct RunView<'a> {
+    scenario: &'a Scenario,
     args: &'a RunArgs,
     columns: &'a [Metric],
-    pub progress: &'a Progress,
-    pub console: Console,
+    progress: &'a Progress,
+    console: Console,
 }
 
 impl RunView<'_> {
     /// Shows the results of a run.
-    pub fn say(self, summary: &RunSummary, folder: &Path) -> Outcome {
+    fn say(self, summary: &RunSummary, folder: &Path) -> Outcome {
         let Self { scenario, args, columns, progress, console } = self;
         args.output.json.print(|| pretty(summary), || text(summary, columns, console))?;
         match summary.single() {

@@ -1,7 +1,6 @@
 //! `opspace run --view`: a run that a browser shows while it takes place.
 
 use crate::cli::RunArgs;
-use crate::commands::run::RunView;
 use crate::console::{Console, Exit, Failure, Outcome};
 use crate::result_folder::empty;
 use crate::view_address::{Side, ViewAddress};
@@ -10,6 +9,7 @@ use opspace_experiment::{Extensions, Files, Progress, RunError, RunSummary, Scen
 use opspace_live::{LiveRun, LiveView, ViewKind};
 use opspace_report::{LeftBehind, run_arms_in_folder, run_on_drivers_with};
 use std::net::SocketAddr;
+use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
@@ -30,7 +30,7 @@ pub fn open_view(
     let view = view.map_err(|error| {
         Failure::Other(format!("{socket}: the view cannot be served there: {error}"), Exit::Bad)
     })?;
-    console.announce(&format!("view at {}", view.address().page()));
+    console.tell(&format!("view at {}", view.address().page()));
     Ok(view)
 }
 
@@ -78,21 +78,22 @@ pub fn run_on_drivers_in_view(
     Ok(summary)
 }
 
-/// Simulates a scenario and shows it, until the user ends the view; again if the page asks for it.
+/// Simulates a scenario and shows it, until the user ends the view; again if the page asks for it. `say` shows the results of each
+/// run, and returns their exit code.
 pub fn simulate_in_view(
     live: &LiveView,
     results: ResultFolder,
     files: &[String],
-    view: RunView<'_>,
+    (scenario, progress, console): (&Scenario, &Progress, Console),
+    say: &dyn Fn(&RunSummary, &Path) -> Outcome,
 ) -> Outcome {
-    let RunView { scenario, progress, console, .. } = view;
     let mut results = results;
     loop {
         let mut arms = scenario.pushable_arms()?;
         let mut companion = LiveRun::new(live, scenario, Some(&arms), Arc::clone(&progress.interrupt));
         let summary = run_arms_in_folder(scenario, &mut arms, &results, progress, &mut companion)?;
         live.end(&outcome(&summary));
-        let exit = view.say(&summary, results.path())?;
+        let exit = say(&summary, results.path())?;
         say_pace(live, console);
         if !wait_for_restart(live, progress) {
             return Ok(exit);
