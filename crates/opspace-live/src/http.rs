@@ -1,8 +1,6 @@
 //! Requests for the page, its meshes and the WebSocket, and who may make them. Bytes in, answers out: no socket is touched here.
 
-use crate::sha1::sha1;
-use base64::Engine;
-use base64::prelude::BASE64_STANDARD;
+use tungstenite::handshake::derive_accept_key;
 
 /// Largest head of a request, bytes.
 pub const LARGEST_HEAD: usize = 8 << 10;
@@ -10,8 +8,8 @@ pub const LARGEST_HEAD: usize = 8 << 10;
 /// Subprotocols of Foxglove, the preferred one first. They differ in nothing that is used here.
 pub const SUBPROTOCOLS: [&str; 2] = ["foxglove.websocket.v1", "foxglove.sdk.v1"];
 
-/// Constant of the handshake (RFC 6455, section 1.3).
-const HANDSHAKE: &str = "258EAFA5-E914-47DA-95CA-C5AB0DC85B11";
+/// Largest number of headers of a request.
+const MOST_HEADERS: usize = 64;
 
 /// Head of a request.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -75,29 +73,23 @@ const fn refusal(status: u16, reason: &'static str) -> Refusal {
 /// # Errors
 /// Bytes that are no request of this server.
 pub fn parse(bytes: &[u8]) -> Result<Option<Request>, Refusal> {
-    let Some(end) = bytes.windows(4).position(|window| window == b"\r\n\r\n") else {
+    let mut headers = [httparse::EMPTY_HEADER; MOST_HEADERS];
+    let mut head = httparse::Request::new(&mut headers);
+    let parsed = head.parse(bytes).map_err(|_| refusal(400, "not a request of HTTP"))?;
+    if parsed.is_partial() {
         return if bytes.len() > LARGEST_HEAD { Err(refusal(431, "the head is too long")) } else { Ok(None) };
-    };
-    let head = std::str::from_utf8(&bytes[..end]).map_err(|_| refusal(400, "the head is not UTF-8"))?;
-    let mut lines = head.split("\r\n");
-    let mut words = lines.next().unwrap_or_default().split(' ');
-    let (method, target, version) = (words.next(), words.next(), words.next());
-    let (Some(method), Some(target), Some("HTTP/1.1")) = (method, target, version) else {
-        return Err(refusal(400, "not a request of HTTP/1.1"));
-    };
-    if method != "GET" {
-        return Err(refusal(405, "only GET is answered"));
     }
+    let (Some("GET"), Some(target)) = (head.method, head.path) else {
+        return Err(refusal(405, "only GET is answered"));
+    };
     let (path, query) = target.split_once('?').unwrap_or((target, ""));
     let token = query.split('&').find_map(|pair| pair.strip_prefix("token=")).map(str::to_owned);
     let mut request = Request { path: path.to_owned(), token, ..Request::default() };
     let mut upgrade = (false, None, None);
-    for line in lines {
-        let Some((name, value)) = line.split_once(':') else {
-            return Err(refusal(400, "a header without colon"));
-        };
+    for header in head.headers.iter() {
+        let value = std::str::from_utf8(header.value).map_err(|_| refusal(400, "the head is not UTF-8"))?;
         let value = value.trim();
-        match name.to_ascii_lowercase().as_str() {
+        match header.name.to_ascii_lowercase().as_str() {
             "host" => request.host = Some(value.to_owned()),
             "origin" => request.origin = Some(value.to_owned()),
             "upgrade" => upgrade.0 = value.eq_ignore_ascii_case("websocket"),
@@ -146,8 +138,7 @@ pub fn answer(request: &Request, access: &Access) -> Result<Answer, Refusal> {
         let offered = |name: &&str| request.protocols.iter().any(|offered| offered == name);
         let protocol = SUBPROTOCOLS.into_iter().find(|name| offered(name));
         let protocol = protocol.ok_or(refusal(400, "no subprotocol of Foxglove"))?;
-        let digest = sha1(format!("{key}{HANDSHAKE}").as_bytes());
-        return Ok(Answer::WebSocket { accept: BASE64_STANDARD.encode(digest), protocol });
+        return Ok(Answer::WebSocket { accept: derive_accept_key(key.as_bytes()), protocol });
     }
     match request.path.as_str() {
         "/" => Ok(Answer::Page),

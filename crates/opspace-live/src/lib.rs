@@ -22,7 +22,6 @@ mod queue;
 pub mod requests;
 pub mod server;
 pub mod session;
-mod sha1;
 mod signals;
 pub mod tunable;
 pub mod view;
