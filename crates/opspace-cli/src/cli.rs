@@ -198,6 +198,10 @@ pub struct ViewArgs {
         conflicts_with = "log"
     )]
     pub view: Option<ViewAddress>,
+
+    /// With --view: pages of this other origin may connect and pull the robot too, for example https://app.foxglove.dev. Can be repeated.
+    #[arg(long, value_name = "ORIGIN", requires = "view")]
+    pub view_origin: Vec<String>,
 }
 
 /// Show a log in a browser, as a run is shown with `opspace run --view`: play it, go to any time, slow it down.
@@ -215,6 +219,10 @@ pub struct ViewLogArgs {
     /// another one; the page then has a token.
     #[arg(long, value_name = "ADDRESS", value_parser = view_address)]
     pub at: Option<ViewAddress>,
+
+    /// Pages of this other origin may connect too, for example https://app.foxglove.dev. Can be repeated.
+    #[arg(long, value_name = "ORIGIN")]
+    pub view_origin: Vec<String>,
 }
 
 /// Refusals that the user allows.

@@ -56,10 +56,12 @@ pub enum Answer {
 }
 
 /// Access to a server: the addresses under which it is known, and its token.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Access {
     /// Hosts with port, for example `127.0.0.1:8765`.
     pub hosts: Vec<String>,
+    /// Other origins whose pages the user trusts, for example `https://app.foxglove.dev`.
+    pub origins: Vec<String>,
     /// Token that requests must have; a server that only this computer reaches has none.
     pub token: Option<String>,
 }
@@ -124,7 +126,8 @@ pub fn answer(request: &Request, access: &Access) -> Result<Answer, Refusal> {
         is_known(authority)
             || (access.token.is_some() && !host.is_empty() && authority.eq_ignore_ascii_case(host))
     };
-    if request.origin.as_deref().is_some_and(|origin| !is_own(origin)) {
+    let is_trusted = |origin: &str| access.origins.iter().any(|trusted| trusted.eq_ignore_ascii_case(origin));
+    if request.origin.as_deref().is_some_and(|origin| !is_own(origin) && !is_trusted(origin)) {
         return Err(refusal(403, "another origin"));
     }
     match (&access.token, &request.token) {
@@ -191,11 +194,11 @@ mod tests {
     use super::*;
 
     fn local() -> Access {
-        Access { hosts: vec!["127.0.0.1:80".to_owned(), "localhost:80".to_owned()], token: None }
+        Access { hosts: vec!["127.0.0.1:80".to_owned(), "localhost:80".to_owned()], ..Access::default() }
     }
 
     fn open() -> Access {
-        Access { hosts: Vec::new(), token: Some("secret".to_owned()) }
+        Access { token: Some("secret".to_owned()), ..Access::default() }
     }
 
     fn ask(target: &str, headers: &str, access: &Access) -> Result<Answer, u16> {
@@ -243,6 +246,13 @@ mod tests {
         ] {
             assert_eq!(ask("/", &format!("{own}Origin: {origin}\r\n"), &local()), Err(403), "{origin}");
         }
+        let viewer = "https://app.foxglove.dev";
+        let trusting = Access { origins: vec![viewer.to_owned()], ..local() };
+        let of_viewer = format!("{own}Origin: {viewer}\r\n");
+        assert_eq!(
+            (ask("/", &of_viewer, &trusting), ask("/", &of_viewer, &local())),
+            (Ok(Answer::Page), Err(403))
+        );
         // A name that leads to this computer: host and origin agree.
         let rebound = "Host: evil.example:80\r\nOrigin: http://evil.example:80\r\n";
         assert_eq!(ask("/", rebound, &local()), Err(403));

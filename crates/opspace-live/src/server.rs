@@ -61,6 +61,8 @@ pub struct Address {
     pub socket: SocketAddr,
     /// Token of its pages, unless only this computer reaches it.
     pub token: Option<String>,
+    /// Other origins whose pages may connect.
+    pub origins: Vec<String>,
 }
 
 impl Address {
@@ -81,7 +83,7 @@ impl Address {
         let mut hosts =
             vec![format!("127.0.0.1:{port}"), format!("localhost:{port}"), format!("[::1]:{port}")];
         hosts.push(self.socket.to_string());
-        Access { hosts, token: self.token.clone() }
+        Access { hosts, origins: self.origins.clone(), token: self.token.clone() }
     }
 }
 
@@ -104,13 +106,13 @@ struct Shared {
 }
 
 impl Server {
-    /// Begins to listen on an address. An address that other computers reach gets a token. `meshes` are the files that the page may ask
+    /// Begins to listen on an address; pages of these other origins may connect too. An address that other computers reach gets a token. `meshes` are the files that the page may ask
     /// for, by number.
     ///
     /// # Errors
     /// An address that is taken or not of this computer.
     pub fn start(
-        socket: SocketAddr,
+        (socket, origins): (SocketAddr, &[String]),
         name: &str,
         hub: Arc<Hub>,
         meshes: Arc<Mutex<Vec<PathBuf>>>,
@@ -119,7 +121,7 @@ impl Server {
         let listener = TcpListener::bind(socket)?;
         let socket = listener.local_addr()?;
         let token = if socket.ip().is_loopback() { None } else { Some(random_text()?) };
-        let address = Address { socket, token };
+        let address = Address { socket, token, origins: origins.to_vec() };
         let shared = Arc::new(Shared {
             hub,
             meshes,

@@ -94,6 +94,19 @@ impl LiveView {
     /// # Errors
     /// An address that is taken, or not of this computer.
     pub fn start(socket: SocketAddr, title: &str, kind: ViewKind) -> io::Result<Self> {
+        Self::start_for(socket, &[], title, kind)
+    }
+
+    /// Begins to serve as [`start`](Self::start) does; pages of these other origins may connect too.
+    ///
+    /// # Errors
+    /// As [`start`](Self::start).
+    pub fn start_for(
+        socket: SocketAddr,
+        origins: &[String],
+        title: &str,
+        kind: ViewKind,
+    ) -> io::Result<Self> {
         let hub = Arc::<Hub>::default();
         let channel = hub.open(vec![json_channel(VIEW.to_owned(), "opspace.View")]).pop().unwrap_or_default();
         let content = Content {
@@ -120,7 +133,7 @@ impl LiveView {
         });
         state.pace.set_paused(true);
         let inputs = Arc::<State>::clone(&state);
-        let server = Server::start(socket, "opspace", hub, Arc::clone(&state.meshes), inputs)?;
+        let server = Server::start((socket, origins), "opspace", hub, Arc::clone(&state.meshes), inputs)?;
         let told = Arc::clone(&state);
         thread::Builder::new().name("opspace-state".to_owned()).spawn(move || tell(&told))?;
         Ok(Self { state, server })

@@ -69,7 +69,9 @@ pub fn run(args: &RunArgs, extensions: &Extensions, console: Console) -> Outcome
     {
         return Ok(exit);
     }
-    let live = args.view.view.map(|address| open_view(address, &scenario.name(), ViewKind::Run, console));
+    let live = args.view.view.map(|address| {
+        open_view((address, &args.view.view_origin), &scenario.name(), ViewKind::Run, console)
+    });
     let live = live.transpose()?;
     if let Some(live) = live.as_ref().filter(|_| real.is_none()) {
         let say = |summary: &RunSummary, folder: &Path| view.say(summary, folder);

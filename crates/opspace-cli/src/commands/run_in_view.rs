@@ -17,16 +17,18 @@ use std::time::{Duration, Instant};
 /// Time without a page after which a view of a finished run ends.
 const ALONE: Duration = Duration::from_secs(3);
 
-/// Begins to serve a view at an address, and prints where it is.
+/// Begins to serve a view at an address, also to pages of these other origins, and prints where it is.
 pub fn open_view(
-    address: ViewAddress,
+    (address, origins): (ViewAddress, &[String]),
     title: &str,
     kind: ViewKind,
     console: Console,
 ) -> Result<LiveView, Failure> {
     let ViewAddress { socket, any_port } = address;
-    let another = || any_port.then(|| LiveView::start(SocketAddr::new(socket.ip(), 0), title, kind));
-    let view = LiveView::start(socket, title, kind).or_else(|error| another().unwrap_or(Err(error)));
+    let another =
+        || any_port.then(|| LiveView::start_for(SocketAddr::new(socket.ip(), 0), origins, title, kind));
+    let view =
+        LiveView::start_for(socket, origins, title, kind).or_else(|error| another().unwrap_or(Err(error)));
     let view = view.map_err(|error| {
         Failure::Other(format!("{socket}: the view cannot be served there: {error}"), Exit::Bad)
     })?;

@@ -34,8 +34,12 @@ pub fn view(args: &ViewLogArgs, extensions: &Extensions, console: Console) -> Ou
     let interrupted = outcomes.iter().any(|outcome| outcome.interrupted);
     let outcome = fault.unwrap_or_else(|| (if interrupted { "interrupted" } else { "completed" }).to_owned());
     let progress = interrupt::watch();
-    let live =
-        open_view(args.at.unwrap_or_default(), &args.log.display().to_string(), ViewKind::Log, console)?;
+    let live = open_view(
+        (args.at.unwrap_or_default(), &args.view_origin),
+        &args.log.display().to_string(),
+        ViewKind::Log,
+        console,
+    )?;
     live.show(shown, duration_s, true);
     let bad = |error| Failure::Other(format!("{}: {error}", args.log.display()), Exit::Bad);
     let pictures = Pictures::read(&live, &logs).map_err(bad)?;

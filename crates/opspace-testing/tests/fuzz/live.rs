@@ -100,7 +100,11 @@ fn live_requests() {
                    Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\
                    Sec-WebSocket-Protocol: foxglove.websocket.v1\r\n\r\n";
     let seeds = [page.to_vec(), socket.to_vec()];
-    let access = Access { hosts: vec!["127.0.0.1:8765".to_owned()], token: Some("secret".to_owned()) };
+    let access = Access {
+        hosts: vec!["127.0.0.1:8765".to_owned()],
+        token: Some("secret".to_owned()),
+        ..Access::default()
+    };
     let target = Target::new("live-requests", MOST_BYTES);
     for_each_input(edited(seeds.len()), 2000, |(seed, edits)| {
         let bytes = apply(&seeds, *seed, edits);
