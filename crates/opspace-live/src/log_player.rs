@@ -67,7 +67,9 @@ impl Pictures {
         }
         pictures.sort_by_key(|picture| picture.log_time_ns);
         view.remove_other_channels();
-        Ok(Self { pictures })
+        let read = Self { pictures };
+        view.state.set_duration(read.end_s());
+        Ok(read)
     }
 
     /// Time of a message on the robots' clock, s.

@@ -255,6 +255,11 @@ impl State {
         f64::from_bits(self.time_s.load(Ordering::Relaxed))
     }
 
+    /// Sets the duration of what is shown, s.
+    pub fn set_duration(&self, duration_s: f64) {
+        lock(&self.content).duration_s = duration_s;
+    }
+
     /// Marks the end of what is shown, or its continuation.
     pub fn set_over(&self, is_over: bool) {
         lock(&self.content).is_over = is_over;
