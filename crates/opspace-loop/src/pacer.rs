@@ -250,7 +250,7 @@ mod tests {
     /// Compared: the cycles after a short stall, which catch up, and after a long one, which continue at their rate.
     #[test]
     fn only_short_stalls_are_caught_up() {
-        let (mut pacer, clock, control) = pacer();
+        let (mut pacer, mut clock, control) = pacer();
         assert!(pacer.wait(0.0, &mut never));
         clock.sleep(0.01);
         for cycle in 1..=20 {
