@@ -243,7 +243,9 @@ mod tests {
             assert!(at(1.0 + f64::from(cycle - 1001) * 4e-3));
         }
         assert_eq!(control.late_cycles(), 0);
-        [0.0, -1.0, f64::NAN, f64::INFINITY].map(|speed| control.set_speed(speed));
+        for speed in [0.0, -1.0, f64::NAN, f64::INFINITY] {
+            control.set_speed(speed);
+        }
         assert_eq!(control.speed(), 0.25);
     }
 
