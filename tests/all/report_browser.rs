@@ -124,7 +124,7 @@ fn run_report_is_drawn() {
 #[ignore = "needs a browser: .ci/run browser"]
 fn player_plays() {
     let folder = scratch();
-    let log = run(folder.path(), "out", "compliant-x", &["--duration-s", "2"]);
+    let log = run(folder.path(), "out", "compliant-x", &["--set", "settle_s=0.5"]);
     let url = format!("file://{}", log.with_file_name("report.html").display());
     let profile = scratch();
     let mut browser = Browser::start(profile.path(), 1200, 900);

@@ -13,6 +13,7 @@ export class Browser {
   #waiting = new Map();
   #lastId = 0;
   #rest = "";
+  #loaded = () => {};
   /** Messages on the console. */
   complaints = [];
 
@@ -56,6 +57,8 @@ export class Browser {
       this.#waiting.delete(message.id);
       if (message.error) failed(new Error(message.error.message));
       else done(message.result);
+    } else if (message.method === "Page.loadEventFired") {
+      this.#loaded();
     } else if (message.method === "Runtime.consoleAPICalled") {
       this.complaints.push(message.params.args.map(value => value.value ?? value.description).join(" "));
     } else if (message.method === "Runtime.exceptionThrown") {
@@ -72,8 +75,10 @@ export class Browser {
   }
 
   async open(url) {
-    await this.call("Page.navigate", { url });
-    await this.evaluate("new Promise(done => document.readyState === 'complete' ? done() : addEventListener('load', done))");
+    const loaded = new Promise(done => (this.#loaded = done));
+    const { errorText } = await this.call("Page.navigate", { url });
+    if (errorText) throw new Error(`${url}: ${errorText}`);
+    await loaded;
   }
 
   async evaluate(expression) {

@@ -19,6 +19,7 @@ export class LiveScene {
   private readonly environment: Environment;
   private framed = 0;
   private readonly moved = new Set<string>();
+  private readonly early: [Robot, Entity][] = [];
 
   constructor(private readonly stage: Stage) {
     this.environment = new Environment(stage);
@@ -47,7 +48,10 @@ export class LiveScene {
     if (!robot) return false;
     if (name === "/tf" || name === "/tf_static") {
       for (const transform of transforms(bytes)) robot.place(transform.parent, transform.child, transform);
-      if (name === "/tf") this.moved.add(robot.prefix);
+      if (name === "/tf" && !this.moved.has(robot.prefix)) {
+        this.moved.add(robot.prefix);
+        this.early.splice(0).forEach(([robot, entity]) => this.addEntity(robot, entity));
+      }
     } else if (name === "/robot_description") {
       const found = (link: string, shape: Object3D) => {
         robot.setShape(link, "visual", shape);
@@ -102,10 +106,15 @@ export class LiveScene {
   }
 
   private addEntity(robot: Robot, entity: Entity): void {
+    // Which frame is the world is known from the transforms.
+    if (!this.moved.has(robot.prefix)) {
+      this.early.push([robot, entity]);
+      return;
+    }
     const shape = new Group();
     const ends = entity.spheres.map(sphere => sphere.position);
     const radius = (entity.spheres[0]?.size.x ?? entity.cylinders[0]?.size.x ?? 0) / 2;
-    const isInWorld = !robot.hasFrame(entity.frame) || /^world_*$/.test(entity.frame);
+    const isInWorld = robot.isWorld(entity.frame);
     const [start, end = start] = ends;
     if (start && end) {
       if (isInWorld) {

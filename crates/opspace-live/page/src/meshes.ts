@@ -48,6 +48,8 @@ function parse(bytes: ArrayBuffer): Object3D {
     return shape;
   }
   const geometry = new STLLoader().parse(bytes);
+  // Those of a file may be zero.
+  geometry.computeVertexNormals();
   const shape = new Group().add(new Mesh(geometry));
   shape.userData["isPlain"] = true;
   return shape;

@@ -145,6 +145,7 @@ function start(): void {
       time_s: () => player.time_s,
       seek: (time_s: number) => player.seekTime(time_s),
       toggle: () => player.toggle(),
+      frame: () => scene.frame(),
       isPlaying: () => player.playing,
       orbit: (azimuth_rad: number, elevation_rad: number) => stage.orbit.turn(azimuth_rad, elevation_rad),
       pixelOf: (point: [number, number, number]) => stage.pixel(new Vector3(...point)),

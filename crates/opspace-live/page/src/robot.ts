@@ -94,6 +94,12 @@ export class Robot {
     return this.frames.has(name);
   }
 
+  /** True for the frame in which the robot stands. */
+  isWorld(name: string): boolean {
+    const frame = this.frames.get(name);
+    return !frame || frame.parent === this.root;
+  }
+
   place(parent: string, child: string, { position, rotation }: Pose): void {
     const [above, frame] = [this.frame(parent), this.frame(child)];
     if (frame.parent !== above) above.add(frame);

@@ -50,7 +50,12 @@ export class RunScene {
     }
     for (const { name } of data.objects) this.environment.addBall(name, new Vector3(), BALL_M);
     this.show(0);
-    stage.show([this.robot.root]);
+    this.frame();
+  }
+
+  /** Places the camera so that the robot is seen. */
+  frame(): void {
+    this.stage.show([this.robot.root]);
   }
 
   /** Shows the run at a place between pictures. */

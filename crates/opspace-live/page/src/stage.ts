@@ -17,7 +17,7 @@ const GRID_M = 2;
 const GRID_STEP_M = 0.1;
 
 /** Room around the robot in the picture: forces and motions need some. */
-const MARGIN = 1.2;
+const MARGIN = 1.02;
 
 /** A picture that has not changed for this long is drawn finely, ms. */
 const STILL_MS = 250;
