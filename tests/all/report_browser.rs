@@ -167,9 +167,15 @@ fn player_plays() {
     assert_eq!(browser.complaints(), [""; 0]);
 
     browser.call("Emulation.setScriptExecutionDisabled", &json!({ "value": true }));
-    browser.open(&url);
+    // Without scripts the page calls nothing back.
+    browser.call("Page.navigate", &json!({ "url": format!("{url}?still") }));
+    let is_there = "location.search === '?still' && document.readyState === 'complete'";
+    while browser.evaluate(is_there) != json!(true) {
+        std::thread::sleep(std::time::Duration::from_millis(50));
+    }
     let player = browser.evaluate("document.querySelector('.player').getBoundingClientRect().height");
     assert_eq!(player, json!(0), "hidden without scripts");
+    assert!(browser.evaluate("document.querySelectorAll('.views svg[role=img]').length").as_u64() >= Some(3));
 }
 
 #[test]

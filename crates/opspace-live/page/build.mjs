@@ -18,6 +18,18 @@ const VIEW = new URL("opspace-live/src/page/view.html", crates);
 const PLAYER = new URL("opspace-report/src/player/player.js.gz", crates);
 const PLAYER_HASH = new URL("opspace-report/src/player/player.js.sha256", crates);
 
+/** Imports the bundle of a worker as text: the page is one file. */
+const worker = {
+  name: "worker",
+  setup({ onResolve, onLoad }) {
+    onResolve({ filter: /^worker:/ }, ({ path, resolveDir }) => ({ path: resolve(resolveDir, path.slice(7)), namespace: "worker" }));
+    onLoad({ filter: /./, namespace: "worker" }, async ({ path }) => {
+      const { outputFiles } = await build({ entryPoints: [path], bundle: true, minify: true, write: false, target: "es2022" });
+      return { contents: outputFiles[0].text, loader: "text" };
+    });
+  },
+};
+
 /** One script of an entry and all that it imports. */
 async function script(entry) {
   const { outputFiles } = await build({
@@ -31,7 +43,7 @@ async function script(entry) {
     charset: "utf8",
     // Licences of libraries stay in what is delivered.
     legalComments: "eof",
-    plugins: [slim],
+    plugins: [slim, worker],
   });
   // A script ends at `</script` wherever it is written.
   return outputFiles[0].text.replaceAll("</script", "<\\/script");

@@ -16,7 +16,7 @@ const { values: options, positionals: [page, out] } = parseArgs({
   allowPositionals: true,
   options: {
     from: { type: "string", default: "0" }, to: { type: "string", default: "8" }, hz: { type: "string", default: "12.5" },
-    width: { type: "string", default: "480" }, height: { type: "string", default: "300" }, colors: { type: "string", default: "64" },
+    width: { type: "string", default: "560" }, height: { type: "string", default: "360" }, colors: { type: "string", default: "64" },
   },
 });
 const [from_s, to_s, hz, width, height] = [options.from, options.to, options.hz, options.width, options.height].map(Number);
@@ -32,7 +32,8 @@ await browser.evaluate(`(() => {
   scrollTo(0, 0);
   return new Promise(done => setTimeout(done, 300));
 })()`);
-await browser.evaluate("opspaceView.frame()");
+// From the side, so that x is to the right.
+await browser.evaluate("opspaceView.drawFinely(), opspaceView.frame(), opspaceView.orbit(-0.3, -0.1), opspaceView.zoom(0.72)");
 
 // The policy of the page forbids what decodes its picture: another page does it.
 const decoder = await Browser.start(100, 100);

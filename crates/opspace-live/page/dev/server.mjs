@@ -78,7 +78,7 @@ const server = createServer((request, response) => {
 const sockets = new WebSocketServer({ server, handleProtocols: protocols => [...protocols][0] });
 
 let [time_s, speed, state, hand, handAt] = [0, 1, "playing", null, 0];
-const sent = [];
+let largestGap_ms = 0;
 const gains = Object.fromEntries(["x", "y", "z"].map(axis => [axis, { natural_frequency_rad_per_s: 14.1, damping_ratio: 1 }]));
 const modes = { x: "compliant", y: "motion", z: "motion" };
 const view = () => ({
@@ -126,7 +126,10 @@ setInterval(() => {
   const now = performance.now();
   const dt_s = (now - last_ms) * 1e-3;
   last_ms = now;
-  if (hand && now - handAt > 50) hand = null;
+  if (hand && now - handAt > 50) {
+    console.log(`no message of the hand for ${(now - handAt).toFixed(1)} ms`);
+    hand = null;
+  }
   if (state === "playing") {
     const from_s = time_s;
     time_s = Math.min(duration_s, time_s + dt_s * speed);
@@ -156,8 +159,12 @@ sockets.on("connection", socket => {
     }
     const topic = published.get(data.readUInt32LE(1));
     const message = JSON.parse(data.subarray(5));
-    sent.push([topic, message]);
     if (topic === "/hand") {
+      if (hand) largestGap_ms = Math.max(largestGap_ms, performance.now() - handAt);
+      if (message.release) {
+        console.log(`released; largest time between two messages of the hand: ${largestGap_ms.toFixed(1)} ms`);
+        largestGap_ms = 0;
+      }
       hand = message.release ? null : message;
       handAt = performance.now();
     } else if (message.op === "play") state = "playing";

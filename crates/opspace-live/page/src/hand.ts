@@ -6,8 +6,9 @@ import type { Robot } from "./robot.ts";
 import { HandSpring } from "./robot.ts";
 import { SOLID, type Stage } from "./stage.ts";
 
-/** Time between two messages while the hand holds, ms: the program lets go 50 ms after the last one. */
-const REPEAT_MS = 15;
+/** Time between two orders while the hand holds, ms. Between them the connection repeats the message: the program lets go 50 ms after the
+ * last one. */
+const REPEAT_MS = 50;
 /** Until the program has stated the spring, N/m and N. */
 const STIFFNESS_N_PER_M = 300;
 
@@ -36,6 +37,8 @@ export class Hand {
     private readonly stage: Stage,
     /** Robots that can be pushed. */
     private readonly robots: () => Robot[],
+    /** Publishes a message until the next call; none if undefined. */
+    private readonly hold: (message: unknown) => void,
     private readonly publish: (message: unknown) => void,
   ) {
     this.spring = new HandSpring(stage);
@@ -84,6 +87,7 @@ export class Hand {
     clearInterval(this.timer);
     this.stage.orbit.enabled = true;
     this.spring.hide();
+    this.hold(undefined);
     this.publish({ release: true });
   }
 
@@ -130,6 +134,7 @@ export class Hand {
     if (event.pointerId !== this.grasp?.pointer) return;
     this.aim(event);
     this.ray.ray.intersectPlane(this.grasp.plane, this.grasp.target);
+    this.send();
     this.draw();
   }
 
@@ -143,7 +148,7 @@ export class Hand {
   private send(): void {
     if (!this.grasp) return;
     const { frame, point, target } = this.grasp;
-    this.publish({ frame, point_m: point.toArray(), target_m: target.toArray() });
+    this.hold({ frame, point_m: point.toArray(), target_m: target.toArray() });
   }
 
   private aim(event: MouseEvent): void {

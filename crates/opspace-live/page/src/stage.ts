@@ -33,6 +33,8 @@ export class Stage {
   readonly canvas: HTMLCanvasElement;
   /** Called before each picture with the time since the last one, s. */
   beforeDraw: (dt_s: number) => void = () => {};
+  /** Least number of pixels of the canvas for one of the page. */
+  coarsest = 0.5;
   /** Number of pictures drawn. */
   drawn = 0;
   private readonly renderer: WebGLRenderer;
@@ -108,8 +110,10 @@ export class Stage {
     this.request();
   }
 
-  get aspect(): number {
-    return this.camera.aspect;
+  /** Draws all pixels from now on, however long it takes. */
+  drawFinely(): void {
+    this.coarsest = this.ratio = this.finest;
+    this.resize(this.canvas.parentElement!);
   }
 
   /** Places the ground below the objects, and the camera so that all of them are seen. */
@@ -197,8 +201,8 @@ export class Stage {
   private coarsen(interval_ms: number): void {
     if (interval_ms > 250) return;
     this.cost_ms += 0.1 * (interval_ms - this.cost_ms);
-    if (this.cost_ms > 1e3 / SLOW_HZ && this.ratio > 0.5) {
-      this.ratio = Math.max(0.5, this.ratio * 0.75);
+    if (this.cost_ms > 1e3 / SLOW_HZ && this.ratio > this.coarsest) {
+      this.ratio = Math.max(this.coarsest, this.ratio * 0.75);
       this.cost_ms = 0;
       this.resize(this.canvas.parentElement!);
     }

@@ -68,6 +68,7 @@ class View {
     this.hand = new Hand(
       stage,
       () => (this.state?.robots ?? []).filter(robot => robot.can_push).flatMap(({ prefix }) => this.scene.robots.get(prefix) ?? []),
+      message => this.connection.hold("/hand", message),
       message => this.connection.publish("/hand", message),
     );
     this.hand.onSelect = () => this.writeHand();
