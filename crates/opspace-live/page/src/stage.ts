@@ -17,10 +17,11 @@ const GRID_M = 2;
 const GRID_STEP_M = 0.1;
 
 /** Room around the robot in the picture: forces and motions need some. */
-const MARGIN = 1.02;
+const MARGIN = 1.08;
 
 /** A picture that has not changed for this long is drawn finely, ms. */
 const STILL_MS = 250;
+const STILL_RATIO = 2;
 
 /** Below this rate of drawing the picture becomes coarser, 1/s. */
 const SLOW_HZ = 24;
@@ -47,17 +48,19 @@ export class Stage {
   private ratio = this.finest;
   private still = 0;
   private isFine = false;
+  private readonly isSmooth: boolean;
   private grid: LineSegments<BufferGeometry, LineBasicMaterial>;
 
   /** Returns a stage in the element; none if the browser draws no WebGL. */
   static in(container: HTMLElement): Stage | undefined {
     const canvas = document.createElement("canvas");
-    const context = canvas.getContext("webgl2", { antialias: true, alpha: true, powerPreference: "high-performance" });
+    const context = canvas.getContext("webgl2", { antialias: !drawsInSoftware(), alpha: true, powerPreference: "high-performance" });
     return context ? new Stage(container, canvas, context) : undefined;
   }
 
   private constructor(container: HTMLElement, canvas: HTMLCanvasElement, context: WebGL2RenderingContext) {
     this.canvas = canvas;
+    this.isSmooth = context.getContextAttributes()?.antialias ?? false;
     this.renderer = new WebGLRenderer({ canvas, context, antialias: true, alpha: true });
     this.renderer.autoClear = false;
     const layer = document.createElement("div");
@@ -112,7 +115,7 @@ export class Stage {
 
   /** Draws all pixels from now on, however long it takes. */
   drawFinely(): void {
-    this.coarsest = this.ratio = this.finest;
+    this.coarsest = this.ratio = Math.max(STILL_RATIO, this.finest);
     this.resize(this.canvas.parentElement!);
   }
 
@@ -183,13 +186,17 @@ export class Stage {
     this.labels.place(this.camera, this.canvas.clientWidth, this.canvas.clientHeight);
     this.drawn += 1;
     clearTimeout(this.still);
-    if (this.ratio < this.finest) this.still = setTimeout(() => this.refine(), STILL_MS);
+    if (this.isCoarse) this.still = setTimeout(() => this.refine(), STILL_MS);
+  }
+
+  private get isCoarse(): boolean {
+    return !this.isSmooth || this.ratio < this.finest;
   }
 
   /** Draws a picture that stays with all its pixels; what moves then is coarse again. */
   private refine(): void {
     const coarse = this.ratio;
-    this.ratio = this.finest;
+    this.ratio = Math.max(STILL_RATIO, this.finest);
     this.setSize(this.canvas.parentElement!);
     this.draw(performance.now());
     clearTimeout(this.still);
@@ -207,6 +214,15 @@ export class Stage {
       this.resize(this.canvas.parentElement!);
     }
   }
+}
+
+/** True if the browser draws without a graphics processor: smooth edges would cost it most of its pictures. */
+function drawsInSoftware(): boolean {
+  const context = document.createElement("canvas").getContext("webgl2");
+  const extension = context?.getExtension("WEBGL_debug_renderer_info");
+  const name = extension ? String(context?.getParameter(extension.UNMASKED_RENDERER_WEBGL)) : "";
+  context?.getExtension("WEBGL_lose_context")?.loseContext();
+  return /swiftshader|llvmpipe|software/i.test(name);
 }
 
 function gridGeometry(): BufferGeometry {

@@ -113,8 +113,8 @@ class View {
     this.state = state;
     document.title = `${state.title} – opspace`;
     this.scene.setRobots(state.robots.map(robot => robot.prefix));
-    this.early.splice(0).forEach(([topic, schema, payload]) => this.message(topic, schema, payload));
     this.charts.setRobots(state.robots, state.kind, state.duration_s);
+    this.early.splice(0).forEach(([topic, schema, payload]) => this.message(topic, schema, payload));
     this.tuning.show(state.kind === "run" ? state.robots : []);
     this.transport.show(state, this.pictures_hz);
     this.hand.force_n = this.hand.isHolding ? norm(state.robots.find(robot => robot.hand)?.hand?.force_n) : undefined;
@@ -224,7 +224,7 @@ class View {
     };
     addEventListener("keydown", event => {
       // Fields and sliders keep their keys, and the browser its own.
-      const target = event.target as HTMLElement;
+      const target = event.target instanceof Element ? event.target : document.body;
       if (target.closest("input, select, dialog") || event.ctrlKey || event.metaKey || event.altKey) return;
       if (event.key === " " && target.closest("button")) return;
       if (event.key.startsWith("Arrow") && this.state?.kind !== "log") {
