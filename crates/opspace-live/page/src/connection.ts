@@ -23,7 +23,7 @@ const PROTOCOLS = ["foxglove.sdk.v1", "foxglove.websocket.v1"];
 const MESSAGE_DATA = 1;
 const CLIENT_MESSAGE = 1;
 /** Wait before the first attempt to connect again, and the longest, ms. */
-const RETRY_MS = [250, 4000] as const;
+const RETRY_MS = [250, 2000] as const;
 
 export class Connection {
   private readonly worker: Worker;

@@ -11,7 +11,7 @@ interface Label {
 const point = new Vector3();
 /** Height of a line of text, and about the width of a letter. */
 const LINE_PX = 16;
-const LETTER_PX = 7;
+const LETTER_PX = 8;
 
 export class Labels {
   private readonly labels = new Set<Label>();

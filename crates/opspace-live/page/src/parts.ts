@@ -9,6 +9,8 @@ import {
 const X = new Vector3(1, 0, 0);
 const Y = new Vector3(0, 1, 0);
 const UNIT_CYLINDER = new CylinderGeometry(1, 1, 1, 10, 1);
+/** A point that is farther away from the last one does not continue the line, m. */
+const JUMP_M = 0.2;
 const UNIT_CONE = new ConeGeometry(1, 1, 18);
 
 /** Capsule between two points. */
@@ -131,7 +133,12 @@ export class Trail extends InstancedMesh<BufferGeometry, MeshBasicMaterial> {
       this.isEmpty = false;
       return;
     }
-    if (point.distanceTo(this.lastPoint) < this.radius) return;
+    const distance = point.distanceTo(this.lastPoint);
+    if (distance < this.radius) return;
+    if (distance > JUMP_M) {
+      this.lastPoint.copy(point);
+      return;
+    }
     this.setMatrixAt(this.next, segment(this.lastPoint, point, this.radius));
     this.instanceMatrix.needsUpdate = true;
     this.lastPoint.copy(point);
