@@ -272,7 +272,11 @@ impl<'a> PictureRows<'a> {
             period_s: cycle_s * (PERIOD_S / cycle_s).round().max(1.0),
             pictures: 0,
             base: numbers(&model.base()),
-            urdf: links_of(experiment.robot().urdf.text()),
+            // Capsules leave no gaps between links.
+            urdf: match experiment.robot().capsules() {
+                [] => links_of(experiment.robot().urdf.text()),
+                _ => String::new(),
+            },
             bodies: bodies(model),
             frames,
             capsules,

@@ -10,6 +10,7 @@ const SHOWN_S = 10;
 const KEPT_S = 120;
 const MOST_SIGNALS = 8;
 const COLORS = ["#2a8fd0", "#e07b2a", "#1f9e78", "#c46bb0", "#b09a1e", "#7f8b97", "#d4504c", "#5b6fd6"];
+const FORCE_COLOR = "#c46bb0";
 const AXES = ["x", "y", "z"] as const;
 /** Points of a curve of force over displacement. */
 const MOST_POINTS = 4000;
@@ -147,10 +148,10 @@ export class Charts {
     this.isDirty = false;
     const several = this.histories.size > 1;
     const i = AXES.indexOf(this.axis.value as "x");
-    const lines = [...this.curves].map(([prefix, curves], robot) => ({
+    const lines = [...this.curves].map(([prefix, curves]) => ({
       ...curves[i]!,
       label: several ? this.histories.get(prefix)?.label || prefix : "",
-      color: several ? css(comparedColor([...this.histories.keys()].indexOf(prefix))) : COLORS[3 + 0 * robot]!,
+      color: several ? css(comparedColor([...this.histories.keys()].indexOf(prefix))) : FORCE_COLOR,
     }));
     this.forcePlot.draw({
       title: `force ${this.axis.value} (N)`,

@@ -12,6 +12,8 @@ const point = new Vector3();
 /** Height of a line of text, and about the width of a letter. */
 const LINE_PX = 16;
 const LETTER_PX = 8;
+/** Least distance from the upper edge. */
+const TOP_PX = 18;
 
 export class Labels {
   private readonly labels = new Set<Label>();
@@ -46,7 +48,7 @@ export class Labels {
       if (!shown) continue;
       const width = LETTER_PX * element.textContent!.length;
       const x = Math.min((point.x + 1) * 0.5 * width_px, width_px - width - 14);
-      let y = (1 - point.y) * 0.5 * height_px;
+      let y = Math.max(TOP_PX, (1 - point.y) * 0.5 * height_px);
       const right = x + width;
       const covers = ([left, end, top]: [number, number, number]) => x < end && right > left && Math.abs(y - top) < LINE_PX;
       for (let other = taken.find(covers); other; other = taken.find(covers)) y = other[2] + LINE_PX + 1;

@@ -14,9 +14,9 @@ export interface Pose {
 /** Radius of the line that stands for a link without a shape, m. */
 const STICK_M = 0.012;
 /** Length of the arrow of a force, m/N. */
-const ARROW_M_PER_N = 0.02;
+const ARROW_M_PER_N = 0.015;
 /** An arrow that is longer would leave the picture, m. */
-const LONGEST_ARROW_M = 0.5;
+const LONGEST_ARROW_M = 0.4;
 /** Force that is shown, N: below it an arrow is shorter than its head. */
 const LEAST_FORCE_N = 0.3;
 const PATH_POINTS = 400;
@@ -130,7 +130,8 @@ export class Robot {
     });
     this.frame(link).add(shape);
     const best = KINDS.find(other => own.has(other));
-    for (const [other, object] of own) object.visible = other === best;
+    // Simple shapes leave gaps, which lines bridge.
+    for (const [other, object] of own) object.visible = other === best || (other === "stick" && best === "visual");
     this.select(this.selected);
   }
 
@@ -139,12 +140,13 @@ export class Robot {
     return this.materials[0];
   }
 
-  /** Draws links without a shape as lines to the frames behind them. */
+  /** Draws lines to the frames behind a link that has no shape, or only simple ones of its URDF. */
   addSticks(): void {
     for (const [name, frame] of this.frames) {
       const has = this.shapes.get(name);
+      const isWhole = has?.has("visual") ? has.get("visual")!.userData["isMesh"] : has?.has("collision");
       // The frame at the top is the world.
-      if (has && (has.has("visual") || has.has("collision")) || frame.parent === this.root) continue;
+      if (isWhole || frame.parent === this.root) continue;
       const ends = frame.children.filter(child => this.frames.get(child.name) === child && child.position.length() > STICK_M);
       if (ends.length === 0) continue;
       const sticks = new Group();
@@ -195,10 +197,6 @@ export class Robot {
       this.forces.set(name, arrow);
     }
     arrow.set(at, force_n);
-  }
-
-  hideForces(): void {
-    for (const force of this.forces.values()) force.set(new Vector3(), new Vector3());
   }
 
   clearTrails(): void {

@@ -20,8 +20,8 @@ interface Row {
 }
 
 export class Tuning {
-  readonly element = make("section", { className: "tuning", hidden: true }, make("h2", {}, "Task"));
-  private rows: { robot: number; task: string; row: Row }[] = [];
+  readonly element = make("section", { className: "tuning", hidden: true });
+  private rows: { task: string; row: Row }[] = [];
   private signature = "";
 
   constructor(private readonly control: Control) {}
@@ -46,7 +46,7 @@ export class Tuning {
         for (const axis of axes(task)) {
           const { element, row } = axisRow(task, axis, this.control);
           table.append(element);
-          this.rows.push({ robot: 0, task: task.name, row });
+          this.rows.push({ task: task.name, row });
         }
         return table;
       });

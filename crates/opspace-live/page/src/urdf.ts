@@ -19,6 +19,7 @@ export function visuals(urdf: string, found: (link: string, shape: Object3D) => 
     const name = link.getAttribute("name") ?? "";
     if (!loadMesh && link.querySelector("visual mesh")) continue;
     const shape = new Group();
+    shape.userData["isMesh"] = link.querySelector("visual mesh") !== null;
     for (const visual of children(link, "visual")) {
       const place = new Group();
       const origin = children(visual, "origin")[0];
