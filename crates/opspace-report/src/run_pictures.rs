@@ -126,7 +126,7 @@ struct Source {
 /// Pictures of a run while segments of its log arrive.
 pub(crate) struct PictureRows<'a> {
     experiment: &'a Experiment,
-    /// What does not move, once the signals of the log are known; `None` for a robot whose base floats.
+    /// Fixed parts, once the signals of the log are known; `None` for a robot whose base floats.
     data: Option<RunPictures>,
     sources: Vec<Source>,
     rows: Vec<Vec<f64>>,

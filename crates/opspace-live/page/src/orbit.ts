@@ -49,6 +49,12 @@ export class Orbit {
     this.apply();
   }
 
+  /** Looks from a direction: angle from x about z, and elevation. */
+  lookFrom(azimuth_rad: number, elevation_rad: number): void {
+    [this.azimuth_rad, this.elevation_rad] = [azimuth_rad, 0];
+    this.turn(0, elevation_rad);
+  }
+
   turn(azimuth_rad: number, elevation_rad: number): void {
     const most = Math.PI / 2 - POLE_RAD;
     this.azimuth_rad += azimuth_rad;

@@ -150,6 +150,7 @@ function start(): void {
       zoom: (factor: number) => stage.orbit.zoom(factor),
       isPlaying: () => player.playing,
       orbit: (azimuth_rad: number, elevation_rad: number) => stage.orbit.turn(azimuth_rad, elevation_rad),
+      lookFrom: (azimuth_rad: number, elevation_rad: number) => stage.orbit.lookFrom(azimuth_rad, elevation_rad),
       pixelOf: (point: [number, number, number]) => stage.pixel(new Vector3(...point)),
     },
   });

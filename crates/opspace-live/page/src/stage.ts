@@ -54,15 +54,18 @@ export class Stage {
   /** Returns a stage in the element; none if the browser draws no WebGL. */
   static in(container: HTMLElement): Stage | undefined {
     const canvas = document.createElement("canvas");
-    const context = canvas.getContext("webgl2", { antialias: !drawsInSoftware(), alpha: true, powerPreference: "high-performance" });
+    // Smooth edges, and what shines through from the page, would cost a browser without a graphics processor most of its pictures.
+    const isFast = !drawsInSoftware();
+    const context = canvas.getContext("webgl2", { antialias: isFast, alpha: isFast, powerPreference: "high-performance" });
     return context ? new Stage(container, canvas, context) : undefined;
   }
 
   private constructor(container: HTMLElement, canvas: HTMLCanvasElement, context: WebGL2RenderingContext) {
     this.canvas = canvas;
     this.isSmooth = context.getContextAttributes()?.antialias ?? false;
-    this.renderer = new WebGLRenderer({ canvas, context, antialias: true, alpha: true });
+    this.renderer = new WebGLRenderer({ canvas, context });
     this.renderer.autoClear = false;
+    const isOpaque = context.getContextAttributes()?.alpha === false;
     const layer = document.createElement("div");
     layer.className = "labels";
     container.append(canvas, layer);
@@ -98,6 +101,7 @@ export class Stage {
     }
     this.scene.add(this.ground);
     onTheme(theme => {
+      this.renderer.setClearColor(theme.ground, isOpaque ? 1 : 0);
       this.grid.material.color.set(theme.grid);
       (this.shadow.uniforms["color"]!.value as Color).set(theme.shadow);
       this.request();
@@ -216,7 +220,7 @@ export class Stage {
   }
 }
 
-/** True if the browser draws without a graphics processor: smooth edges would cost it most of its pictures. */
+/** True if the browser draws without a graphics processor. */
 function drawsInSoftware(): boolean {
   const context = document.createElement("canvas").getContext("webgl2");
   const extension = context?.getExtension("WEBGL_debug_renderer_info");

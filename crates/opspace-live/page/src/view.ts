@@ -263,6 +263,7 @@ class View {
       /** Pixel of a point in the world, m. */
       pixelOf: (point: [number, number, number]) => this.stage.pixel(new Vector3(...point)),
       orbit: (azimuth_rad: number, elevation_rad: number) => this.stage.orbit.turn(azimuth_rad, elevation_rad),
+      lookFrom: (azimuth_rad: number, elevation_rad: number) => this.stage.orbit.lookFrom(azimuth_rad, elevation_rad),
     };
   }
 }

@@ -10,7 +10,7 @@ const LIST: &str = include_str!("old-names.txt");
 const EXEMPT: [&str; 4] = ["old-names.txt", "old_names.rs", "renamed.rs", "CHANGELOG.md"];
 
 /// Folders of build output and results.
-const OUTPUT: [&str; 5] = ["target", "runs", "book", ".git", "logs"];
+const OUTPUT: [&str; 6] = ["target", "runs", "book", ".git", "logs", "node_modules"];
 
 /// Compared: all definitions, file names, keys and words of the project, and the list of old names.
 #[test]
