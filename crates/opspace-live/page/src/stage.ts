@@ -20,7 +20,7 @@ const GRID_STEP_M = 0.1;
 const MARGIN = 1.08;
 
 /** A picture that has not changed for this long is drawn finely, ms. */
-const STILL_MS = 250;
+const STILL_MS = 1000;
 const STILL_RATIO = 2;
 
 /** Below this rate of drawing the picture becomes coarser, 1/s. */

@@ -18,6 +18,9 @@ import { Tuning } from "./tuning.ts";
 const RATE_MS = 2000;
 /** A message that the user should notice is shown for this long, ms. */
 const NOTICE_MS = 6000;
+/** Time between two updates of clock and state, and of the plots, ms. */
+const STATE_MS = 150;
+const PLOT_MS = 200;
 /** Step of the arrow keys in a log, s. */
 const SEEK_S = 0.1;
 
@@ -49,6 +52,8 @@ class View {
   private isConnected = false;
   private notice = 0;
   private last_s = 0;
+  private shownState = "";
+  private shownAt_ms = 0;
 
   constructor(private readonly stage: Stage) {
     this.scene = new LiveScene(stage);
@@ -74,7 +79,7 @@ class View {
     this.hand.onSelect = () => this.writeHand();
     stage.beforeDraw = () => this.beforeDraw();
     // Plots are drawn less often than the scene: their lines move by less than a pixel.
-    setInterval(() => this.charts.draw(this.state?.time_s ?? 0), 100);
+    setInterval(() => this.charts.draw(this.state?.time_s ?? 0), PLOT_MS);
     setInterval(() => this.state && this.transport.show(this.state, this.pictures_hz), 500);
     this.addKeys();
     Object.assign(window, { opspaceView: this.probe() });
@@ -116,7 +121,13 @@ class View {
     this.charts.setRobots(state.robots, state.kind, state.duration_s);
     this.early.splice(0).forEach(([topic, schema, payload]) => this.message(topic, schema, payload));
     this.tuning.show(state.kind === "run" ? state.robots : []);
-    this.transport.show(state, this.pictures_hz);
+    // What changes with each picture is written a few times a second: the layout of the page is not for free.
+    const key = `${state.state} ${state.speed} ${state.kind} ${state.outcome}`;
+    if (key !== this.shownState || performance.now() - this.shownAt_ms > STATE_MS) {
+      this.shownState = key;
+      this.shownAt_ms = performance.now();
+      this.transport.show(state, this.pictures_hz);
+    }
     this.hand.force_n = this.hand.isHolding ? norm(state.robots.find(robot => robot.hand)?.hand?.force_n) : undefined;
     this.addForces(state);
     this.writeTitle(state);
