@@ -161,7 +161,7 @@ fn hand_moves_the_compliant_axis_alone() {
     let mut page = Page::open(&program, &folder.path().join("profile"), [1280, 800]);
     page.wait_for("opspaceView.time_s() > 1.5");
     // Along y: x is in the plane of the picture.
-    page.0.evaluate("opspaceView.orbit(1.05 - Math.PI / 2, -0.34), 0");
+    page.0.evaluate("opspaceView.lookFrom(-Math.PI / 2, 0), 0");
     std::thread::sleep(Duration::from_millis(500));
     let at = page.point("opspaceView.pixel('hand', '/position')");
     for clicks in [1, 2] {

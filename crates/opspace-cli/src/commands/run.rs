@@ -2,7 +2,9 @@
 
 use crate::cli::{BackendChoice, RunArgs};
 use crate::commands::check::large_log;
-use crate::commands::run_in_view::{open_view, run_on_drivers_in_view, simulate_in_view, with_robots_beside};
+use crate::commands::run_in_view::{
+    open_view, run_on_drivers_in_view, simulate_in_view, with_robots_beside, with_tunable_tasks,
+};
 use crate::commands::run_on_log::{run_on_log, say_fault, say_written};
 use crate::console::{Console, Exit, Failure, Outcome, note, render, report, results as table};
 use crate::interrupt;
@@ -40,8 +42,16 @@ pub fn run(args: &RunArgs, extensions: &Extensions, console: Console) -> Outcome
         return Err(Failure::Other(text, Exit::Bad));
     }
     let (robot, options) = (args.robot.as_deref(), args.options());
-    let scenario = Scenario::load(extensions, Files::Disk, &args.task, robot, backend, options, &args.set)?;
-    let scenario = with_robots_beside(scenario, args, extensions)?;
+    let load = |set: &[String]| {
+        Scenario::load(extensions, Files::Disk, &args.task, robot, backend, options.clone(), set)
+    };
+    let scenario = load(&args.set)?;
+    let is_simulated = scenario.real_robots().is_empty() || args.simulate;
+    let (scenario, set) = match args.view.view {
+        Some(_) if is_simulated => with_tunable_tasks(scenario, &args.set, load),
+        _ => (scenario, args.set.clone()),
+    };
+    let scenario = with_robots_beside(scenario, args, &set, extensions)?;
     let real = scenario.real_robots().first().map(|name| (*name).to_owned()).filter(|_| !args.simulate);
     if let (Some(name), true) = (&real, !args.plant.is_own()) {
         let robot = scenario.single().map_or_else(|| format!("robot '{name}'"), |_| "this robot".to_owned());

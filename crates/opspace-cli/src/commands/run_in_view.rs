@@ -4,8 +4,9 @@ use crate::cli::RunArgs;
 use crate::console::{Console, Exit, Failure, Outcome};
 use crate::result_folder::empty;
 use crate::view_address::{Side, ViewAddress};
+use opspace_control::TaskParameters;
 use opspace_experiment::run::result_files::ResultFolder;
-use opspace_experiment::{Extensions, Files, Progress, RunError, RunSummary, Scenario};
+use opspace_experiment::{Extensions, FileError, Files, Progress, RunError, RunSummary, Scenario};
 use opspace_live::{LiveRun, LiveView, ViewKind};
 use opspace_report::{LeftBehind, run_arms_in_folder, run_on_drivers_with};
 use std::net::SocketAddr;
@@ -36,10 +37,32 @@ pub fn open_view(
     Ok(view)
 }
 
-/// Adds the robots of `--beside` to the scenario of a task.
+/// Returns the scenario of one simulated robot with gains and modes of its Cartesian tasks as inputs, which a page changes, and the
+/// settings for it, which its log has. A task that cannot be loaded so stays as it is.
+pub fn with_tunable_tasks(
+    scenario: Scenario,
+    set: &[String],
+    load: impl Fn(&[String]) -> Result<Scenario, FileError>,
+) -> (Scenario, Vec<String>) {
+    let tasks = scenario.single().map(|experiment| experiment.task().file.task.iter());
+    let tunable = tasks.into_iter().flatten().filter_map(|(name, task)| match task {
+        TaskParameters::Cartesian(task) if !task.tunable => {
+            Some(format!("task.{name}.cartesian.tunable=true"))
+        }
+        _ => None,
+    });
+    let with_all: Vec<String> = set.iter().cloned().chain(tunable).collect();
+    match load(&with_all) {
+        Ok(tunable) => (tunable, with_all),
+        Err(_) => (scenario, set.to_vec()),
+    }
+}
+
+/// Adds the robots of `--beside` to the scenario of a task; `set` are its settings.
 pub fn with_robots_beside(
     scenario: Scenario,
     args: &RunArgs,
+    set: &[String],
     extensions: &Extensions,
 ) -> Result<Scenario, Failure> {
     let Some(own) = scenario.single().filter(|_| !args.beside.is_empty()) else {
@@ -54,7 +77,7 @@ pub fn with_robots_beside(
     for side in &args.beside {
         let options = opspace_experiment::RunOptions { controller: side.controller, ..args.options() };
         let (robot, backend) = (args.robot.as_deref(), Some(side.backend));
-        let beside = Scenario::load(extensions, Files::Disk, &args.task, robot, backend, options, &args.set)?;
+        let beside = Scenario::load(extensions, Files::Disk, &args.task, robot, backend, options, set)?;
         if robots.iter().any(|(name, _)| name == side.name()) {
             let text = format!("--beside {}: this robot is in the view already", side.name());
             return Err(Failure::Other(text, Exit::Bad));
