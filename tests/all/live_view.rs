@@ -95,6 +95,39 @@ impl Page {
         };
         [number(0, "x"), number(1, "y")]
     }
+
+    /// Selects the hand of a robot by a double-click, and pulls it with Ctrl, in a picture along y: 15 cm along x. Returns the place of
+    /// the pointer.
+    fn pull(&mut self, prefix: &str) -> [f64; 2] {
+        self.0.evaluate("opspaceView.lookFrom(-Math.PI / 2, 0), 0");
+        std::thread::sleep(Duration::from_millis(500));
+        let at = self.point(&format!("opspaceView.pixel('hand', '{prefix}')"));
+        for clicks in [1, 2] {
+            self.mouse("mousePressed", at, 0, clicks);
+            self.mouse("mouseReleased", at, 0, clicks);
+        }
+        self.wait_for("opspaceView.selected() !== ''");
+        self.mouse("mouseMoved", at, CTRL, 0);
+        self.mouse("mousePressed", at, CTRL, 1);
+        self.wait_for("opspaceView.isHolding()");
+        let to = self.point(&format!(
+            "(([x, y, z]) => opspaceView.pixelOf([x + 0.15, y, z]))(opspaceView.frames('{prefix}').hand)"
+        ));
+        for k in 1..=2 {
+            let part = |i: usize| at[i] + (to[i] - at[i]) * f64::from(k) / 2.0;
+            self.mouse("mouseMoved", [part(0), part(1)], CTRL, 1);
+        }
+        to
+    }
+
+    /// Sets the value of a control of the page, which has this name for assistive programs, and tells the page.
+    fn set(&mut self, name: &str, value: &str, event: &str) {
+        let name = json!(name);
+        self.0.evaluate(&format!(
+            "(control => {{ control.value = {value}; control.dispatchEvent(new Event('{event}')); }})(\
+             document.querySelector(`[aria-label=${{JSON.stringify({name})}}]`))"
+        ));
+    }
 }
 
 const CTRL: u32 = 2;
@@ -160,25 +193,7 @@ fn hand_moves_the_compliant_axis_alone() {
     );
     let mut page = Page::open(&program, &folder.path().join("profile"), [1280, 800]);
     page.wait_for("opspaceView.time_s() > 1.5");
-    // Along y: x is in the plane of the picture.
-    page.0.evaluate("opspaceView.lookFrom(-Math.PI / 2, 0), 0");
-    std::thread::sleep(Duration::from_millis(500));
-    let at = page.point("opspaceView.pixel('hand', '/position')");
-    for clicks in [1, 2] {
-        page.mouse("mousePressed", at, 0, clicks);
-        page.mouse("mouseReleased", at, 0, clicks);
-    }
-    page.wait_for("opspaceView.selected() !== ''");
-    page.mouse("mouseMoved", at, CTRL, 0);
-    page.mouse("mousePressed", at, CTRL, 1);
-    page.wait_for("opspaceView.isHolding()");
-    let to = page.point(
-        "(([x, y, z]) => opspaceView.pixelOf([x + 0.15, y, z]))(opspaceView.frames('/position').hand)",
-    );
-    for k in 1..=2 {
-        let part = |i: usize| at[i] + (to[i] - at[i]) * f64::from(k) / 2.0;
-        page.mouse("mouseMoved", [part(0), part(1)], CTRL, 1);
-    }
+    let to = page.pull("/position");
     std::thread::sleep(Duration::from_secs(2));
     let rate_hz = page.0.evaluate("opspaceView.picturesPerSecond()").as_f64().unwrap();
     page.mouse("mouseReleased", to, CTRL, 1);
@@ -209,4 +224,71 @@ fn hand_moves_the_compliant_axis_alone() {
         opspace(folder.path(), &["replay", &log]).exits(0);
         opspace(folder.path(), &["replay", "--simulate", &log]).exits(0);
     }
+}
+
+/// Modes and gains that the page changes are inputs of the run; a page that is killed lets go of the robot; and the page of the log shows
+/// the robot at the time that is chosen.
+#[test]
+#[ignore = "needs a browser: .ci/run browser"]
+fn page_changes_a_task_is_killed_and_shows_the_log() {
+    let folder = scratch();
+    let task = project("tasks/compliant-x.toml");
+    let program = Program::start(
+        folder.path(),
+        &["run", &task, "--view=0", "--set", "environment={}", "--duration-s", "60", "--out", "out"],
+    );
+    let mut page = Page::open(&program, &folder.path().join("first"), [390, 844]);
+    page.wait_for("opspaceView.time_s() > 1");
+    let width =
+        page.0.evaluate("document.documentElement.scrollWidth - document.documentElement.clientWidth");
+    assert_eq!(width, 0, "the page of a phone is as wide as its screen");
+    page.set("Mode of axis x of hand", "'motion'", "change");
+    page.wait_for(
+        "opspaceView.state().robots[0].tasks.some(task => task.modes && task.modes.x === 'motion')",
+    );
+    page.set("Natural frequency of axis y of hand, rad/s", "Math.log(7)", "input");
+    page.wait_for("opspaceView.state().robots[0].tasks.some(task => task.gains && Math.abs(task.gains.y.natural_frequency_rad_per_s - 7) < 0.01)");
+    let now_s = page.0.evaluate("opspaceView.time_s()").as_f64().unwrap();
+    page.wait_for(&format!("opspaceView.time_s() > {}", now_s + 0.5));
+    page.set("Mode of axis x of hand", "'compliant'", "change");
+    page.pull("");
+    page.wait_for("opspaceView.handForce_n()[0] !== null");
+    assert_eq!(page.0.complaints(), [""; 0]);
+    drop(page);
+    std::thread::sleep(Duration::from_secs(1));
+    program.interrupt();
+    let log = Recording::read(folder.path().join("out/run.mcap")).unwrap();
+    let [external, tick] = ["external", "tick"].map(|name| log.channel(name).unwrap());
+    let pull = external.signal("pull").unwrap();
+    let pulled = (0..external.len()).filter(|k| pull.row(*k)[0] != 0.0).count();
+    assert!(
+        pulled > 20 && pull.row(external.len() - 1)[0] == 0.0,
+        "it is pulled in {pulled} cycles, and released"
+    );
+    let modes = tick.signal("hand.modes").unwrap();
+    let mut modes: Vec<f64> = (0..tick.len()).map(|k| modes.row(k)[0]).collect();
+    modes.dedup();
+    assert_eq!(modes[modes.len() - 3..], [1.0, 0.0, 1.0], "compliant, motion, compliant");
+    let frequency = tick.signal("target.hand.frequency_rad_per_s").unwrap();
+    assert!((frequency.row(tick.len() - 1)[1] - 7.0).abs() < 0.01);
+    opspace(folder.path(), &["replay", "out"]).exits(0);
+    opspace(folder.path(), &["replay", "--simulate", "out"]).exits(0);
+
+    let program = Program::start(folder.path(), &["view", "out", "--at", "0"]);
+    let mut page = Page::open(&program, &folder.path().join("second"), [1280, 800]);
+    page.0.evaluate("document.querySelector('[aria-label=Pause], [title=Pause]')?.click()");
+    let position = tick.signal("hand.position").unwrap();
+    for share in [0.9, 0.3] {
+        let time_s = share * (tick.time_s[tick.len() - 1] - tick.time_s[0]);
+        page.0.evaluate(&format!(
+            "(slider => {{ slider.value = {time_s}; slider.dispatchEvent(new Event('input')); slider.dispatchEvent(new Event('change')); }})\
+             (document.querySelector('.transport input[type=range]'))"
+        ));
+        let row = tick.time_s.partition_point(|t| *t < time_s).min(tick.len() - 1);
+        let [x, y, z] = <[f64; 3]>::try_from(position.row(row)).unwrap();
+        page.wait_for(&format!(
+            "(([x, y, z]) => Math.hypot(x - {x}, y - {y}, z - {z}) < 0.01)(opspaceView.frames('').hand)"
+        ));
+    }
+    assert_eq!(page.0.complaints(), [""; 0]);
 }
