@@ -1,7 +1,7 @@
 //! Live view in a browser, with a real pointer: a hand pulls one axis of three robots, a page is killed in mid-drag, a log is scrubbed.
 //! `.ci/run browser` installs Chromium and runs these tests.
 
-#![expect(clippy::unwrap_used, reason = "a test")]
+#![expect(clippy::unwrap_used, clippy::print_stdout, reason = "a test, which says what was measured")]
 
 use crate::cli_common::{command, opspace, project, scratch};
 use opspace_log::Recording;
