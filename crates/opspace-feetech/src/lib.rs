@@ -1,0 +1,5 @@
+//! Arms on Feetech's servo bus.
+
+#![forbid(unsafe_code)]
+
+pub mod protocol;
