@@ -104,6 +104,12 @@ impl Settings {
         }
     }
 
+    /// Returns true if the settings contain a key, for keys that may be missing.
+    #[must_use]
+    pub fn contains(&self, key: &str) -> bool {
+        self.values.contains_key(key)
+    }
+
     /// Checks that the settings contain only keys that the driver knows.
     ///
     /// # Errors

@@ -1,0 +1,297 @@
+//! Requests to servos, and their answers.
+
+use crate::protocol::register::{OutOfRange, Register};
+use crate::protocol::{BROADCAST_ID, Decoded, Decoder, Encoder, ErrorFlags, TooLong};
+use crate::transport::Transport;
+use std::io;
+use std::time::Duration;
+
+/// Largest number of bytes that are read of a servo in one request.
+pub const MAX_READ: usize = 32;
+
+/// Time within which a servo must answer a single request. An adapter for USB may collect bytes for 16 ms.
+const ANSWER_WITHIN: Duration = Duration::from_millis(50);
+
+/// Number of times that a single request is sent before a servo counts as missing.
+const ATTEMPTS: usize = 3;
+
+/// Servos on a connection, one request at a time.
+#[derive(Debug)]
+pub struct Bus<T> {
+    transport: T,
+    encoder: Encoder,
+    decoder: Decoder,
+}
+
+/// Reason why a request has no result.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum BusError {
+    /// The connection is gone.
+    #[error("the port is gone: {0}")]
+    Port(#[from] io::Error),
+    /// A servo did not answer.
+    #[error("servo {id} does not answer")]
+    NoAnswer {
+        /// Identifier.
+        id: u8,
+    },
+    /// Answers of a servo have wrong checksums.
+    #[error("the answers of servo {id} have wrong checksums")]
+    Checksum {
+        /// Identifier.
+        id: u8,
+    },
+    /// A servo sent another answer than was asked for.
+    #[error("servo {id} sent another answer than was asked for")]
+    WrongAnswer {
+        /// Identifier of the servo that was asked.
+        id: u8,
+    },
+    /// A request does not fit in a packet.
+    #[error(transparent)]
+    TooLong(#[from] TooLong),
+    /// A value does not fit in its register.
+    #[error(transparent)]
+    OutOfRange(#[from] OutOfRange),
+}
+
+/// Answer of one servo to a request to several.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Answer {
+    /// What has arrived.
+    pub outcome: Outcome,
+    /// Error flags of the answer.
+    pub flags: ErrorFlags,
+    /// Contents, in the first bytes.
+    pub data: [u8; MAX_READ],
+}
+
+/// What has arrived of one servo.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Outcome {
+    /// Nothing.
+    Missing,
+    /// An answer with a wrong checksum.
+    Checksum,
+    /// An answer of another length.
+    WrongLength {
+        /// Number of bytes of its contents.
+        bytes: usize,
+    },
+    /// The answer.
+    Complete,
+}
+
+impl Default for Answer {
+    fn default() -> Self {
+        Self { outcome: Outcome::Missing, flags: ErrorFlags::NONE, data: [0; MAX_READ] }
+    }
+}
+
+/// What has arrived of all servos that were asked.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Round {
+    /// Number of complete answers.
+    pub complete: usize,
+    /// Number of answers of servos that were not asked.
+    pub foreign: usize,
+    /// Number of damaged packets.
+    pub damaged: usize,
+}
+
+impl<T: Transport> Bus<T> {
+    /// Returns the bus on a connection.
+    #[must_use]
+    pub fn new(transport: T) -> Self {
+        Self { transport, encoder: Encoder::default(), decoder: Decoder::new(MAX_READ) }
+    }
+
+    /// Connection.
+    #[must_use]
+    pub fn transport(&self) -> &T {
+        &self.transport
+    }
+
+    /// Connection, to be changed.
+    pub fn transport_mut(&mut self) -> &mut T {
+        &mut self.transport
+    }
+
+    /// Asks a servo for an answer, and returns its error flags.
+    ///
+    /// # Errors
+    /// If it does not answer.
+    pub fn ping(&mut self, id: u8) -> Result<ErrorFlags, BusError> {
+        self.exchange(id, 0, |encoder| Ok(encoder.ping(id))).map(|answer| answer.flags)
+    }
+
+    /// Asks a servo for an answer, once and not longer than `within`. Returns true if it answers.
+    ///
+    /// # Errors
+    /// If the connection is gone.
+    pub fn answers(&mut self, id: u8, within: Duration) -> Result<bool, BusError> {
+        let mut answers = [Answer::default()];
+        self.discard()?;
+        self.transport.send(self.encoder.ping(id))?;
+        let deadline = self.transport.now() + within;
+        Ok(self.collect(&[id], 0, deadline, &mut answers)?.complete == 1)
+    }
+
+    /// Reads a register of a servo.
+    ///
+    /// # Errors
+    /// If the servo does not answer, or answers wrongly.
+    pub fn read(&mut self, id: u8, register: Register) -> Result<i32, BusError> {
+        let answer = self.exchange(id, usize::from(register.width), |encoder| {
+            Ok(encoder.read(id, register.address, register.width))
+        })?;
+        register.decode(&answer.data).ok_or(BusError::WrongAnswer { id })
+    }
+
+    /// Writes a register of a servo.
+    ///
+    /// # Errors
+    /// If the servo does not answer, or the register cannot contain the value.
+    pub fn write(&mut self, id: u8, register: Register, value: i32) -> Result<(), BusError> {
+        let bytes = register.encode(value)?;
+        let data = &bytes[..usize::from(register.width)];
+        self.exchange(id, 0, |encoder| encoder.write(id, register.address, data)).map(|_| ())
+    }
+
+    /// Reads the same bytes of several servos; their answers are in the order of `ids`. Returns at the deadline at the latest.
+    /// Bytes that have arrived before are discarded. Allocates nothing.
+    ///
+    /// # Errors
+    /// If the connection is gone. An answer that is missing or wrong is an [`Outcome`].
+    pub fn sync_read(
+        &mut self,
+        ids: &[u8],
+        address: u8,
+        length: usize,
+        deadline: Duration,
+        answers: &mut [Answer],
+    ) -> Result<Round, BusError> {
+        self.discard()?;
+        let bytes = u8::try_from(length).map_err(|_| TooLong)?;
+        self.transport.send(self.encoder.sync_read(address, bytes, ids)?)?;
+        self.collect(ids, length, deadline, answers)
+    }
+
+    /// Writes two bytes of each of several servos. No servo answers. Allocates nothing.
+    ///
+    /// # Errors
+    /// If the connection is gone.
+    pub fn sync_write(
+        &mut self,
+        address: u8,
+        values: impl ExactSizeIterator<Item = (u8, [u8; 2])>,
+    ) -> Result<(), BusError> {
+        Ok(self.transport.send(self.encoder.sync_write(address, values)?)?)
+    }
+
+    /// Sends a request to one servo until it answers, three times at most.
+    fn exchange(
+        &mut self,
+        id: u8,
+        length: usize,
+        encode: impl Fn(&mut Encoder) -> Result<&[u8], TooLong>,
+    ) -> Result<Answer, BusError> {
+        let mut answers = [Answer::default()];
+        let mut failure = BusError::NoAnswer { id };
+        for _ in 0..ATTEMPTS {
+            self.discard()?;
+            self.transport.send(encode(&mut self.encoder)?)?;
+            let deadline = self.transport.now() + ANSWER_WITHIN;
+            let round = self.collect(&[id], length, deadline, &mut answers)?;
+            match answers[0].outcome {
+                Outcome::Complete => return Ok(answers[0]),
+                Outcome::Checksum => failure = BusError::Checksum { id },
+                Outcome::Missing if round.damaged > 0 => failure = BusError::Checksum { id },
+                Outcome::WrongLength { .. } => failure = BusError::WrongAnswer { id },
+                Outcome::Missing if round.foreign > 0 => failure = BusError::WrongAnswer { id },
+                Outcome::Missing => {}
+            }
+        }
+        Err(failure)
+    }
+
+    /// Discards what has arrived, such as a late answer to the request before.
+    fn discard(&mut self) -> Result<(), BusError> {
+        let mut buffer = [0; 256];
+        // Bounded, since another program may send without end.
+        for _ in 0..16 {
+            if self.transport.receive(&mut buffer, Duration::ZERO)? == 0 {
+                break;
+            }
+        }
+        self.decoder.clear();
+        Ok(())
+    }
+
+    /// Receives answers with `length` bytes until all are there, or until the deadline.
+    fn collect(
+        &mut self,
+        ids: &[u8],
+        length: usize,
+        deadline: Duration,
+        answers: &mut [Answer],
+    ) -> Result<Round, BusError> {
+        answers.fill(Answer::default());
+        let mut round = Round::default();
+        let mut buffer = [0; 256];
+        while round.complete < ids.len() {
+            let received = self.transport.receive(&mut buffer, deadline)?;
+            if received == 0 {
+                // What follows a damaged length has been held back.
+                while self.decoder.give_up() {
+                    sort(&mut self.decoder, ids, length, answers, &mut round);
+                }
+                break;
+            }
+            let mut rest = &buffer[..received];
+            while !rest.is_empty() {
+                let taken = self.decoder.push(rest);
+                rest = &rest[taken..];
+                sort(&mut self.decoder, ids, length, answers, &mut round);
+            }
+        }
+        Ok(round)
+    }
+}
+
+/// Sorts the packets that have arrived by the servos that were asked.
+fn sort(decoder: &mut Decoder, ids: &[u8], length: usize, answers: &mut [Answer], round: &mut Round) {
+    while let Some(decoded) = decoder.next_packet() {
+        let (id, packet) = match decoded {
+            Decoded::Packet(packet) => (packet.id, Some(packet)),
+            Decoded::Damaged { id } => (id, None),
+        };
+        round.damaged += usize::from(packet.is_none());
+        // An adapter may echo the request.
+        if id == BROADCAST_ID {
+            continue;
+        }
+        let asked = ids.iter().position(|other| *other == id);
+        let Some(answer) = asked.and_then(|index| answers.get_mut(index)) else {
+            round.foreign += usize::from(packet.is_some());
+            continue;
+        };
+        if answer.outcome == Outcome::Complete {
+            continue;
+        }
+        match packet {
+            None => answer.outcome = Outcome::Checksum,
+            Some(packet) if packet.parameters.len() != length => {
+                answer.outcome = Outcome::WrongLength { bytes: packet.parameters.len() };
+            }
+            Some(packet) => {
+                answer.outcome = Outcome::Complete;
+                answer.flags = ErrorFlags::from_bits(packet.code);
+                // The decoder passes at most as many.
+                answer.data[..length].copy_from_slice(packet.parameters);
+                round.complete += 1;
+            }
+        }
+    }
+}

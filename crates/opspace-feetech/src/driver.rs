@@ -1,0 +1,86 @@
+//! The driver `feetech` of `[driver]` in robot.toml.
+
+use crate::arm::FeetechArm;
+use crate::arm_config::{ArmConfig, AtEnd};
+use crate::transport::Transport;
+use opspace_backend::{Backend, Driver, DriverError, Settings};
+
+/// Baud rate of the servos' factory settings.
+#[cfg(target_os = "linux")]
+const DEFAULT_BAUD_HZ: f64 = 1e6;
+
+/// Driver of arms on Feetech's servo bus. Its keys are [`KEYS`](crate::arm_config::KEYS).
+#[derive(Clone, Copy, Debug, Default)]
+pub struct FeetechDriver;
+
+impl Driver for FeetechDriver {
+    fn name(&self) -> &str {
+        "feetech"
+    }
+
+    fn with(&self, settings: &Settings, run: &mut dyn FnMut(&mut dyn Backend)) -> Result<(), DriverError> {
+        let config = ArmConfig::from_settings(settings)?;
+        #[cfg(target_os = "linux")]
+        return with_transport(open(settings)?, config, run);
+        #[cfg(not(target_os = "linux"))]
+        {
+            let _ = (config, run);
+            Err(DriverError::new("serial ports are supported on Linux only so far"))
+        }
+    }
+}
+
+/// Starts an arm on a connection, runs it, and ends its use as the configuration declares.
+///
+/// # Errors
+/// If the arm cannot be started, or does not lie when it was to be lowered.
+pub fn with_transport<T: Transport>(
+    transport: T,
+    config: ArmConfig,
+    run: &mut dyn FnMut(&mut dyn Backend),
+) -> Result<(), DriverError> {
+    let is_lowered = matches!(config.at_end, AtEnd::Lower { .. });
+    let mut arm = FeetechArm::start(transport, config)?;
+    run(&mut arm);
+    let is_released = arm.finish().map_err(|fault| {
+        DriverError::new(format!("the arm could not be lowered, and is held if its bus has power: {fault}"))
+    })?;
+    if is_lowered && !is_released {
+        let words = "the arm did not come to lie within lowering_s: it is held, with torque on";
+        return Err(DriverError::at("lowering_s", words));
+    }
+    Ok(())
+}
+
+#[cfg(target_os = "linux")]
+fn open(settings: &Settings) -> Result<crate::serial_port::SerialPort, DriverError> {
+    use crate::serial_port::{PortError, SerialPort};
+
+    let path = settings.text("port")?;
+    let baud_hz = if settings.contains("baud_hz") { settings.number("baud_hz")? } else { DEFAULT_BAUD_HZ };
+    if baud_hz.fract() != 0.0 || !(1200.0..=4e6).contains(&baud_hz) {
+        let words = format!("'baud_hz' must be a whole number of 1200 to 4000000, not {baud_hz}");
+        return Err(DriverError::at("baud_hz", words));
+    }
+    SerialPort::open(path.as_ref(), baud_hz as u32).map_err(|error| match error {
+        PortError::Baud { .. } => DriverError::at("baud_hz", format!("{path}: {error}")),
+        _ => DriverError::at("port", format!("{path}: {error}{}", remedy(&error))),
+    })
+}
+
+#[cfg(target_os = "linux")]
+fn remedy(error: &crate::serial_port::PortError) -> &'static str {
+    use crate::serial_port::PortError::Open;
+    use std::io::ErrorKind::{NotFound, PermissionDenied, ResourceBusy};
+
+    match error {
+        Open(error) if error.kind() == PermissionDenied => {
+            "; add yourself to the group of the file (dialout), and log in again"
+        }
+        Open(error) if error.kind() == ResourceBusy => "; another program uses the port",
+        Open(error) if error.kind() == NotFound => {
+            "; ports of USB adapters are /dev/ttyACM0, /dev/ttyUSB0 and so on"
+        }
+        _ => "",
+    }
+}

@@ -1,0 +1,261 @@
+//! A simulated servo: its registers, and the law between them and the motor.
+
+use crate::counts::COUNTS_PER_TURN;
+use crate::protocol::{Access, ErrorFlags, REGISTERS, Register};
+use std::f64::consts::TAU;
+
+/// Number of addresses.
+const ADDRESSES: usize = 96;
+
+/// Number of counts of the sensor at q = 0.
+const MIDDLE: f64 = 2048.0;
+
+/// Properties of a simulated servo. Defaults are published values of the STS3215 at 7.4 V; what a servo does with D and
+/// I is not published, and both are without effect by default.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ServoOptions {
+    /// Stiffness at P = 32, Nm/rad (SO-ARM100, joints_properties.xml); it is proportional to P.
+    pub stiffness_at_32_nm_per_rad: f64,
+    /// Damping at D = 32, Nms/rad.
+    pub damping_at_32_nms_per_rad: f64,
+    /// Integral gain at I = 32, Nm/(rad s).
+    pub integral_at_32_nm_per_rad_s: f64,
+    /// Largest torque at a torque limit of 1000, Nm (stall torque of the data sheet).
+    pub stall_torque_nm: f64,
+    /// Motor torque per motor current, Nm/A (`bam`).
+    pub torque_per_current_nm_per_a: f64,
+    /// Supply voltage, V.
+    pub voltage_v: f64,
+    /// Drop of the supply voltage per motor current of this servo, V/A.
+    pub sag_v_per_a: f64,
+    /// Temperature, °C.
+    pub temperature_c: f64,
+    /// True if the servo's positions decrease where q increases.
+    pub inverted: bool,
+}
+
+impl Default for ServoOptions {
+    fn default() -> Self {
+        Self {
+            stiffness_at_32_nm_per_rad: 17.8,
+            damping_at_32_nms_per_rad: 0.0,
+            integral_at_32_nm_per_rad_s: 0.0,
+            stall_torque_nm: 1.91,
+            torque_per_current_nm_per_a: 1.21,
+            voltage_v: 7.4,
+            sag_v_per_a: 0.0,
+            temperature_c: 30.0,
+            inverted: false,
+        }
+    }
+}
+
+/// A simulated servo of model 777 (STS3215).
+#[derive(Clone, Debug)]
+pub struct SimulatedServo {
+    /// Properties.
+    pub options: ServoOptions,
+    /// Error flags that a test sets, in addition to those of voltage and temperature.
+    pub flags: ErrorFlags,
+    /// Registers that keep their values when they are written, by address: a defect that a test sets.
+    pub stuck: Option<u8>,
+    registers: [u8; ADDRESSES],
+    /// Setpoint of the profile to the goal, counts, and its velocity, counts/s.
+    setpoint: f64,
+    setpoint_velocity: f64,
+    integral_nm: f64,
+    torque_nm: f64,
+}
+
+impl SimulatedServo {
+    /// Returns a servo as it comes from the factory, with an identifier.
+    #[must_use]
+    pub fn new(id: u8, options: ServoOptions) -> Self {
+        let mut servo = Self {
+            options,
+            flags: ErrorFlags::NONE,
+            stuck: None,
+            registers: [0; ADDRESSES],
+            setpoint: MIDDLE,
+            setpoint_velocity: 0.0,
+            integral_nm: 0.0,
+            torque_nm: 0.0,
+        };
+        for (register, value) in [
+            (Register::FIRMWARE_MAJOR_VERSION, 3),
+            (Register::FIRMWARE_MINOR_VERSION, 10),
+            (Register::MODEL_NUMBER, 777),
+            (Register::ID, i32::from(id)),
+            (Register::RETURN_DELAY_TIME, 250),
+            (Register::RESPONSE_STATUS_LEVEL, 1),
+            (Register::MAX_POSITION_LIMIT, 4095),
+            (Register::MAX_TEMPERATURE_LIMIT, 70),
+            (Register::MAX_VOLTAGE_LIMIT, 80),
+            (Register::MIN_VOLTAGE_LIMIT, 40),
+            (Register::MAX_TORQUE_LIMIT, 1000),
+            (Register::PHASE, 12),
+            (Register::P_COEFFICIENT, 32),
+            (Register::D_COEFFICIENT, 32),
+            (Register::CW_DEAD_ZONE, 1),
+            (Register::CCW_DEAD_ZONE, 1),
+            (Register::PROTECTION_CURRENT, 500),
+            (Register::ANGULAR_RESOLUTION, 1),
+            (Register::PROTECTIVE_TORQUE, 20),
+            (Register::PROTECTION_TIME, 200),
+            (Register::OVERLOAD_TORQUE, 80),
+            (Register::TORQUE_LIMIT, 1000),
+            (Register::LOCK, 1),
+            (Register::GOAL_POSITION, 2048),
+        ] {
+            servo.set(register, value);
+        }
+        servo
+    }
+
+    /// Identifier.
+    #[must_use]
+    pub fn id(&self) -> u8 {
+        self.registers[usize::from(Register::ID.address)]
+    }
+
+    /// Value of a register.
+    #[must_use]
+    pub fn get(&self, register: Register) -> i32 {
+        register.decode(&self.registers[usize::from(register.address)..]).unwrap_or(0)
+    }
+
+    /// Sets a register, also one that is only read; a value out of its range becomes the nearest one.
+    pub fn set(&mut self, register: Register, value: i32) {
+        let (min, max) = register.range();
+        let bytes = register.encode(value.clamp(min, max)).unwrap_or_default();
+        let (at, width) = (usize::from(register.address), usize::from(register.width));
+        self.registers[at..at + width].copy_from_slice(&bytes[..width]);
+    }
+
+    /// Contents of `length` registers from an address on; registers that do not exist are 0.
+    pub fn read(&self, address: u8, length: u8) -> impl Iterator<Item = u8> {
+        (usize::from(address)..usize::from(address) + usize::from(length))
+            .map(|at| self.registers.get(at).copied().unwrap_or(0))
+    }
+
+    /// Writes registers from an address on, as a request does: those that are only read keep their values.
+    pub fn write(&mut self, address: u8, data: &[u8]) {
+        let torque_was_on = self.is_torque_on();
+        for (at, byte) in (usize::from(address)..).zip(data) {
+            let is_stuck = self.stuck.is_some_and(|stuck| usize::from(stuck) == at);
+            if is_written(at) && !is_stuck {
+                self.registers[at] = *byte;
+            }
+        }
+        if !torque_was_on && self.is_torque_on() {
+            self.setpoint = f64::from(self.get(Register::PRESENT_POSITION));
+            self.setpoint_velocity = 0.0;
+            self.integral_nm = 0.0;
+        }
+    }
+
+    /// Returns true if the motor is controlled.
+    #[must_use]
+    pub fn is_torque_on(&self) -> bool {
+        self.get(Register::TORQUE_ENABLE) == 1
+    }
+
+    /// Error flags.
+    #[must_use]
+    pub fn error_flags(&self) -> ErrorFlags {
+        let voltage = self.get(Register::PRESENT_VOLTAGE);
+        let mut flags = self.flags;
+        if voltage > self.get(Register::MAX_VOLTAGE_LIMIT) || voltage < self.get(Register::MIN_VOLTAGE_LIMIT)
+        {
+            flags = flags | ErrorFlags::VOLTAGE;
+        }
+        if self.get(Register::PRESENT_TEMPERATURE) > self.get(Register::MAX_TEMPERATURE_LIMIT) {
+            flags = flags | ErrorFlags::OVERHEAT;
+        }
+        flags
+    }
+
+    /// Measures the joint (rad, rad/s), and computes the motor torque at the joint (Nm) for the next `duration_s` (s).
+    pub fn control(&mut self, q: f64, dq: f64, duration_s: f64) -> f64 {
+        let sign = if self.options.inverted { -1.0 } else { 1.0 };
+        let counts_per_rad = f64::from(COUNTS_PER_TURN) / TAU;
+        let homing = f64::from(self.get(Register::HOMING_OFFSET));
+        let sensor = (MIDDLE + homing + sign * q * counts_per_rad).round() - homing;
+        let present = sensor.rem_euclid(f64::from(COUNTS_PER_TURN));
+        let velocity = (sign * dq * counts_per_rad).round();
+        self.advance_setpoint(duration_s);
+
+        let dead_zone = f64::from(self.get(Register::CW_DEAD_ZONE).max(self.get(Register::CCW_DEAD_ZONE)));
+        let distance = self.setpoint - present;
+        let error_rad = if distance.abs() <= dead_zone { 0.0 } else { distance / counts_per_rad };
+        let share = |servo: &Self, register| f64::from(servo.get(register)) / 32.0;
+        let options = self.options;
+        let limit = options.stall_torque_nm * f64::from(self.get(Register::TORQUE_LIMIT)) / 1000.0;
+        let integral = self.integral_nm
+            + share(self, Register::I_COEFFICIENT)
+                * options.integral_at_32_nm_per_rad_s
+                * error_rad
+                * duration_s;
+        self.integral_nm = integral.clamp(-limit, limit);
+        let torque = share(self, Register::P_COEFFICIENT) * options.stiffness_at_32_nm_per_rad * error_rad
+            - share(self, Register::D_COEFFICIENT) * options.damping_at_32_nms_per_rad * sign * dq
+            + self.integral_nm;
+        let is_on = self.is_torque_on() && self.get(Register::OPERATING_MODE) == 0;
+        self.torque_nm = if is_on { torque.clamp(-limit, limit) } else { 0.0 };
+
+        let current_a = self.torque_nm / options.torque_per_current_nm_per_a;
+        let voltage = options.voltage_v - options.sag_v_per_a * current_a.abs();
+        let unit = if self.get(Register::PHASE) & 4 == 0 { 50.0 } else { 1.0 };
+        let flags = i32::from(self.error_flags().bits());
+        for (register, value) in [
+            (Register::PRESENT_POSITION, present),
+            (Register::PRESENT_VELOCITY, velocity / unit),
+            (Register::PRESENT_LOAD, 1000.0 * self.torque_nm / options.stall_torque_nm),
+            (Register::PRESENT_CURRENT, current_a / 0.0065),
+            (Register::PRESENT_VOLTAGE, 10.0 * voltage),
+            (Register::PRESENT_TEMPERATURE, options.temperature_c),
+        ] {
+            self.set(register, value.round() as i32);
+        }
+        self.set(Register::STATUS, flags);
+        self.set(Register::MOVING, i32::from(velocity != 0.0));
+        sign * self.torque_nm
+    }
+
+    /// Advances the profile to the goal, which lies within the limits of positions.
+    fn advance_setpoint(&mut self, duration_s: f64) {
+        let (lower, upper) = (self.get(Register::MIN_POSITION_LIMIT), self.get(Register::MAX_POSITION_LIMIT));
+        let goal = f64::from(self.get(Register::GOAL_POSITION).clamp(lower, upper.max(lower)));
+        self.set(Register::GOAL_POSITION_2, goal as i32);
+        if !self.is_torque_on() {
+            return;
+        }
+        let phase = self.get(Register::PHASE);
+        let unit = if phase & 4 == 0 { 50.0 } else { 1.0 };
+        let goal_velocity = f64::from(self.get(Register::GOAL_VELOCITY).abs()) * unit;
+        let is_unlimited = goal_velocity == 0.0 && phase & 8 != 0;
+        let velocity_limit = if is_unlimited { f64::INFINITY } else { goal_velocity };
+        let acceleration = f64::from(self.get(Register::ACCELERATION)) * 100.0;
+        let distance = goal - self.setpoint;
+        let mut velocity = distance / duration_s;
+        if acceleration > 0.0 {
+            // The velocity from which it can still stop at the goal.
+            let braking = (2.0 * acceleration * distance.abs()).sqrt();
+            let change = acceleration * duration_s;
+            velocity = velocity
+                .clamp(-braking, braking)
+                .clamp(self.setpoint_velocity - change, self.setpoint_velocity + change);
+        }
+        velocity = velocity.clamp(-velocity_limit, velocity_limit);
+        self.setpoint_velocity = velocity;
+        self.setpoint += velocity * duration_s;
+    }
+}
+
+/// Returns true if a request changes the byte at this address.
+fn is_written(address: usize) -> bool {
+    REGISTERS.iter().any(|register| {
+        let first = usize::from(register.address);
+        (first..first + usize::from(register.width)).contains(&address) && register.access != Access::Read
+    })
+}
