@@ -244,16 +244,17 @@ impl<T: Transport> FeetechArm<T> {
         let is_silent = round.complete == 0 && round.foreign == 0 && round.damaged == 0;
         self.misses.since.get_or_insert(now);
         self.misses.foreign += u32::from(round.foreign > 0);
-        let mut is_late = false;
+        let lengths = self.length..self.length + LENGTHS;
+        let is_of_earlier_request = |answer: &&Answer| matches!(answer.outcome, Outcome::WrongLength { bytes } if lengths.contains(&bytes));
+        let late = self.answers.iter().filter(is_of_earlier_request).count();
+        self.counts.late_answers += late as u64;
+        // An answer that came between two requests has at least six bytes; fewer may be noise.
+        let is_late = late > 0 || round.discarded >= 6;
         for (answer, misses) in self.answers.iter().zip(&mut self.misses.of_servos) {
             match answer.outcome {
                 Outcome::Complete => {}
-                Outcome::Missing => misses[0] += 1,
-                Outcome::WrongLength { bytes } if (self.length..self.length + LENGTHS).contains(&bytes) => {
-                    is_late = true;
-                    self.counts.late_answers += 1;
-                }
-                Outcome::WrongLength { .. } => misses[1] += 1,
+                Outcome::Missing => misses[0] += u32::from(!is_late),
+                Outcome::WrongLength { bytes } => misses[1] += u32::from(!lengths.contains(&bytes)),
                 Outcome::Checksum => misses[2] += 1,
             }
         }
@@ -282,7 +283,9 @@ impl<T: Transport> FeetechArm<T> {
         ];
         for (cause, place) in causes[3..].iter_mut().zip([2, 1, 0]) {
             if let Some((number, index)) = worst(place) {
-                (cause.0, cause.2) = (number, Some(index));
+                // Of answers that lack a byte, two of three have the length of a late one.
+                let weight = if place == 1 { LENGTHS as u32 } else { 1 };
+                (cause.0, cause.2) = (weight * number, Some(index));
             }
         }
         let mut gravest = causes[0];

@@ -98,6 +98,8 @@ pub struct Round {
     pub foreign: usize,
     /// Number of damaged packets.
     pub damaged: usize,
+    /// Number of bytes that had arrived before the request, and were discarded: of answers that came too late.
+    pub discarded: usize,
 }
 
 impl<T: Transport> Bus<T> {
@@ -172,10 +174,10 @@ impl<T: Transport> Bus<T> {
         deadline: Duration,
         answers: &mut [Answer],
     ) -> Result<Round, BusError> {
-        self.discard()?;
+        let discarded = self.discard()?;
         let bytes = u8::try_from(length).map_err(|_| TooLong)?;
         self.transport.send(self.encoder.sync_read(address, bytes, ids)?)?;
-        self.collect(ids, length, deadline, answers)
+        Ok(Round { discarded, ..self.collect(ids, length, deadline, answers)? })
     }
 
     /// Writes two bytes of each of several servos. No servo answers. Allocates nothing.
@@ -216,17 +218,18 @@ impl<T: Transport> Bus<T> {
         Err(failure)
     }
 
-    /// Discards what has arrived, such as a late answer to the request before.
-    fn discard(&mut self) -> Result<(), BusError> {
-        let mut buffer = [0; 256];
+    /// Discards what has arrived, such as a late answer to the request before, and returns its number of bytes.
+    fn discard(&mut self) -> Result<usize, BusError> {
+        let (mut buffer, mut discarded) = ([0; 256], 0);
         // Bounded, since another program may send without end.
         for _ in 0..16 {
-            if self.transport.receive(&mut buffer, Duration::ZERO)? == 0 {
-                break;
+            match self.transport.receive(&mut buffer, Duration::ZERO)? {
+                0 => break,
+                received => discarded += received,
             }
         }
         self.decoder.clear();
-        Ok(())
+        Ok(discarded)
     }
 
     /// Receives answers with `length` bytes until all are there, or until the deadline.

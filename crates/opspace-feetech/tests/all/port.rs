@@ -1,0 +1,89 @@
+//! The serial port on a pseudo-terminal, in real time.
+
+use crate::common::{CALIBRATION, bus, config, file, settings};
+use opspace_backend::{Backend, Command, Driver, Sample, Setting};
+use opspace_feetech::protocol::{ErrorFlags, Register};
+use opspace_feetech::serial_port::SerialPort;
+use opspace_feetech::simulated::PseudoTerminal;
+use opspace_feetech::{FeetechArm, FeetechDriver};
+use std::path::Path;
+
+fn open(terminal: &PseudoTerminal) -> SerialPort {
+    SerialPort::open(terminal.path(), 1_000_000).expect("a port")
+}
+
+/// Twenty cycles at 100 Hz by the driver, as a program of opspace calls it. A busy machine may miss some.
+#[test]
+fn driver_runs_an_arm_behind_a_port() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let link = folder.path().join("arm");
+    let terminal = PseudoTerminal::open(bus()).expect("a pseudo-terminal").with_link(&link).expect("a link");
+    let calibration = file(CALIBRATION);
+    let settings = settings(&calibration).with("port", Setting::Text(link.to_str().expect("a path").into()));
+    let mut samples = 0;
+    FeetechDriver
+        .with(&settings, &mut |arm| {
+            let mut sample = Sample::new(arm.capabilities());
+            for _ in 0..20 {
+                arm.read(&mut sample).expect("a sample");
+                arm.write(Command::Position(&[0.0; 3])).expect("a command");
+                samples += 1;
+            }
+            arm.stop();
+        })
+        .expect("a run");
+    assert_eq!(samples, 20);
+    assert_eq!(terminal.bus().servo(3).expect("a servo").get(Register::GOAL_POSITION), 2050);
+    drop(terminal);
+    assert!(!link.is_symlink());
+}
+
+#[test]
+fn faults_are_named_behind_a_port() {
+    let start = || {
+        let terminal = PseudoTerminal::open(bus()).expect("a pseudo-terminal");
+        let arm = FeetechArm::start(open(&terminal), config(|settings| settings)).expect("an arm");
+        (terminal, arm)
+    };
+    type Inject = fn(&PseudoTerminal);
+    let cases: [(u32, Inject); 4] = [
+        (10, |terminal| terminal.bus().options.gone = true),
+        (11, |terminal| terminal.bus().options.silent = true),
+        (12, |terminal| terminal.bus().options.silent_ids = vec![2]),
+        (24, |terminal| terminal.bus().servo_mut(2).expect("a servo").flags = ErrorFlags::OVERLOAD),
+    ];
+    for (code, inject) in cases {
+        let (terminal, mut arm) = start();
+        let mut sample = Sample::new(arm.capabilities());
+        arm.read(&mut sample).expect("a sample");
+        inject(&terminal);
+        let fault = (0..100).find_map(|_| arm.read(&mut sample).err()).expect("a fault");
+        assert_eq!(fault.code, code, "{fault}");
+        arm.stop();
+    }
+}
+
+#[test]
+fn ports_that_cannot_be_opened_are_named() {
+    let calibration = file(CALIBRATION);
+    let open = |port: &str| {
+        let settings = settings(&calibration).with("port", Setting::Text(port.into()));
+        FeetechDriver.with(&settings, &mut |_| {}).expect_err("refused")
+    };
+    let error = open("/dev/no-such-port");
+    assert_eq!(error.key.as_deref(), Some("port"));
+    assert!(error.words.contains("/dev/ttyACM0"), "{error}");
+    assert!(open("/dev/null").words.contains("it is no serial port"), "{}", open("/dev/null"));
+    let wrong =
+        settings(&calibration).with("port", Setting::Text("x".into())).with("baud_hz", Setting::Number(1.5));
+    let error = FeetechDriver.with(&wrong, &mut |_| {}).expect_err("refused");
+    assert_eq!(error.key.as_deref(), Some("baud_hz"));
+}
+
+#[test]
+fn a_link_in_use_is_not_replaced() {
+    let taken = file("");
+    let terminal = PseudoTerminal::open(bus()).expect("a pseudo-terminal");
+    assert!(terminal.with_link(taken.path()).is_err());
+    assert!(Path::new(taken.path()).exists());
+}
