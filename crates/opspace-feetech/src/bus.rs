@@ -15,12 +15,18 @@ const ANSWER_WITHIN: Duration = Duration::from_millis(50);
 /// Number of times that a single request is sent before a servo counts as missing.
 const ATTEMPTS: usize = 3;
 
+/// Number of lengths of single reads, which follow one another: an answer to an earlier request has another length, and is
+/// not taken for one to the present request. Answers have no number.
+const LENGTHS: u8 = 4;
+
 /// Servos on a connection, one request at a time.
 #[derive(Debug)]
 pub struct Bus<T> {
     transport: T,
     encoder: Encoder,
     decoder: Decoder,
+    /// Number of bytes that the next single read asks for beyond its register.
+    surplus: u8,
 }
 
 /// Reason why a request has no result.
@@ -106,7 +112,7 @@ impl<T: Transport> Bus<T> {
     /// Returns the bus on a connection.
     #[must_use]
     pub fn new(transport: T) -> Self {
-        Self { transport, encoder: Encoder::default(), decoder: Decoder::new(MAX_READ) }
+        Self { transport, encoder: Encoder::default(), decoder: Decoder::new(MAX_READ), surplus: 0 }
     }
 
     /// Connection.
@@ -145,9 +151,10 @@ impl<T: Transport> Bus<T> {
     /// # Errors
     /// If the servo does not answer, or answers wrongly.
     pub fn read(&mut self, id: u8, register: Register) -> Result<i32, BusError> {
-        let answer = self.exchange(id, usize::from(register.width), |encoder| {
-            Ok(encoder.read(id, register.address, register.width))
-        })?;
+        self.surplus = (self.surplus + 1) % LENGTHS;
+        let length = register.width + self.surplus;
+        let answer =
+            self.exchange(id, usize::from(length), |encoder| Ok(encoder.read(id, register.address, length)))?;
         register.decode(&answer.data).ok_or(BusError::WrongAnswer { id })
     }
 
@@ -201,13 +208,19 @@ impl<T: Transport> Bus<T> {
     ) -> Result<Answer, BusError> {
         let mut answers = [Answer::default()];
         let mut failure = BusError::NoAnswer { id };
-        for _ in 0..ATTEMPTS {
+        for attempt in 0..ATTEMPTS {
             self.discard()?;
             self.transport.send(encode(&mut self.encoder)?)?;
             let deadline = self.transport.now() + ANSWER_WITHIN;
             let round = self.collect(&[id], length, deadline, &mut answers)?;
             match answers[0].outcome {
-                Outcome::Complete => return Ok(answers[0]),
+                Outcome::Complete => {
+                    if attempt > 0 {
+                        // The answers to the other attempts may still come.
+                        self.transport.wait_until(deadline);
+                    }
+                    return Ok(answers[0]);
+                }
                 Outcome::Checksum => failure = BusError::Checksum { id },
                 Outcome::Missing if round.damaged > 0 => failure = BusError::Checksum { id },
                 Outcome::WrongLength { .. } => failure = BusError::WrongAnswer { id },

@@ -264,7 +264,8 @@ impl SimulatedBus {
                 let is_changed = (is_damaged && place == damage % size)
                     || (self.options.wrong_checksum == Some(id) && place + 1 == size);
                 if self.answers.len() < MAX_QUEUED {
-                    let arrival = begins + byte_time * (place as u32 + 1) + self.options.latency;
+                    // An adapter passes an answer as a whole.
+                    let arrival = begins + byte_time * size as u32 + self.options.latency;
                     self.answers.push_back((arrival, if is_changed { byte ^ 0x55 } else { *byte }));
                 }
             }

@@ -7,9 +7,6 @@ use std::f64::consts::TAU;
 /// Number of addresses.
 const ADDRESSES: usize = 96;
 
-/// Number of counts of the sensor at q = 0.
-const MIDDLE: f64 = 2048.0;
-
 /// Properties of a simulated servo. Defaults are published values of the STS3215 at 7.4 V; what a servo does with D and
 /// I is not published, and both are without effect by default.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -30,6 +27,8 @@ pub struct ServoOptions {
     pub sag_v_per_a: f64,
     /// Temperature, °C.
     pub temperature_c: f64,
+    /// Count of the sensor at q = 0.
+    pub sensor_zero: f64,
     /// True if the servo's positions decrease where q increases.
     pub inverted: bool,
 }
@@ -45,6 +44,7 @@ impl Default for ServoOptions {
             voltage_v: 7.4,
             sag_v_per_a: 0.0,
             temperature_c: 30.0,
+            sensor_zero: 2048.0,
             inverted: false,
         }
     }
@@ -76,7 +76,7 @@ impl SimulatedServo {
             flags: ErrorFlags::NONE,
             stuck: None,
             registers: [0; ADDRESSES],
-            setpoint: MIDDLE,
+            setpoint: 0.0,
             setpoint_velocity: 0.0,
             integral_nm: 0.0,
             torque_nm: 0.0,
@@ -180,8 +180,8 @@ impl SimulatedServo {
         let sign = if self.options.inverted { -1.0 } else { 1.0 };
         let counts_per_rad = f64::from(COUNTS_PER_TURN) / TAU;
         let homing = f64::from(self.get(Register::HOMING_OFFSET));
-        let sensor = (MIDDLE + homing + sign * q * counts_per_rad).round() - homing;
-        let present = sensor.rem_euclid(f64::from(COUNTS_PER_TURN));
+        let sensor = (self.options.sensor_zero + sign * q * counts_per_rad).round();
+        let present = (sensor - homing).rem_euclid(f64::from(COUNTS_PER_TURN));
         let velocity = (sign * dq * counts_per_rad).round();
         self.advance_setpoint(duration_s);
 

@@ -48,8 +48,14 @@ pub fn config(change: impl FnOnce(Settings) -> Settings) -> ArmConfig {
 /// The bus of the arm: its joints are pulled by weights, and the last servo turns the other way.
 pub fn bus() -> SimulatedBus {
     let servos = (0..3).map(|index| {
-        let mut servo =
-            SimulatedServo::new(IDS[index], ServoOptions { inverted: index == 2, ..ServoOptions::default() });
+        let mut servo = SimulatedServo::new(
+            IDS[index],
+            ServoOptions {
+                inverted: index == 2,
+                sensor_zero: 2048.0 + f64::from(HOMING[index]),
+                ..ServoOptions::default()
+            },
+        );
         servo.set(Register::HOMING_OFFSET, HOMING[index]);
         servo.set(Register::MIN_POSITION_LIMIT, RANGES[index].0);
         servo.set(Register::MAX_POSITION_LIMIT, RANGES[index].1);

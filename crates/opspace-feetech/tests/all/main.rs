@@ -1,6 +1,7 @@
 //! Tests of the servo bus, its driver and its simulation.
 
 mod arm;
+mod bus;
 mod calibration;
 mod common;
 mod faults;
