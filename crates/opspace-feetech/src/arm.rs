@@ -4,16 +4,13 @@ use crate::arm_config::{ArmConfig, AtEnd, TorqueSource};
 use crate::bus::{Answer, Bus, BusError, Outcome};
 use crate::fault::{BusFault, FaultTexts};
 use crate::protocol::{ErrorFlags, Register};
-use crate::start;
+use crate::start::{self, ANSWER_SHARE};
 use crate::transport::Transport;
 use opspace_backend::{
     Backend, Capabilities, Command, CommandKind, DeviceFault, DeviceLimits, DriverError, Measured, Sample,
     Status,
 };
 use std::time::Duration;
-
-/// Share of a period within which the answers must be there; the rest is for the command.
-pub(crate) const ANSWER_SHARE: f64 = 0.7;
 
 /// First register that is read in each cycle.
 const FIRST: u8 = Register::PRESENT_POSITION.address;

@@ -3,7 +3,6 @@
 use crate::calibration::{Calibration, MotorCalibration};
 use crate::counts::{CountScale, RAD_PER_COUNT};
 use opspace_backend::{CommandKind, DriverError, Settings};
-use std::path::Path;
 use std::time::Duration;
 
 /// Keys of `[driver]`.
@@ -49,7 +48,7 @@ pub struct ArmConfig {
     pub motor_torque: Option<TorqueSource>,
     /// Duration without complete answers that is a fault.
     pub silence: Duration,
-    /// What happens after a run.
+    /// Treatment of the arm after a run.
     pub at_end: AtEnd,
 }
 
@@ -85,7 +84,7 @@ pub enum TorqueSource {
     Load(f64),
 }
 
-/// What happens to an arm after a run.
+/// Treatment of an arm after a run.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum AtEnd {
     /// The servos keep their last setpoints, with torque on.
@@ -148,11 +147,18 @@ impl ArmConfig {
     }
 }
 
+/// Largest size of a calibration file, bytes: a motor has some 150.
+const MAX_FILE: u64 = 100_000;
+
 /// Reads a calibration; an error names the file and the remedy.
 fn read_calibration(path: &str) -> Result<Calibration, String> {
-    let text = std::fs::read_to_string(Path::new(path)).map_err(|error| {
+    let metadata = std::fs::metadata(path).map_err(|error| {
         format!("{path}: {error}; LeRobot writes this file when the arm is calibrated (lerobot-calibrate)")
     })?;
+    if !metadata.is_file() || metadata.len() > MAX_FILE {
+        return Err(format!("{path} is no file of at most {MAX_FILE} bytes"));
+    }
+    let text = std::fs::read_to_string(path).map_err(|error| format!("{path}: {error}"))?;
     Calibration::from_json(&text).map_err(|error| format!("{path}: {error}"))
 }
 

@@ -65,7 +65,7 @@ pub enum BusError {
 /// Answer of one servo to a request to several.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Answer {
-    /// What has arrived.
+    /// Outcome: an answer, a wrong one, or none.
     pub outcome: Outcome,
     /// Error flags of the answer.
     pub flags: ErrorFlags,
@@ -73,7 +73,7 @@ pub struct Answer {
     pub data: [u8; MAX_READ],
 }
 
-/// What has arrived of one servo.
+/// Outcome of a request for one of the servos that were asked.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Outcome {
     /// Nothing.
@@ -95,7 +95,7 @@ impl Default for Answer {
     }
 }
 
-/// What has arrived of all servos that were asked.
+/// Outcome of a request to several servos.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Round {
     /// Number of complete answers.

@@ -54,7 +54,7 @@ pub enum CalibrationError {
         key: &'static str,
         /// Value.
         value: i32,
-        /// What is allowed.
+        /// Values that are allowed.
         allowed: &'static str,
     },
     /// Two motors have the same identifier.

@@ -12,6 +12,9 @@ use std::time::Duration;
 /// Models with this table of registers, with their numbers.
 const MODELS: [(i32, &str); 3] = [(777, "STS3215"), (2825, "STS3250"), (11272, "SM8512BL")];
 
+/// Share of a period within which the answers must be there; the rest is for the command.
+pub(crate) const ANSWER_SHARE: f64 = 0.7;
+
 /// Number of rounds by which the bus is measured.
 const ROUNDS: usize = 20;
 
@@ -176,7 +179,7 @@ fn measure_round<T: Transport>(
         }
     }
     durations.sort();
-    let allowed = Duration::from_secs_f64(crate::arm::ANSWER_SHARE * config.period_s);
+    let allowed = Duration::from_secs_f64(ANSWER_SHARE * config.period_s);
     match durations.get(durations.len() / 2) {
         Some(median) if 2 * durations.len() > ROUNDS && *median <= allowed => Ok(*median),
         Some(median) if 2 * durations.len() > ROUNDS => Err(DriverError::new(format!(
