@@ -76,6 +76,7 @@ struct Misses {
     silent: u32,
     foreign: u32,
     late: u32,
+    noisy: u32,
     /// For each servo: number of cycles in which it was missing, its answer was wrong, its checksum was wrong.
     of_servos: Vec<[u32; 3]>,
 }
@@ -85,7 +86,8 @@ impl<T: Transport> FeetechArm<T> {
     /// torque on with the present positions as goals.
     ///
     /// # Errors
-    /// If a servo is missing, reports an error or contradicts the configuration, or if the bus is too slow.
+    /// If a servo is missing, reports an error or contradicts the configuration, or if the bus is too slow. Torque that is on
+    /// already stays on.
     pub fn start(transport: T, config: ArmConfig) -> Result<Self, DriverError> {
         let mut bus = Bus::new(transport);
         // Up to Status, or up to Present_Current.
@@ -245,8 +247,11 @@ impl<T: Transport> FeetechArm<T> {
         let is_of_earlier_request = |answer: &&Answer| matches!(answer.outcome, Outcome::WrongLength { bytes } if lengths.contains(&bytes));
         let late = self.answers.iter().filter(is_of_earlier_request).count();
         self.counts.late_answers += late as u64;
-        // An answer that came between two requests has at least six bytes; fewer may be noise.
-        let is_late = late > 0 || round.discarded >= 6;
+        // Between two requests, late answers have at least six bytes and at most those of a round; others are noise.
+        let of_round = self.ids.len() * (6 + self.length + LENGTHS);
+        let is_noisy = round.discarded > of_round;
+        let is_late = late > 0 || (round.discarded >= 6 && !is_noisy);
+        self.misses.noisy += u32::from(is_noisy);
         for (answer, misses) in self.answers.iter().zip(&mut self.misses.of_servos) {
             match answer.outcome {
                 Outcome::Complete => {}
@@ -271,6 +276,7 @@ impl<T: Transport> FeetechArm<T> {
                 .map(|index| (misses.of_servos[index][place], index))
         };
         let mut causes = [
+            (misses.noisy, BusFault::Checksum, None),
             (misses.late, BusFault::TooSlow, None),
             (misses.silent, BusFault::Silent, None),
             (misses.foreign, BusFault::WrongAnswer, None),
@@ -278,7 +284,7 @@ impl<T: Transport> FeetechArm<T> {
             (0, BusFault::WrongAnswer, None),
             (0, BusFault::ServoMissing, None),
         ];
-        for (cause, place) in causes[3..].iter_mut().zip([2, 1, 0]) {
+        for (cause, place) in causes[4..].iter_mut().zip([2, 1, 0]) {
             if let Some((number, index)) = worst(place) {
                 // Of answers that lack a byte, two of three have the length of a late one.
                 let weight = if place == 1 { LENGTHS as u32 } else { 1 };
@@ -344,7 +350,7 @@ impl<T: Transport> FeetechArm<T> {
 impl Misses {
     fn end(&mut self) {
         self.since = None;
-        (self.silent, self.foreign, self.late) = (0, 0, 0);
+        (self.silent, self.foreign, self.late, self.noisy) = (0, 0, 0, 0);
         self.of_servos.fill([0; 3]);
     }
 }

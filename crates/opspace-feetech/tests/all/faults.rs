@@ -4,7 +4,8 @@ use crate::common::{IDS, arm};
 use opspace_backend::{Backend, Command, DeviceFault, Sample};
 use opspace_feetech::BusFault;
 use opspace_feetech::protocol::{ErrorFlags, Register};
-use opspace_feetech::simulated::SimulatedBus;
+use opspace_feetech::simulated::{SimulatedBus, SimulatedTransport};
+use opspace_feetech::transport::Transport;
 use std::time::Duration;
 
 /// Reads ten samples, injects a defect, and returns the fault, and the time (s) from the last sample until it came.
@@ -156,5 +157,58 @@ fn codes_and_names_differ() {
             assert_ne!(fault.name(), other.name());
             assert_ne!(fault.text(), other.text());
         }
+    }
+}
+
+/// A transport on which bytes of a generator follow one another without end, once it is disturbed.
+struct Disturbed {
+    bus: SimulatedTransport,
+    /// State of the generator; `None` as long as the bus is not disturbed.
+    noise: Option<u64>,
+    /// Byte that is sent instead of random ones.
+    only: Option<u8>,
+}
+
+impl Transport for Disturbed {
+    fn now(&self) -> Duration {
+        self.bus.now()
+    }
+
+    fn wait_until(&mut self, time: Duration) {
+        self.bus.wait_until(time);
+    }
+
+    fn send(&mut self, bytes: &[u8]) -> std::io::Result<()> {
+        self.bus.send(bytes)
+    }
+
+    fn receive(&mut self, buffer: &mut [u8], deadline: Duration) -> std::io::Result<usize> {
+        let Some(noise) = &mut self.noise else { return self.bus.receive(buffer, deadline) };
+        for byte in buffer.iter_mut() {
+            *noise = noise.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            *byte = self.only.unwrap_or((*noise >> 56) as u8);
+        }
+        // 256 bytes take 2.56 ms.
+        self.bus.wait_until(self.bus.now() + Duration::from_micros(2560));
+        Ok(buffer.len())
+    }
+}
+
+/// Bytes without end, of whatever kind, are a fault in time, not a program that hangs.
+#[test]
+fn endless_noise_is_a_fault() {
+    for only in [None, Some(0xFF), Some(0x00), Some(0x02)] {
+        let bus = SimulatedTransport::new(crate::common::bus());
+        let transport = Disturbed { bus, noise: None, only };
+        let config = crate::common::config(|settings| settings);
+        let mut arm = opspace_feetech::FeetechArm::start(transport, config).expect("an arm");
+        let mut sample = Sample::new(arm.capabilities());
+        arm.read(&mut sample).expect("a sample");
+        let before = sample.time_s;
+        arm.transport_mut().noise = Some(7);
+        let fault = arm.read(&mut sample).expect_err("a fault");
+        assert_eq!(fault.code, BusFault::Checksum.code(), "{only:?}: {fault}");
+        let after_s = arm.transport_mut().now().as_secs_f64() - before;
+        assert!(after_s < 0.3, "{after_s}");
     }
 }
