@@ -1,7 +1,8 @@
 //! Calibration of an arm, in the file that LeRobot writes.
 
+use crate::counts::RAD_PER_COUNT;
 use crate::protocol::MAX_ID;
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
 /// Calibrations of servos, by the names of the motors. Read from the JSON file of LeRobot
@@ -21,7 +22,7 @@ pub struct Calibration {
 }
 
 /// Calibration of one servo. Its keys are LeRobot's.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct MotorCalibration {
     /// Identifier on the bus.
@@ -88,6 +89,33 @@ impl Calibration {
             }
         }
         Ok(Self { motors })
+    }
+
+    /// Returns the calibration of a simulated arm: motors with the identifiers 1, 2, ... and these ranges (rad), of which the middle
+    /// is half a turn. A range of more than a turn becomes one turn. A real arm is calibrated by LeRobot.
+    ///
+    /// # Errors
+    /// If a range is empty, or there are more motors than identifiers.
+    pub fn of_simulation<'a>(
+        motors: impl IntoIterator<Item = (&'a str, (f64, f64))>,
+    ) -> Result<Self, CalibrationError> {
+        let mut calibrations = BTreeMap::new();
+        for (id, (name, (lower, upper))) in (1..).zip(motors) {
+            let half = ((upper - lower) / RAD_PER_COUNT / 2.0).round().min(2047.0) as i32;
+            let (range_min, range_max) = (2048 - half, 2048 + half);
+            let motor = MotorCalibration { id, drive_mode: 0, homing_offset: 0, range_min, range_max };
+            motor.check(name)?;
+            calibrations.insert(name.to_owned(), motor);
+        }
+        Ok(Self { motors: calibrations })
+    }
+
+    /// Text of the file, as LeRobot writes it.
+    ///
+    /// # Errors
+    /// If it cannot be written as JSON.
+    pub fn to_json(&self) -> Result<String, CalibrationError> {
+        Ok(serde_json::to_string_pretty(&self.motors)?)
     }
 
     /// Calibration of the motor with this name.

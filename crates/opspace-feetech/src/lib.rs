@@ -54,6 +54,7 @@ pub mod counts;
 pub mod driver;
 pub mod fault;
 pub mod protocol;
+pub mod scan;
 #[cfg(target_os = "linux")]
 pub mod serial_port;
 pub mod simulated;

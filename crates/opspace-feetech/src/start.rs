@@ -5,12 +5,10 @@ use crate::bus::{Answer, Bus, BusError};
 use crate::counts::RAD_PER_COUNT;
 use crate::fault::BusFault;
 use crate::protocol::{ErrorFlags, Register};
+use crate::scan::MODELS;
 use crate::transport::Transport;
 use opspace_backend::DriverError;
 use std::time::Duration;
-
-/// Models with this table of registers, with their numbers.
-const MODELS: [(i32, &str); 3] = [(777, "STS3215"), (2825, "STS3250"), (11272, "SM8512BL")];
 
 /// Share of a period within which the answers must be there; the rest is for the command.
 pub(crate) const ANSWER_SHARE: f64 = 0.7;

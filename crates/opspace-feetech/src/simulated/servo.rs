@@ -1,5 +1,6 @@
 //! A simulated servo: its registers, and the law between them and the motor.
 
+use crate::arm_config::ServoConfig;
 use crate::counts::COUNTS_PER_TURN;
 use crate::protocol::{Access, ErrorFlags, REGISTERS, Register};
 use std::f64::consts::TAU;
@@ -109,6 +110,24 @@ impl SimulatedServo {
         ] {
             servo.set(register, value);
         }
+        servo
+    }
+
+    /// Returns the servo for a joint of an arm's configuration: its identifier and calibration, and its zero and direction, so that
+    /// positions of the simulated joint are those of the arm. It is set as the arm's start expects it.
+    #[must_use]
+    pub fn calibrated(config: &ServoConfig, options: ServoOptions) -> Self {
+        let (calibration, scale) = (config.calibration, config.scale);
+        let options = ServoOptions {
+            sensor_zero: scale.zero + f64::from(calibration.homing_offset),
+            inverted: scale.sign < 0.0,
+            ..options
+        };
+        let mut servo = Self::new(calibration.id, options);
+        servo.set(Register::HOMING_OFFSET, calibration.homing_offset);
+        servo.set(Register::MIN_POSITION_LIMIT, calibration.range_min);
+        servo.set(Register::MAX_POSITION_LIMIT, calibration.range_max);
+        servo.set(Register::RETURN_DELAY_TIME, 0);
         servo
     }
 
