@@ -55,6 +55,7 @@ mod linux {
                 std::io::stdin().read_to_end(&mut Vec::new())?;
             }
         }
+        println!("longest pause of the simulation: {:.1} ms", terminal.longest_pause().as_secs_f64() * 1e3);
         Ok(())
     }
 

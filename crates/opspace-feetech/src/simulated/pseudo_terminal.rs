@@ -9,7 +9,7 @@ use rustix::termios::{OptionalActions, tcgetattr, tcsetattr};
 use std::io;
 use std::os::fd::OwnedFd;
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
@@ -24,8 +24,15 @@ pub struct PseudoTerminal {
     path: PathBuf,
     link: Option<PathBuf>,
     bus: Arc<Mutex<SimulatedBus>>,
-    is_over: Arc<AtomicBool>,
+    shared: Arc<Shared>,
     thread: Option<JoinHandle<()>>,
+}
+
+/// State that the thread shares with its owner.
+#[derive(Default)]
+struct Shared {
+    is_over: AtomicBool,
+    longest_pause_us: AtomicU64,
 }
 
 impl PseudoTerminal {
@@ -45,13 +52,13 @@ impl PseudoTerminal {
         modes.make_raw();
         tcsetattr(&port, OptionalActions::Now, &modes)?;
         rustix::fs::fcntl_setfl(&controller, OFlags::RDWR | OFlags::NONBLOCK)?;
-        let (bus, is_over) = (Arc::new(Mutex::new(bus)), Arc::new(AtomicBool::new(false)));
-        let (of_thread, is_over_for_thread) = (Arc::clone(&bus), Arc::clone(&is_over));
+        let (bus, shared) = (Arc::new(Mutex::new(bus)), Arc::new(Shared::default()));
+        let (of_thread, shared_with_thread) = (Arc::clone(&bus), Arc::clone(&shared));
         let thread = std::thread::spawn(move || {
-            serve(controller, &of_thread, &is_over_for_thread);
+            serve(controller, &of_thread, &shared_with_thread);
             drop(port);
         });
-        Ok(Self { path, link: None, bus, is_over, thread: Some(thread) })
+        Ok(Self { path, link: None, bus, shared, thread: Some(thread) })
     }
 
     /// Makes a symbolic link to the port, which is removed at the end. A link that leads nowhere is replaced.
@@ -73,6 +80,13 @@ impl PseudoTerminal {
         &self.path
     }
 
+    /// Longest time for which the system did not let the simulation run: a servo does not answer meanwhile. On an idle machine it is
+    /// little more than a millisecond.
+    #[must_use]
+    pub fn longest_pause(&self) -> Duration {
+        Duration::from_micros(self.shared.longest_pause_us.load(Ordering::Relaxed))
+    }
+
     /// Bus, to be looked at or changed; the simulation waits for as long as it is held.
     pub fn bus(&self) -> MutexGuard<'_, SimulatedBus> {
         self.bus.lock().unwrap_or_else(PoisonError::into_inner)
@@ -81,7 +95,7 @@ impl PseudoTerminal {
 
 impl Drop for PseudoTerminal {
     fn drop(&mut self) {
-        self.is_over.store(true, Ordering::Relaxed);
+        self.shared.is_over.store(true, Ordering::Relaxed);
         if let Some(thread) = self.thread.take() {
             // A panic of the thread has been said.
             let _ = thread.join();
@@ -95,11 +109,15 @@ impl Drop for PseudoTerminal {
 }
 
 /// Passes bytes between the pseudo-terminal and the bus until the end, or until the port is gone.
-fn serve(controller: OwnedFd, bus: &Mutex<SimulatedBus>, is_over: &AtomicBool) {
+fn serve(controller: OwnedFd, bus: &Mutex<SimulatedBus>, shared: &Shared) {
     let origin = Instant::now();
     let mut buffer = [0; 512];
-    while !is_over.load(Ordering::Relaxed) {
+    let mut before = origin.elapsed();
+    while !shared.is_over.load(Ordering::Relaxed) {
         let mut wait = TICK;
+        let pause = origin.elapsed() - before;
+        before += pause;
+        shared.longest_pause_us.fetch_max(pause.as_micros() as u64, Ordering::Relaxed);
         {
             let mut bus = bus.lock().unwrap_or_else(PoisonError::into_inner);
             if bus.options.gone {
