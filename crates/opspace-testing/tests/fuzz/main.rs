@@ -20,6 +20,7 @@ mod recorded;
 mod results;
 mod robot;
 mod samples;
+mod servo_bus;
 // Compiled here, so that these tests need not wait for the command line.
 #[path = "../../../opspace-cli/src/samples.rs"]
 mod states;
