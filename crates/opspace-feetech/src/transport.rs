@@ -26,3 +26,21 @@ pub trait Transport {
     /// If the bus is gone.
     fn receive(&mut self, buffer: &mut [u8], deadline: Duration) -> io::Result<usize>;
 }
+
+impl<T: Transport + ?Sized> Transport for &mut T {
+    fn now(&self) -> Duration {
+        (**self).now()
+    }
+
+    fn wait_until(&mut self, time: Duration) {
+        (**self).wait_until(time);
+    }
+
+    fn send(&mut self, bytes: &[u8]) -> io::Result<()> {
+        (**self).send(bytes)
+    }
+
+    fn receive(&mut self, buffer: &mut [u8], deadline: Duration) -> io::Result<usize> {
+        (**self).receive(buffer, deadline)
+    }
+}

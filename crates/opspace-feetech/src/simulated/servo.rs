@@ -58,7 +58,9 @@ pub struct SimulatedServo {
     pub options: ServoOptions,
     /// Error flags that a test sets, in addition to those of voltage and temperature.
     pub flags: ErrorFlags,
-    /// Registers that keep their values when they are written, by address: a defect that a test sets.
+    /// True if goals are ignored while torque is off.
+    pub ignores_goals_without_torque: bool,
+    /// Register that keeps its value when it is written, by address: a defect that a test sets.
     pub stuck: Option<u8>,
     registers: [u8; ADDRESSES],
     /// Setpoint of the profile to the goal, counts, and its velocity, counts/s.
@@ -75,6 +77,7 @@ impl SimulatedServo {
         let mut servo = Self {
             options,
             flags: ErrorFlags::NONE,
+            ignores_goals_without_torque: false,
             stuck: None,
             registers: [0; ADDRESSES],
             setpoint: 0.0,
@@ -162,7 +165,10 @@ impl SimulatedServo {
         let torque_was_on = self.is_torque_on();
         for (at, byte) in (usize::from(address)..).zip(data) {
             let is_stuck = self.stuck.is_some_and(|stuck| usize::from(stuck) == at);
-            if is_written(at) && !is_stuck {
+            let is_goal = at == usize::from(Register::GOAL_POSITION.address)
+                || at == usize::from(Register::GOAL_POSITION.address) + 1;
+            let is_ignored = is_goal && self.ignores_goals_without_torque && !torque_was_on;
+            if is_written(at) && !is_stuck && !is_ignored {
                 self.registers[at] = *byte;
             }
         }

@@ -93,10 +93,8 @@ fn contradictions_are_refused_before_anything_is_written() {
         let mut bus = bus();
         set(&mut bus, register, value);
         let mut transport = SimulatedTransport::new(bus);
-        let words = {
-            let transport = Borrowed(&mut transport);
-            FeetechArm::start(transport, config(|settings| settings)).err().expect("refused").to_string()
-        };
+        let started = FeetechArm::start(&mut transport, config(|settings| settings));
+        let words = started.err().expect("refused").to_string();
         assert!(words.contains(expected), "{words}");
         for id in IDS {
             let servo = transport.bus.servo(id).expect("a servo");
@@ -162,20 +160,24 @@ fn speed_and_acceleration_are_registers_and_limits() {
     assert_eq!(limits[1].setpoint_velocity_rad_per_s, Some(2.0));
 }
 
-/// A transport that is looked at afterwards.
-struct Borrowed<'a>(&'a mut SimulatedTransport);
-
-impl opspace_feetech::transport::Transport for Borrowed<'_> {
-    fn now(&self) -> Duration {
-        self.0.now()
-    }
-    fn wait_until(&mut self, time: Duration) {
-        self.0.wait_until(time);
-    }
-    fn send(&mut self, bytes: &[u8]) -> std::io::Result<()> {
-        self.0.send(bytes)
-    }
-    fn receive(&mut self, buffer: &mut [u8], deadline: Duration) -> std::io::Result<usize> {
-        self.0.receive(buffer, deadline)
+/// A servo may ignore goals while its torque is off: then it gets its goal at once after torque is on, and is not pulled to an
+/// old one.
+#[test]
+fn servo_that_ignores_goals_without_torque_is_not_pulled() {
+    let started = |is_ignoring: bool| {
+        let mut arm = arm(|bus| {
+            for id in IDS {
+                let servo = bus.servo_mut(id).expect("a servo");
+                servo.ignores_goals_without_torque = is_ignoring;
+                servo.set(Register::GOAL_POSITION, 3000);
+            }
+        });
+        let goals = arm.goals().to_vec();
+        let bus = &arm.transport_mut().bus;
+        assert_eq!(goals, IDS.map(|id| bus.servo(id).expect("a servo").get(Register::GOAL_POSITION)));
+        bus.joints().q().to_vec()
+    };
+    for (ignoring, usual) in started(true).into_iter().zip(started(false)) {
+        assert!((ignoring - usual).abs() < 5e-3, "{ignoring} {usual}");
     }
 }

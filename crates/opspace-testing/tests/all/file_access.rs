@@ -11,7 +11,10 @@ const OPENINGS: [&str; 4] = ["File::open(", "fs::read(", "fs::read_to_string(", 
 const ALLOWED: [(&str, &str); 3] = [
     ("opspace-model/src/files.rs", "the functions themselves"),
     ("opspace-experiment/src/run/result_files.rs", "it locks a folder, for which the folder is opened"),
-    ("opspace-feetech/src/arm_config.rs", "a driver depends on opspace-backend alone; it checks the file itself"),
+    (
+        "opspace-feetech/src/arm_config.rs",
+        "a driver depends on opspace-backend alone; it checks the file itself",
+    ),
 ];
 
 /// Compared: the calls in the sources of all crates that users run, and the list.
