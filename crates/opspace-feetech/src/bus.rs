@@ -13,7 +13,7 @@ pub const MAX_READ: usize = 32;
 const ANSWER_WITHIN: Duration = Duration::from_millis(50);
 
 /// Number of times that a single request is sent before a servo counts as missing.
-const ATTEMPTS: usize = 3;
+const ATTEMPTS: usize = 5;
 
 /// Number of lengths of single reads, which follow one another: an answer to an earlier request has another length, and is
 /// not taken for one to the present request. Answers have no number.
@@ -202,7 +202,7 @@ impl<T: Transport> Bus<T> {
         Ok(self.transport.send(self.encoder.sync_write(address, values)?)?)
     }
 
-    /// Sends a request to one servo until it answers, three times at most.
+    /// Sends a request to one servo until it answers, five times at most.
     fn exchange(
         &mut self,
         id: u8,

@@ -6,8 +6,8 @@ use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::fs::{Mode, OFlags};
 use rustix::io::Errno;
 use rustix::termios::{
-    ControlModes, OptionalActions, QueueSelector, SpecialCodeIndex, ioctl_tiocexcl, tcflush, tcgetattr,
-    tcsetattr,
+    ControlModes, OptionalActions, QueueSelector, SpecialCodeIndex, ioctl_tiocexcl, ioctl_tiocnxcl, tcflush,
+    tcgetattr, tcsetattr,
 };
 use std::io;
 use std::os::fd::OwnedFd;
@@ -86,6 +86,14 @@ impl SerialPort {
         let found = files[0].revents();
         let is_gone = found.intersects(PollFlags::HUP | PollFlags::ERR | PollFlags::NVAL);
         if is_gone && !found.contains(events) { Err(io::ErrorKind::BrokenPipe.into()) } else { Ok(()) }
+    }
+}
+
+impl Drop for SerialPort {
+    /// Lets other programs open the port, also if one keeps it open, as a simulated bus does.
+    fn drop(&mut self) {
+        // Without effect on a port that is gone.
+        let _ = ioctl_tiocnxcl(&self.file);
     }
 }
 
