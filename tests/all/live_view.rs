@@ -167,7 +167,7 @@ impl Pull {
     }
 }
 
-/// The same pull on the same task: a position robot yields along x as a torque robot does, and along no other axis; inverse kinematics
+/// Compared: the motion of three robots with the same task under the same pull. A position robot yields along x as a torque robot does, and along no other axis; inverse kinematics
 /// does not yield. The log of the pulled robots replays, and simulates again, bit for bit.
 #[test]
 #[ignore = "needs a browser: .ci/run browser"]

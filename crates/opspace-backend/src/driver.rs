@@ -20,6 +20,23 @@ pub trait Driver {
     /// # Errors
     /// If settings are missing or wrong, or if the robot cannot be opened.
     fn with(&self, settings: &Settings, run: &mut dyn FnMut(&mut dyn Backend)) -> Result<(), DriverError>;
+
+    /// Searches for devices, at a place such as a port, or everywhere. Writes nothing to them.
+    ///
+    /// # Errors
+    /// A place that cannot be opened; a driver that does not search.
+    fn scan(&self, _place: Option<&str>) -> Result<Vec<FoundDevice>, DriverError> {
+        Err(DriverError::new(format!("the driver '{}' does not search for devices", self.name())))
+    }
+}
+
+/// Device that a driver has found.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct FoundDevice {
+    /// Its place, as keys of `[driver]`.
+    pub place: String,
+    /// Its kind and state.
+    pub description: String,
 }
 
 /// Settings with which a driver opens a robot: the kind of command, and the joints, period and force sensors stated in

@@ -63,6 +63,33 @@ Exit codes:
   3    done, but data was lost or a log is damaged; or a disk is full
   130  interrupted by a signal, log closed";
 
+/// List the drivers of this program, or search for arms.
+#[derive(Debug, Parser)]
+#[command(name = "driver", subcommand_required = true, arg_required_else_help = true)]
+pub struct DriverArgs {
+    #[command(subcommand)]
+    pub command: DriverCommand,
+}
+
+#[derive(Debug, Subcommand)]
+pub enum DriverCommand {
+    /// List the drivers: names for `[driver]` of robot.toml.
+    List,
+
+    /// Search for devices, and print what they are. Nothing is written to them, and no arm moves.
+    Scan(DriverScanArgs),
+}
+
+#[derive(Debug, Args)]
+pub struct DriverScanArgs {
+    /// Port to search, for example /dev/ttyACM0. Without it, all ports are searched.
+    pub port: Option<String>,
+
+    /// Search by this driver only.
+    #[arg(long, value_name = "NAME")]
+    pub driver: Option<String>,
+}
+
 /// Show what is in a log, recover a damaged one, export one as CSV, or compare two.
 #[derive(Debug, Parser)]
 #[command(name = "log", subcommand_required = true, arg_required_else_help = true)]

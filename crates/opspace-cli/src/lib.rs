@@ -17,6 +17,8 @@ mod cli;
 mod command_table;
 mod commands;
 mod console;
+#[cfg(feature = "drivers")]
+mod drivers;
 mod interrupt;
 mod key_page;
 mod output;
@@ -54,7 +56,10 @@ pub fn main_with_args(
     extensions: Extensions,
     args: impl IntoIterator<Item = impl Into<OsString>>,
 ) -> ExitCode {
-    let extensions = &extensions.with(plant::mujoco());
+    let extensions = extensions.with(plant::mujoco());
+    #[cfg(feature = "drivers")]
+    let extensions = drivers::with_drivers(extensions);
+    let extensions = &extensions;
     let args: Vec<OsString> = args.into_iter().map(Into::into).collect();
     let matches = match program(extensions).try_get_matches_from(&args) {
         Ok(matches) => matches,

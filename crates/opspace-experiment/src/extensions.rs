@@ -111,6 +111,11 @@ impl Extensions {
         self
     }
 
+    /// Drivers that the program has added.
+    pub fn drivers(&self) -> impl Iterator<Item = &dyn Driver> {
+        self.drivers.iter().map(AsRef::as_ref)
+    }
+
     /// Allows in simulation what exists only for comparisons: handlings of singularities that can damage a real robot.
     #[must_use]
     pub fn with_comparisons(mut self) -> Self {

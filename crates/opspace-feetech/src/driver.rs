@@ -2,7 +2,15 @@
 
 use crate::arm::FeetechArm;
 use crate::arm_config::{ArmConfig, AtEnd};
+#[cfg(target_os = "linux")]
+use crate::bus::Bus;
+#[cfg(target_os = "linux")]
+use crate::protocol::MAX_ID;
+#[cfg(target_os = "linux")]
+use crate::scan::{self, FoundServo};
 use crate::transport::Transport;
+#[cfg(target_os = "linux")]
+use opspace_backend::FoundDevice;
 use opspace_backend::{Backend, Driver, DriverError, Settings};
 
 /// Baud rate of the servos' factory settings.
@@ -27,6 +35,36 @@ impl Driver for FeetechDriver {
             let _ = (config, run);
             Err(DriverError::new("serial ports are supported on Linux only so far"))
         }
+    }
+
+    /// Searches a port, or all serial ports of USB adapters, at all baud rates: some 5 s for each of them without servos.
+    #[cfg(target_os = "linux")]
+    fn scan(&self, place: Option<&str>) -> Result<Vec<FoundDevice>, DriverError> {
+        let ports = place.map_or_else(scan::ports, |place| vec![place.into()]);
+        if ports.is_empty() {
+            return Err(DriverError::new(
+                "there is no /dev/ttyACM* and no /dev/ttyUSB*: connect the adapter, or name its port",
+            ));
+        }
+        let mut found = Vec::new();
+        for port in ports {
+            let path = port.display().to_string();
+            for baud_hz in scan::BAUD_RATES_HZ {
+                let mut bus = Bus::new(open_port(&path, baud_hz)?);
+                let servos = scan::scan(&mut bus, MAX_ID);
+                let servos = servos.map_err(|error| DriverError::new(format!("{path}: {error}")))?;
+                if servos.is_empty() {
+                    continue;
+                }
+                let place = format!("port = \"{path}\", baud_hz = {baud_hz}");
+                let device =
+                    |servo: FoundServo| FoundDevice { place: place.clone(), description: servo.to_string() };
+                found.extend(servos.into_iter().map(device));
+                // The servos of a bus have one baud rate.
+                break;
+            }
+        }
+        Ok(found)
     }
 }
 
@@ -54,15 +92,20 @@ pub fn with_transport<T: Transport>(
 
 #[cfg(target_os = "linux")]
 fn open(settings: &Settings) -> Result<crate::serial_port::SerialPort, DriverError> {
-    use crate::serial_port::{PortError, SerialPort};
-
     let path = settings.text("port")?;
     let baud_hz = if settings.contains("baud_hz") { settings.number("baud_hz")? } else { DEFAULT_BAUD_HZ };
     if baud_hz.fract() != 0.0 || !(1200.0..=4e6).contains(&baud_hz) {
         let words = format!("'baud_hz' must be a whole number of 1200 to 4000000, not {baud_hz}");
         return Err(DriverError::at("baud_hz", words));
     }
-    SerialPort::open(path.as_ref(), baud_hz as u32).map_err(|error| match error {
+    open_port(path, baud_hz as u32)
+}
+
+#[cfg(target_os = "linux")]
+fn open_port(path: &str, baud_hz: u32) -> Result<crate::serial_port::SerialPort, DriverError> {
+    use crate::serial_port::{PortError, SerialPort};
+
+    SerialPort::open(path.as_ref(), baud_hz).map_err(|error| match error {
         PortError::Baud { .. } => DriverError::at("baud_hz", format!("{path}: {error}")),
         _ => DriverError::at("port", format!("{path}: {error}{}", remedy(&error))),
     })

@@ -3,6 +3,7 @@
 use crate::bus::{Bus, BusError};
 use crate::protocol::{ErrorFlags, MAX_ID, Register};
 use crate::transport::Transport;
+use std::fmt;
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -42,6 +43,24 @@ impl FoundServo {
     #[must_use]
     pub fn model_name(&self) -> Option<&'static str> {
         MODELS.iter().find(|(number, _)| *number == self.model).map(|(_, name)| *name)
+    }
+}
+
+impl fmt::Display for FoundServo {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { id, model, firmware: (major, minor), voltage_v, temperature_c, position, .. } = self;
+        write!(f, "servo {id}: ")?;
+        match self.model_name() {
+            Some(name) => write!(f, "{name}")?,
+            None => write!(f, "model {model}, which this driver does not know")?,
+        }
+        let torque = if self.is_torque_on { "on" } else { "off" };
+        write!(
+            f,
+            ", firmware {major}.{minor}, {voltage_v:.1} V, {temperature_c} °C, at {position} counts, torque {torque}"
+        )?;
+        let names = ErrorFlags::NAMED.iter().filter(|(flag, _)| self.flags.bits() & flag.bits() != 0);
+        names.into_iter().try_for_each(|(_, name)| write!(f, ", reports {name}"))
     }
 }
 

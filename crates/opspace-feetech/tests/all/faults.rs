@@ -39,7 +39,7 @@ fn fault(inject: impl FnOnce(&mut SimulatedBus)) -> (DeviceFault, f64) {
 
 /// Silence of 0.2 s is a fault within two cycles.
 #[track_caller]
-fn check_silence(expected: BusFault, text: &str, (fault, after_s): (DeviceFault, f64)) {
+fn ends_in_silence(expected: BusFault, text: &str, (fault, after_s): (DeviceFault, f64)) {
     assert_eq!((fault.code, fault.words.as_ref()), (expected.code(), text));
     assert!((0.2..=0.22).contains(&after_s), "{after_s}");
 }
@@ -54,27 +54,27 @@ fn check_report(expected: BusFault, text: &str, (fault, after_s): (DeviceFault, 
 #[test]
 fn silence_is_named() {
     let text = "no servo answers: check the power supply and the cable of the bus";
-    check_silence(BusFault::Silent, text, fault(|bus| bus.options.silent = true));
+    ends_in_silence(BusFault::Silent, text, fault(|bus| bus.options.silent = true));
 }
 
 #[test]
 fn missing_servo_is_named() {
     let text = "servo 3 (elbow_flex) does not answer, others do: check its cable and id";
-    check_silence(BusFault::ServoMissing, text, fault(|bus| bus.options.silent_ids = vec![3]));
+    ends_in_silence(BusFault::ServoMissing, text, fault(|bus| bus.options.silent_ids = vec![3]));
 }
 
 #[test]
 fn wrong_answers_are_named() {
     let text = "servo 4 (wrist_flex) sends other answers than are asked for; two may have the same id";
-    check_silence(BusFault::WrongAnswer, text, fault(|bus| bus.options.shortened = Some(4)));
+    ends_in_silence(BusFault::WrongAnswer, text, fault(|bus| bus.options.shortened = Some(4)));
     let text = "a servo sends other answers than are asked for; two may have the same id";
-    check_silence(BusFault::WrongAnswer, text, fault(|bus| bus.options.renamed = Some((3, 9))));
+    ends_in_silence(BusFault::WrongAnswer, text, fault(|bus| bus.options.renamed = Some((3, 9))));
 }
 
 #[test]
 fn wrong_checksums_are_named() {
     let text = "servo 2 (shoulder_lift) sends answers with wrong checksums: check its cable";
-    check_silence(BusFault::Checksum, text, fault(|bus| bus.options.wrong_checksum = Some(2)));
+    ends_in_silence(BusFault::Checksum, text, fault(|bus| bus.options.wrong_checksum = Some(2)));
 }
 
 /// Answers that come a period late have the length of an earlier request, and are not taken for new ones.
@@ -83,7 +83,7 @@ fn slow_bus_is_named() {
     for ms in [8, 12, 17] {
         let text = "answers arrive later than the rate allows";
         let slow = |bus: &mut SimulatedBus| bus.options.latency = Duration::from_millis(ms);
-        check_silence(BusFault::TooSlow, text, fault(slow));
+        ends_in_silence(BusFault::TooSlow, text, fault(slow));
     }
 }
 
