@@ -203,6 +203,32 @@ impl Experiment {
         Ok(())
     }
 
+    /// Drives a robot with the targets and stop requests of a log, and records to `sink`. The run ends with the log at the latest.
+    pub(crate) fn drive_on_inputs(
+        &self,
+        robot: &mut dyn Backend,
+        control: ControlLoop,
+        sink: &mut dyn Sink,
+        recording: &Recording,
+        progress: &Progress,
+    ) -> Result<RunOutcome, RunError> {
+        let mut run = Run::new(control, self.duration_s(), sink)
+            .with_stop_request(Arc::clone(&progress.interrupt))
+            .with_abort_request(Arc::clone(&progress.abort));
+        let targets = run.targets();
+        let mut logged = LoggedTargets::new(recording, targets.layout(), targets.row())?;
+        let mut before = |run: &mut Run<'_>| {
+            let Some((row, stop_requested)) = logged.next_row() else { return false };
+            run.targets().set_row(row);
+            if stop_requested {
+                progress.interrupt.store(true, Ordering::Relaxed);
+            }
+            true
+        };
+        progress.driving(|| drive_with(robot, &mut run, &mut before));
+        Ok(run.finish())
+    }
+
     /// Runs the experiment on a log in place of a robot: the control loop gets its samples, targets and stop requests.
     /// Targets that the log does not have keep their first values. The run ends with the log at the latest.
     ///
@@ -216,21 +242,7 @@ impl Experiment {
     ) -> Result<RunResult<W>, RunError> {
         let mut robot = ReplayBackend::new(recording, self.capabilities().simulated())?;
         let (control, mut log) = self.open(&robot.capabilities().clone(), None, sink, progress)?;
-        let mut run = Run::new(control, self.duration_s(), &mut log)
-            .with_stop_request(Arc::clone(&progress.interrupt))
-            .with_abort_request(Arc::clone(&progress.abort));
-        let targets = run.targets();
-        let mut logged = LoggedTargets::new(recording, targets.layout(), targets.row())?;
-        let mut before = |run: &mut Run<'_>| {
-            let Some((row, stop_requested)) = logged.next_row() else { return false };
-            run.targets().set_row(row);
-            if stop_requested {
-                progress.interrupt.store(true, Ordering::Relaxed);
-            }
-            true
-        };
-        progress.driving(|| drive_with(&mut robot, &mut run, &mut before));
-        let outcome = run.finish();
+        let outcome = self.drive_on_inputs(&mut robot, control, &mut log, recording, progress)?;
         let commands = robot.parted_s().map_or(ReplayedCommands::Equal, ReplayedCommands::PartAfter);
         let record = OutcomeRecord { replay: Some(commands), ..self.outcome_record(&outcome) };
         let closer = log.closer();

@@ -6,12 +6,9 @@ use crate::run::execute::{Progress, RunResult};
 use crate::run::experiment::Experiment;
 use opspace_backend::signal_names::EXTERNAL_CHANNEL;
 use opspace_backend::{Backend, GroundTruth};
-use opspace_log::{LoggedTargets, Recording};
-use opspace_loop::{Run, drive_with};
+use opspace_log::Recording;
 use opspace_sim::{ArmConfig, external};
 use std::io::Write;
-use std::sync::Arc;
-use std::sync::atomic::Ordering;
 
 impl Experiment {
     /// Simulates a log again, and writes the log of this run to `sink`; `self` is the experiment of the log, on its plant. The same
@@ -35,21 +32,7 @@ impl Experiment {
         let capabilities = arm.capabilities().clone();
         let truth = arm.ground_truth().map(GroundTruth::layouts);
         let (control, mut log) = self.open(&capabilities, truth, sink, progress)?;
-        let mut run = Run::new(control, self.duration_s(), &mut log)
-            .with_stop_request(Arc::clone(&progress.interrupt))
-            .with_abort_request(Arc::clone(&progress.abort));
-        let targets = run.targets();
-        let mut logged = LoggedTargets::new(recording, targets.layout(), targets.row())?;
-        let mut before = |run: &mut Run<'_>| {
-            let Some((row, stop_requested)) = logged.next_row() else { return false };
-            run.targets().set_row(row);
-            if stop_requested {
-                progress.interrupt.store(true, Ordering::Relaxed);
-            }
-            true
-        };
-        progress.driving(|| drive_with(&mut arm, &mut run, &mut before));
-        let outcome = run.finish();
+        let outcome = self.drive_on_inputs(&mut arm, control, &mut log, recording, progress)?;
         log.close(self, outcome)
     }
 }
