@@ -1,4 +1,4 @@
-//! Exit codes of the program: each row of the table in docs/metrics.md.
+//! Exit codes of the program: each row of the table in docs/reference/exit-codes.md.
 #![cfg(unix)]
 
 use crate::cli_common::{circle_folder, command, opspace, project, read, scratch};
@@ -183,8 +183,8 @@ fn interrupted() {
 /// Compared: the causes in the table and those with a test.
 #[test]
 fn each_row_of_the_table_has_a_test() {
-    let page = read(project("docs/metrics.md"));
-    let (_, table) = page.split_once("## Exit codes").expect("a section");
+    let page = read(project("docs/reference/exit-codes.md"));
+    let (_, table) = page.split_once("# Exit codes").expect("a section");
     let rows = table.lines().skip_while(|line| !line.starts_with("| code")).skip(2);
     let rows: Vec<&str> = rows.take_while(|line| line.starts_with('|')).collect();
     let causes: Vec<&str> =

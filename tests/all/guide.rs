@@ -35,39 +35,49 @@ macro_rules! pages {
 
 pages! {
     readme: "README.md",
-    install: "docs/install.md",
-    first_run: "docs/first-run.md",
-    robot_of_your_own: "docs/own-robot.md",
-    task_of_your_own: "docs/own-task.md",
-    references: "docs/references.md",
-    tuning: "docs/tuning.md",
-    transformer_for_pid: "docs/transformer-for-pid.md",
-    reading_the_report: "docs/reading-the-report.md",
-    troubleshooting: "docs/troubleshooting.md",
-    cookbook: "docs/cookbook.md",
-    writing_a_backend: "docs/writing-a-backend.md",
-    writing_a_task: "docs/writing-a-task.md",
-    tasks: "docs/tasks.md",
-    embedding: "docs/embedding.md",
-    logs: "docs/logs.md",
+    install: "docs/start/install.md",
+    first_run: "docs/start/first-run.md",
+    robot_of_your_own: "docs/start/own-robot.md",
+    task_of_your_own: "docs/start/own-task.md",
+    references: "docs/howto/references.md",
+    tuning: "docs/howto/tuning.md",
+    transformer: "docs/explain/transformer.md",
+    reading_the_report: "docs/howto/reading-the-report.md",
+    troubleshooting: "docs/start/troubleshooting.md",
+    cookbook: "docs/start/cookbook.md",
+    writing_a_backend: "docs/howto/writing-a-backend.md",
+    writing_a_task: "docs/howto/writing-a-task.md",
+    control_law: "docs/explain/control-law.md",
+    force_control: "docs/explain/force.md",
+    real_robot: "docs/explain/real-robot.md",
+    environment: "docs/howto/environment.md",
+    rust: "docs/howto/rust.md",
+    logs: "docs/howto/logs.md",
 }
 
 /// Commands that make the files which a page takes for granted.
 const PREPARATIONS: [(&str, &str); 1] = [(
-    "docs/logs.md",
+    "docs/howto/logs.md",
     "opspace run tasks/compliant-x.toml --duration-s 2 --quiet && mkdir a b && log=runs/compliant-x-asimo-arm-position/run.mcap \
      && for name in run a/run b/run broken; do cp $log $name.mcap; done",
 )];
 
 /// Pages with commands that this computer may not be able to run, with the step of `.ci/run` that runs them.
-const ELSEWHERE: [(&str, &str); 6] = [
-    ("docs/your-arm.md", "the same commands are run on docs/own-robot.md"),
-    ("docs/mujoco.md", "mujoco"),
-    ("docs/identification.md", "acceptance"),
-    ("docs/results.md", "acceptance"),
-    ("docs/suites.md", "only files"),
-    ("docs/teleoperation.md", "acceptance"),
+const ELSEWHERE: &[(&str, &str)] = &[
+    ("docs/howto/robot-file.md", "the same commands are run on docs/start/own-robot.md"),
+    ("docs/howto/mujoco.md", "mujoco"),
+    ("docs/howto/identification.md", "acceptance"),
+    ("docs/results/paper.md", "acceptance"),
+    ("docs/results/real-arms.md", "acceptance"),
+    ("docs/results/force.md", "acceptance"),
+    ("docs/results/limitations.md", "acceptance"),
+    ("docs/results/speed.md", "bench"),
+    ("docs/howto/suites.md", "only files"),
+    ("docs/explain/several-robots.md", "acceptance"),
 ];
+
+/// Pages of reference without commands, whose files are compared with the schemas.
+const KEYS_ONLY: [&str; 2] = ["docs/reference/metrics.md", "docs/reference/transformers.md"];
 
 /// Commands that no test of these pages runs.
 const NOT_RUN: [(&str, &str); 4] = [
@@ -76,6 +86,23 @@ const NOT_RUN: [(&str, &str); 4] = [
     ("pip install mcap mcap-protobuf-support mcap-ros2-support", "a step of .ci/run runs it"),
     ("opspace bench", "takes minutes; a step of .ci/run runs it"),
 ];
+
+/// Pages below `docs`, as paths in the project, in order.
+fn docs() -> Vec<String> {
+    let (mut folders, mut pages) = (vec!["docs".to_owned()], Vec::new());
+    while let Some(folder) = folders.pop() {
+        for entry in fs::read_dir(project(&folder)).unwrap() {
+            let path = format!("{folder}/{}", entry.unwrap().file_name().into_string().unwrap());
+            if Path::new(&project(&path)).is_dir() {
+                folders.push(path);
+            } else if path.ends_with(".md") {
+                pages.push(path);
+            }
+        }
+    }
+    pages.sort();
+    pages
+}
 
 /// Creates a folder that looks like a clone.
 fn clone() -> tempfile::TempDir {
@@ -192,13 +219,12 @@ fn check_source(block: &Block, comment: &str, place: &str) {
 fn every_page_is_run_and_in_the_book() {
     let summary = read(project("docs/SUMMARY.md"));
     let mut count = 0;
-    for entry in fs::read_dir(project("docs")).unwrap() {
-        let name = entry.unwrap().file_name().into_string().unwrap();
-        if !name.ends_with(".md") || name == "SUMMARY.md" {
+    for page in docs() {
+        let name = page.strip_prefix("docs/").unwrap();
+        if name == "SUMMARY.md" {
             continue;
         }
-        assert!(summary.contains(&format!("({name})")), "docs/{name} is not in docs/SUMMARY.md");
-        let page = format!("docs/{name}");
+        assert!(summary.contains(&format!("({name})")), "{page} is not in docs/SUMMARY.md");
         let has_commands = blocks(&read(project(&page))).iter().any(|block| block.language == "console");
         let runs = PAGES.contains(&page.as_str()) || ELSEWHERE.iter().any(|(other, _)| *other == page);
         assert!(runs || !has_commands, "{page} has commands that no test runs");
@@ -210,7 +236,7 @@ fn every_page_is_run_and_in_the_book() {
 /// Excerpts of files in the pages that are not run have only keys that exist.
 #[test]
 fn excerpts_of_reference_pages_have_known_keys() {
-    for page in ELSEWHERE.iter().map(|(page, _)| *page).chain(["docs/metrics.md", "docs/transformer.md"]) {
+    for page in ELSEWHERE.iter().map(|(page, _)| *page).chain(KEYS_ONLY) {
         for block in blocks(&read(project(page))).iter().filter(|block| block.language == "toml") {
             excerpts::assert_known_keys(&block.text, &format!("{page}:{}", block.line));
         }
@@ -221,7 +247,7 @@ fn excerpts_of_reference_pages_have_known_keys() {
 #[test]
 fn key_pages_match_the_program() {
     for kind in ["task", "robot", "suite", "experiment"] {
-        let page = format!("docs/keys-{kind}.md");
+        let page = format!("docs/reference/keys-{kind}.md");
         let shown =
             crate::cli_common::opspace(Path::new(ROOT), &["schema", kind, "--markdown"]).exits(0).stdout;
         if std::env::var_os("OPSPACE_WRITE_DOCS").is_some() {
@@ -240,7 +266,7 @@ fn key_pages_have_every_key() {
         ("suite", "tasks/suite.schema.json"),
         ("experiment", "tasks/experiments/experiment.schema.json"),
     ] {
-        let page = read(project(&format!("docs/keys-{kind}.md")));
+        let page = read(project(&format!("docs/reference/keys-{kind}.md")));
         let keys = excerpts::all_keys(&crate::cli_common::read_json(project(schema)));
         assert!(keys.len() > 10, "{kind}: {} keys", keys.len());
         for key in keys {

@@ -48,11 +48,15 @@ fn figures_are_small_and_shown() {
     }
 }
 
+/// Pages of the documentation, of the project and of its crates, as paths.
 fn pages() -> Vec<String> {
-    let docs =
-        fs::read_dir(project("docs")).unwrap().map(|entry| entry.unwrap().path().display().to_string());
-    let mut pages: Vec<String> = docs.filter(|path| path.ends_with(".md")).collect();
-    pages.extend(["README.md", "ARCHITECTURE.md", "DESIGN.md", "CONTRIBUTING.md"].map(project));
+    let own = ["README.md", "ARCHITECTURE.md", "DESIGN.md", "CONTRIBUTING.md", "CHANGELOG.md"];
+    let mut pages: Vec<String> = super::docs().iter().map(|page| project(page)).collect();
+    pages.extend(own.map(project));
+    for entry in fs::read_dir(project("crates")).unwrap() {
+        let page = entry.unwrap().path().join("README.md");
+        pages.extend(page.exists().then(|| page.display().to_string()));
+    }
     pages
 }
 

@@ -158,7 +158,7 @@ const LAST_BITS: f64 = 1e-13;
 
 /// Cause of a difference in the last bits, beside a change of the program.
 const OTHER_MACHINE: &str = "  The first difference is one of the last bits: another processor or C library computes them \
-                             differently (docs/logs.md).\n";
+                             differently (docs/howto/logs.md).\n";
 
 fn differs_in_last_bits(difference: &Difference) -> bool {
     let Difference { logged, recomputed, .. } = difference;

@@ -89,7 +89,7 @@ mod tests {
     #[test]
     fn remedies_name_keys_that_exist() {
         let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
-        let files = ["tasks/task.schema.json", "robots/robot.schema.json", "docs/metrics.md"];
+        let files = ["tasks/task.schema.json", "robots/robot.schema.json", "docs/reference/metrics.md"];
         let known: String =
             files.iter().filter_map(|file| std::fs::read_to_string(root.join(file)).ok()).collect();
         let sources = [include_str!("remedies.rs"), include_str!("notes.rs")];

@@ -16,7 +16,7 @@ use std::fmt::Write;
 use std::ops::Range;
 use std::path::Path;
 
-/// Tables of docs/metrics.md that are generated, each with the name of its place.
+/// Tables of docs/reference/metrics.md that are generated, each with the name of its place.
 fn generated() -> [(&'static str, String); 2] {
     let timing = ["tick_ns_median", "realtime_factor"];
     let rows = Metrics::rows();
@@ -42,7 +42,7 @@ fn meaning(metric: &Metric) -> String {
     metric.meaning.replace("`None`", "`null`")
 }
 
-/// Compared: the tables of docs/metrics.md, and those of the rows in the code. `OPSPACE_WRITE_DOCS=1` writes them.
+/// Compared: the tables of docs/reference/metrics.md, and those of the rows in the code. `OPSPACE_WRITE_DOCS=1` writes them.
 #[test]
 fn page_has_the_rows_of_the_table() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/metrics.md");
@@ -55,7 +55,7 @@ fn page_has_the_rows_of_the_table() {
         if writes {
             page = format!("{before}{begin}{text}<!-- end -->{after}");
         } else {
-            assert_eq!(own, text, "`{place}` in docs/metrics.md: OPSPACE_WRITE_DOCS=1 writes it");
+            assert_eq!(own, text, "`{place}` in docs/reference/metrics.md: OPSPACE_WRITE_DOCS=1 writes it");
         }
     }
     if writes {

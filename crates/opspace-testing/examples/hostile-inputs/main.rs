@@ -5,7 +5,7 @@
 //! ```
 //!
 //! Each kind draws its inputs from the seed. The library reads them, and the program gets a part of them. `--share 0.1` tries
-//! a tenth of the inputs. No input may cause a panic, the end by a signal, an exit code that `docs/metrics.md` does not list, more
+//! a tenth of the inputs. No input may cause a panic, the end by a signal, an exit code that `docs/reference/exit-codes.md` does not list, more
 //! than [`LONGEST`](program::LONGEST) or more than [`MOST_KILOBYTES`](program::MOST_KILOBYTES). The kinds have further rules: see
 //! their files.
 //!

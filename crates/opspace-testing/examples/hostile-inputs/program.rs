@@ -12,7 +12,7 @@ pub const LONGEST: Duration = Duration::from_secs(60);
 /// Most addresses of one command, kB.
 pub const MOST_KILOBYTES: u32 = 1_500_000;
 
-/// Exit codes of docs/metrics.md.
+/// Exit codes of docs/reference/exit-codes.md.
 const CODES: [i32; 5] = [0, 1, 2, 3, 130];
 
 /// The program, by its path.
