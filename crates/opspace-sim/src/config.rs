@@ -326,7 +326,8 @@ impl ArmConfig {
             let bristle = simulated.bristle_of(self.true_friction(i));
             let brake = simulated.brake_of(torque_limit);
             let friction =
-                LuGre::new(self.true_friction(i), &bristle, simulated.true_over_nominal.friction.get());
+                LuGre::new(self.true_friction(i), &bristle, simulated.true_over_nominal.friction.get())
+                    .with_friction_per_load(simulated.friction_per_load.get());
             let slip_torque = torque_limit * brake.holding_torque_ratio.get();
             let drivetrain = Drivetrain::new(
                 Motor::new(bandwidth_hz, dt, motor_torque[i]),

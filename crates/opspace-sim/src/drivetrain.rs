@@ -111,6 +111,7 @@ impl Drivetrain {
     /// Returns the torque on the link over the next `dt_s` (s) from position `q` (rad, m) and velocity `dq` (rad/s, m/s).
     pub fn begin_step(&mut self, q: f64, dq: f64, dt_s: f64) -> JointTorque {
         self.motor_torque = self.angle_torque.torque(self.current_torque, self.rotor_position(q));
+        self.friction.set_load(self.motor_torque + self.gravity_torque);
         self.link = q;
         if !self.is_stiff {
             self.step(q, dq, dt_s);

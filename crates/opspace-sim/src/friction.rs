@@ -20,6 +20,9 @@ pub struct LuGre {
     bristle_stiffness: f64,
     bristle_damping: f64,
     damping_fades_over: f64,
+    /// Coulomb friction per load, and the friction of the present load (Nm, N).
+    per_load: f64,
+    of_load: f64,
     deflection: f64,
 }
 
@@ -36,8 +39,21 @@ impl LuGre {
             bristle_stiffness: bristle.stiffness_nm_per_rad.get(),
             bristle_damping: bristle.damping_nms_per_rad.get(),
             damping_fades_over: bristle.damping_fade_velocity_rad_per_s.get(),
+            per_load: 0.0,
+            of_load: 0.0,
             deflection: 0.0,
         }
+    }
+
+    /// Adds Coulomb friction per load of the gear.
+    #[must_use]
+    pub fn with_friction_per_load(self, per_load: f64) -> Self {
+        Self { per_load, ..self }
+    }
+
+    /// Sets the load of the gear (Nm, N).
+    pub fn set_load(&mut self, load: f64) {
+        self.of_load = self.per_load * load.abs();
     }
 
     /// Returns the friction torque (Nm, N) against the velocity `v` (rad/s, m/s), which is constant over the step `dt`
@@ -55,7 +71,7 @@ impl LuGre {
 
     /// Friction torque (Nm, N) and deflection (rad, m) after a step.
     fn after(&self, v: f64, dt: f64) -> (f64, f64) {
-        let level = self.coulomb + self.stiction * (-(v / self.stribeck).powi(2)).exp();
+        let level = self.coulomb + self.of_load + self.stiction * (-(v / self.stribeck).powi(2)).exp();
         if level <= 0.0 {
             return (self.viscous * v, self.deflection);
         }

@@ -137,6 +137,7 @@ fn plant(physics_hz: Positive) -> SimulatedParameters {
         servo: BTreeMap::new(),
         velocity_servo: BTreeMap::new(),
         friction: BTreeMap::new(),
+        friction_per_load: NonNegative::default(),
         gear: BTreeMap::new(),
         cogging: None,
         torque_ripple: None,

@@ -58,6 +58,9 @@ pub struct SimulatedParameters {
     /// True friction, by joint name, if it differs from the nominal one; `true_over_nominal` applies to it.
     #[serde(default)]
     pub friction: BTreeMap<String, FrictionParameters>,
+    /// Coulomb friction of each joint per torque of its motor, in addition to `friction`: that of gears whose teeth carry the load.
+    #[serde(default)]
+    pub friction_per_load: NonNegative,
     /// Elastic gears, by joint name; the others are rigid, unless `joint.NAME.gear_stiffness_nm_per_rad` states a stiffness.
     #[serde(default)]
     pub gear: BTreeMap<String, GearParameters>,

@@ -65,6 +65,20 @@ fn steady_friction_follows_stribeck_curve() {
     }
 }
 
+/// Compared: steady friction under a load of either sign, and Stribeck's curve with a tenth of the load added to Coulomb friction.
+#[test]
+fn friction_grows_with_the_load() {
+    let (parameters, bristle) = friction();
+    for (v, load) in [(0.3, 4.0), (-0.3, 4.0), (1.0, -12.0), (-2.0, 0.0_f64)] {
+        let mut joint = LuGre::new(&parameters, &bristle, 1.0).with_friction_per_load(0.1);
+        joint.set_load(load);
+        let settled = (0..40_000).map(|_| joint.step(v, DT)).last().expect("a step");
+        let stribeck = 1.8 + 0.1 * load.abs() + (2.34 - 1.8) * (-(v / 0.06) * (v / 0.06)).exp();
+        let expected = stribeck * v.signum() + 2.0 * v;
+        assert!((settled - expected).abs() < 1e-3, "at {v} with {load}: {settled} for {expected}");
+    }
+}
+
 /// Compared: torque per displacement far below breakaway, and the bristle stiffness σ₀.
 #[test]
 fn presliding_friction_is_a_spring() {
