@@ -53,6 +53,7 @@ pages! {
     environment: "docs/howto/environment.md",
     rust: "docs/howto/rust.md",
     logs: "docs/howto/logs.md",
+    so101: "docs/howto/so101.md",
 }
 
 /// Commands that make the files which a page takes for granted.

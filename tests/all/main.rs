@@ -43,6 +43,7 @@ mod safety;
 mod said;
 mod samples;
 mod sensor_loads;
+mod servo_bus;
 mod singular_start;
 mod suites;
 mod torque_error_notes;

@@ -1,17 +1,20 @@
 """Programs of others judge the simulated servo bus, and the driver on a bus that they have calibrated.
 
-    judge.py SIMULATED_BUS PACE
+    judge.py SIMULATED_BUS PACE OPSPACE
 
-The arguments are the examples `simulated-bus` and `pace` of opspace-feetech. The judges are LeRobot's own bus for Feetech's
+The arguments are the examples `simulated-bus` and `pace` of opspace-feetech, and the program `opspace`. The judges are LeRobot's own bus for Feetech's
 servos, rustypot, and feetech-servo-sdk. LeRobot is installed without its dependencies: torch, accelerate and datasets, which its
 bus does not use but its package imports, are empty modules here. Nothing else of LeRobot is replaced.
 """
 
+import contextlib
 import dataclasses
 import importlib.abc
 import importlib.machinery
 import json
 import math
+import runpy
+import signal
 import subprocess
 import sys
 import tempfile
@@ -199,6 +202,81 @@ def driver(pace, port, calibration, folder):
     print("driver: refuses the calibration of another arm")
 
 
+def task(folder, name):
+    """Returns the file of a task of examples/so101 in a folder with the simulated port."""
+    source = Path(__file__).parents[2] / "examples" / "so101"
+    for file in [*source.glob("*.toml"), source / "so101.urdf"]:
+        text = file.read_text().replace("#:schema", "# schema").replace("/dev/ttyACM0", str(folder / "so101"))
+        (folder / file.name).write_text(text)
+    return folder / f"{name}.toml"
+
+
+@contextlib.contextmanager
+def simulated_arm(opspace, folder, name, *options):
+    """Serves the simulated arm of a task."""
+    command = [opspace, "driver", "simulate", str(task(folder, name)), "--link", str(folder / "so101"), *options]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as served:
+        check(served.stdout.readline().strip() == str(folder / "so101"), "the simulated arm is not served")
+        try:
+            yield served
+        finally:
+            served.send_signal(signal.SIGINT)
+            check(served.wait(10) == 0, served.stderr.read())
+
+
+def whole_program(opspace, folder):
+    """opspace runs a task on the simulated arm, moves it to the start of another one, and repeats what it has computed."""
+    run = lambda *arguments: subprocess.run([opspace, *map(str, arguments)], capture_output=True, text=True)
+    with simulated_arm(opspace, folder, "compliant-x", "--option", "latency_ms=1"):
+        found = run("driver", "scan", folder / "so101")
+        check(found.stdout.count("STS3215") == 5, found.stdout + found.stderr)
+        # A busy machine misses cycles; it is no fault as long as the bus is not silent for two seconds.
+        patient = ["--set", "robot.driver.silence_s=2.0", "--set", "robot.safety.max_dropout_s=2.0"]
+        ran = run("run", folder / "compliant-x.toml", "--out", folder / "run", *patient)
+        check(ran.returncode == 0, ran.stdout + ran.stderr)
+        summary = json.loads((folder / "run" / "summary.json").read_text())
+        hand = summary["tasks"]["hand"]
+        check(hand["compliant_motion_rms_m"] > 0.015, f"compliant along x: {hand}")
+        check(hand["position_rms_m"] < 0.01, f"held along y and z: {hand}")
+        replayed = run("replay", folder / "run")
+        check(replayed.returncode == 0 and "bit for bit" in replayed.stdout, replayed.stdout + replayed.stderr)
+        print("opspace: " + next(line for line in (ran.stdout + ran.stderr).splitlines() if line.startswith("completed")))
+    # Nobody pushes this one.
+    with simulated_arm(opspace, folder, "press"):
+        away = ["--set", "start_rad.shoulder_pan=0.3", "--move-to-start", "--duration-s", "2"]
+        moved = run("run", folder / "hold-and-yield.toml", "--out", folder / "moved", *away, *patient)
+        check(moved.returncode == 0, moved.stdout + moved.stderr)
+        print("opspace: moved to the start of another task, and ran it")
+    # A cable that is pulled.
+    with simulated_arm(opspace, folder, "hold-and-yield", "--duration-s", "4") as served:
+        ran = run("run", folder / "hold-and-yield.toml", "--out", folder / "gone")
+        served.wait(10)
+    check(ran.returncode == 1 and "port" in ran.stderr, f"cable pulled: {ran.returncode} {ran.stderr}")
+    check(run("replay", folder / "gone").returncode == 0, "the run that was cut off does not replay")
+    print("opspace: " + next(line for line in ran.stderr.splitlines() if "port" in line))
+
+
+def wheel(opspace, folder):
+    """LeRobot's bus for input and output, opspace's wheel for control: the example of the documentation."""
+    try:
+        import opspace as package
+    except ImportError:
+        print("SKIPPED: LeRobot's bus with opspace's wheel, which is not installed")
+        return
+    example = Path(__file__).parents[2] / "examples" / "so101" / "lerobot_control.py"
+    with simulated_arm(opspace, folder, "compliant-x", "--option", "latency_ms=1"):
+        begun = sys.argv
+        sys.argv = [str(example), str(folder / "compliant-x.toml"), str(folder / "so101"), str(folder / "so101.json")]
+        try:
+            names = runpy.run_path(str(example))
+        finally:
+            sys.argv = begun
+    error = names["loop"].signals()["hand.error"]
+    check(abs(error[1]) < 0.015 and abs(error[2]) < 0.015, f"held along y and z: {error}")
+    check(names["loop"].fault is None, str(names["loop"].fault))
+    print(f"lerobot and the wheel of opspace {package.__version__}: {names['cycle'] + 1} cycles, {names['late']} late")
+
+
 def with_patience(judge, port):
     """Repeats a judge that gives up after 50 ms: on a busy machine the thread of the simulated bus may wait for longer."""
     for _ in range(4):
@@ -210,7 +288,7 @@ def with_patience(judge, port):
 
 
 def main():
-    simulated_bus, pace = sys.argv[1:]
+    simulated_bus, pace, opspace = sys.argv[1:]
     lerobot_registers(simulated_bus)
     rustypot_registers(simulated_bus)
     with tempfile.TemporaryDirectory() as name:
@@ -227,6 +305,8 @@ def main():
                 bus.stdin.close()
                 bus.wait(10)
         check(not Path(link).is_symlink(), "the link is not removed")
+        whole_program(opspace, folder)
+        wheel(opspace, folder)
 
 
 main()

@@ -1,12 +1,13 @@
 //! Drivers, which open a robot for a run.
 
 use crate::backend::Backend;
-use crate::capabilities::ForceSensor;
+use crate::capabilities::{ForceSensor, Measured};
 use crate::command::CommandKind;
 use crate::fault::DeviceFault;
 use std::collections::BTreeMap;
 use std::error::Error;
 use std::fmt;
+use std::path::{Path, PathBuf};
 
 /// Interface of a driver, which opens a robot, passes it to a function that runs it, and closes it.
 ///
@@ -28,6 +29,51 @@ pub trait Driver {
     fn scan(&self, _place: Option<&str>) -> Result<Vec<FoundDevice>, DriverError> {
         Err(DriverError::new(format!("the driver '{}' does not search for devices", self.name())))
     }
+
+    /// Serves simulated devices with the arm behind them, and calls `serve` once with their place; it returns when they are
+    /// to end. Programs of others reach them as they would reach real ones. Returns a sentence about how it went.
+    ///
+    /// # Errors
+    /// If settings or options are wrong, or the devices cannot be served; a driver without simulated devices.
+    fn simulate(
+        &self,
+        _settings: &Settings,
+        _devices: SimulatedDevices,
+        _serve: &mut dyn FnMut(&str),
+    ) -> Result<String, DriverError> {
+        Err(DriverError::new(format!("the driver '{}' has no simulated devices", self.name())))
+    }
+}
+
+/// Arm and options of devices that a driver simulates.
+#[non_exhaustive]
+pub struct SimulatedDevices {
+    /// Simulated arm without servos: it accepts torques of the motors in each of its periods, and measures positions and
+    /// velocities exactly.
+    pub arm: Box<dyn Backend + Send>,
+    /// Torques of the motors that hold the arm at its start (n; Nm).
+    pub holding_torque_nm: Vec<f64>,
+    /// Smallest and largest position of each joint (n; rad).
+    pub position_ranges_rad: Vec<(f64, f64)>,
+    /// Path of a link to the place of the devices, which does not change between simulations; `None` if there is none.
+    pub link: Option<PathBuf>,
+    /// Options of the simulation, in place of the keys of `[driver]`.
+    pub options: Settings,
+}
+
+impl SimulatedDevices {
+    /// Returns devices with this arm, the torques that hold it at its start (n; Nm), and the ranges of its joints
+    /// (n; rad), without a link and options.
+    #[must_use]
+    pub fn new(
+        arm: Box<dyn Backend + Send>,
+        holding_torque_nm: Vec<f64>,
+        position_ranges_rad: Vec<(f64, f64)>,
+    ) -> Self {
+        let capabilities = arm.capabilities();
+        let options = Settings::new(capabilities.command, capabilities.joints.clone(), capabilities.period_s);
+        Self { arm, holding_torque_nm, position_ranges_rad, link: None, options }
+    }
 }
 
 /// Device that a driver has found.
@@ -39,8 +85,8 @@ pub struct FoundDevice {
     pub description: String,
 }
 
-/// Settings with which a driver opens a robot: the kind of command, and the joints, period and force sensors stated in
-/// robot.toml, for its [`Capabilities`](crate::Capabilities); and the other keys of `[driver]`.
+/// Settings with which a driver opens a robot: the kind of command, and the joints, period, measured quantities and force
+/// sensors stated in robot.toml, for its [`Capabilities`](crate::Capabilities); and the other keys of `[driver]`.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct Settings {
@@ -52,6 +98,10 @@ pub struct Settings {
     pub period_s: f64,
     /// Force sensors, in the order of [`Sample::wrenches`](crate::Sample::wrenches).
     pub force_sensors: Vec<ForceSensor>,
+    /// Quantities that samples contain, as `measured` of `[interface]` states them.
+    pub measured: Vec<Measured>,
+    /// Folder of robot.toml, to which relative paths refer; empty for the working folder.
+    pub folder: PathBuf,
     values: BTreeMap<String, Setting>,
 }
 
@@ -65,13 +115,35 @@ pub enum Setting {
     Number(f64),
     /// true or false.
     Flag(bool),
+    /// An array.
+    List(Vec<Setting>),
 }
 
 impl Settings {
-    /// Returns settings without force sensors and keys.
+    /// Returns settings without force sensors and keys, of a robot that measures positions.
     #[must_use]
     pub fn new(command: CommandKind, joints: Vec<String>, period_s: f64) -> Self {
-        Self { command, joints, period_s, force_sensors: Vec::new(), values: BTreeMap::new() }
+        Self {
+            command,
+            joints,
+            period_s,
+            force_sensors: Vec::new(),
+            measured: vec![Measured::Position],
+            folder: PathBuf::new(),
+            values: BTreeMap::new(),
+        }
+    }
+
+    /// Sets the measured quantities.
+    #[must_use]
+    pub fn measuring(self, measured: &[Measured]) -> Self {
+        Self { measured: measured.to_vec(), ..self }
+    }
+
+    /// Sets the folder of robot.toml.
+    #[must_use]
+    pub fn in_folder(self, folder: impl Into<PathBuf>) -> Self {
+        Self { folder: folder.into(), ..self }
     }
 
     /// Sets the force sensors.
@@ -95,6 +167,52 @@ impl Settings {
         match self.value(key)? {
             Setting::Text(text) => Ok(text),
             other => Err(wrong(key, "a string", other)),
+        }
+    }
+
+    /// Returns the path that a key states; a relative one refers to the folder of robot.toml.
+    ///
+    /// # Errors
+    /// If the key is missing or not a string.
+    pub fn path(&self, key: &str) -> Result<PathBuf, DriverError> {
+        self.text(key).map(|path| self.folder.join(Path::new(path)))
+    }
+
+    /// Returns the strings of an array; `None` if the key is missing.
+    ///
+    /// # Errors
+    /// If the value is not an array of strings.
+    pub fn texts(&self, key: &str) -> Result<Option<Vec<&str>>, DriverError> {
+        self.list(key, "an array of strings", |setting| match setting {
+            Setting::Text(text) => Some(text.as_str()),
+            _ => None,
+        })
+    }
+
+    /// Returns the numbers of an array; `None` if the key is missing.
+    ///
+    /// # Errors
+    /// If the value is not an array of numbers.
+    pub fn numbers(&self, key: &str) -> Result<Option<Vec<f64>>, DriverError> {
+        self.list(key, "an array of numbers", |setting| match setting {
+            Setting::Number(number) => Some(*number),
+            _ => None,
+        })
+    }
+
+    fn list<'a, T>(
+        &'a self,
+        key: &str,
+        expected: &str,
+        element: impl Fn(&'a Setting) -> Option<T>,
+    ) -> Result<Option<Vec<T>>, DriverError> {
+        match self.values.get(key) {
+            None => Ok(None),
+            Some(Setting::List(values)) => {
+                let element = |value| element(value).ok_or_else(|| wrong(key, expected, value));
+                values.iter().map(element).collect::<Result<_, _>>().map(Some)
+            }
+            Some(other) => Err(wrong(key, expected, other)),
         }
     }
 
@@ -150,6 +268,7 @@ fn wrong(key: &str, expected: &str, found: &Setting) -> DriverError {
         Setting::Text(text) => format!("\"{text}\""),
         Setting::Number(number) => number.to_string(),
         Setting::Flag(flag) => flag.to_string(),
+        Setting::List(_) => "an array".to_owned(),
     };
     DriverError::at(key, format!("'{key}' must be {expected}, not {found}"))
 }
@@ -197,11 +316,11 @@ impl<'de> serde::Deserialize<'de> for Setting {
     fn deserialize<D: serde::Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         struct AnySetting;
 
-        impl serde::de::Visitor<'_> for AnySetting {
+        impl<'s> serde::de::Visitor<'s> for AnySetting {
             type Value = Setting;
 
             fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-                f.write_str("a string, a number, true or false")
+                f.write_str("a string, a number, true or false, or an array of these")
             }
 
             fn visit_str<E: serde::de::Error>(self, text: &str) -> Result<Setting, E> {
@@ -219,6 +338,14 @@ impl<'de> serde::Deserialize<'de> for Setting {
             fn visit_bool<E: serde::de::Error>(self, flag: bool) -> Result<Setting, E> {
                 Ok(Setting::Flag(flag))
             }
+
+            fn visit_seq<A: serde::de::SeqAccess<'s>>(self, mut elements: A) -> Result<Setting, A::Error> {
+                let mut list = Vec::new();
+                while let Some(element) = elements.next_element()? {
+                    list.push(element);
+                }
+                Ok(Setting::List(list))
+            }
         }
 
         deserializer.deserialize_any(AnySetting)
@@ -233,8 +360,9 @@ impl schemars::JsonSchema for Setting {
 
     fn json_schema(_: &mut schemars::SchemaGenerator) -> schemars::Schema {
         schemars::json_schema!({
-            "description": "A string, a number, true or false.",
-            "type": ["string", "number", "boolean"]
+            "description": "A string, a number, true or false, or an array of these.",
+            "type": ["string", "number", "boolean", "array"],
+            "items": { "type": ["string", "number", "boolean"] }
         })
     }
 }

@@ -69,7 +69,7 @@ pub use capabilities::{
     StopMethod, World,
 };
 pub use command::{Command, CommandKind};
-pub use driver::{Driver, DriverError, FoundDevice, Setting, Settings};
+pub use driver::{Driver, DriverError, FoundDevice, Setting, Settings, SimulatedDevices};
 pub use fault::DeviceFault;
 pub use ground_truth::{GroundTruth, TruthLayouts, TruthRow};
 pub use low_pass::LowPass;

@@ -63,7 +63,7 @@ Exit codes:
   3    done, but data was lost or a log is damaged; or a disk is full
   130  interrupted by a signal, log closed";
 
-/// List the drivers of this program, or search for arms.
+/// List the drivers of this program, search for arms, or simulate one behind its protocol.
 #[derive(Debug, Parser)]
 #[command(name = "driver", subcommand_required = true, arg_required_else_help = true)]
 pub struct DriverArgs {
@@ -78,6 +78,17 @@ pub enum DriverCommand {
 
     /// Search for devices, and print what they are. Nothing is written to them, and no arm moves.
     Scan(DriverScanArgs),
+
+    /// Simulate the devices of a robot's driver, with the simulated arm of a task behind them, until a signal.
+    #[command(after_help = "\
+The arm, its friction and the environment of the task are simulated in real time; the devices have registers and answer \
+requests as real ones do. Programs of others can use them, too. If the calibration that robot.toml states does not exist, one of \
+the simulated arm is written there. Option names that a driver does not know are refused with a list of those that it knows.
+
+Example:
+  opspace driver simulate examples/so101/hold-and-yield.toml --link /tmp/so101 --option latency_ms=1
+  opspace run examples/so101/hold-and-yield.toml       in another terminal, with port = \"/tmp/so101\" in [driver]")]
+    Simulate(DriverSimulateArgs),
 }
 
 #[derive(Debug, Args)]
@@ -88,6 +99,48 @@ pub struct DriverScanArgs {
     /// Search by this driver only.
     #[arg(long, value_name = "NAME")]
     pub driver: Option<String>,
+}
+
+#[derive(Debug, Args)]
+pub struct DriverSimulateArgs {
+    /// Task file with the start and the environment of the arm.
+    pub task: PathBuf,
+
+    /// Robot to use instead of the task's: its folder or its robot.toml.
+    #[arg(long)]
+    pub robot: Option<PathBuf>,
+
+    /// Link to the simulated port, which is made at the start and removed at the end.
+    #[arg(long, value_name = "PATH")]
+    pub link: Option<PathBuf>,
+
+    /// Property or defect of the simulated devices. Can be repeated.
+    #[arg(long, value_name = "KEY=VALUE", value_parser = device_option)]
+    pub option: Vec<(String, f64)>,
+
+    /// Duration, s [default: until a signal].
+    #[arg(long, value_name = "S", value_parser = positive, allow_negative_numbers = true)]
+    pub duration_s: Option<f64>,
+
+    /// Seed of all random numbers of the arm, instead of the task's.
+    #[arg(long)]
+    pub seed: Option<u64>,
+
+    /// Override a value of the task file, or, with the prefix `robot.`, of the robot file. Can be repeated.
+    #[arg(long, value_name = "KEY=VALUE")]
+    pub set: Vec<String>,
+
+    /// Plant of the simulation, its rigid bodies and contacts.
+    #[arg(long, value_name = "PLANT", value_parser = unlisted_plant, default_value = OWN_PLANT)]
+    pub plant: PlantChoice,
+}
+
+fn device_option(text: &str) -> Result<(String, f64), String> {
+    let parsed = text.split_once('=').and_then(|(key, value)| Some((key, value.parse::<f64>().ok()?)));
+    match parsed {
+        Some((key, value)) if value.is_finite() => Ok((key.to_owned(), value)),
+        _ => Err("expected KEY=NUMBER".to_owned()),
+    }
 }
 
 /// Show what is in a log, recover a damaged one, export one as CSV, or compare two.
@@ -854,17 +907,21 @@ pub fn with_names(program: clap::Command, extensions: &Extensions) -> clap::Comm
         })
     });
     let plants = plant_forms(extensions);
-    [("run", "plant"), ("bench", "plants")].into_iter().fold(command, |command, (name, argument)| {
+    let with_plants = |command: clap::Command, argument: &str| {
         let list = plants.iter().map(|(form, description)| format!("\n- {form}: {description}"));
         let list: String = list.collect();
         let forms: Vec<String> = plants.iter().map(|(form, _)| form.clone()).collect();
-        command.mut_subcommand(name, |command| {
-            command.mut_arg(argument, |argument| {
-                let help = format!("{}:{list}", argument.get_help().unwrap_or(&StyledStr::new()));
-                argument.help(help).value_parser(move |text: &str| plant_choice(text, &forms))
-            })
+        command.mut_arg(argument, |argument| {
+            let help = format!("{}:{list}", argument.get_help().unwrap_or(&StyledStr::new()));
+            argument.help(help).value_parser(move |text: &str| plant_choice(text, &forms))
         })
-    })
+    };
+    command
+        .mut_subcommand("run", |command| with_plants(command, "plant"))
+        .mut_subcommand("bench", |command| with_plants(command, "plants"))
+        .mut_subcommand("driver", |command| {
+            command.mut_subcommand("simulate", |command| with_plants(command, "plant"))
+        })
 }
 
 /// Parser of names whose table only the program knows: [`with_names`] replaces it.

@@ -4,6 +4,7 @@ pub mod coupling;
 pub mod coupling_sentences;
 pub mod direction;
 pub(crate) mod failures;
+pub mod felt_force;
 pub mod findings;
 pub mod grid_keys;
 pub(crate) mod harmonics;

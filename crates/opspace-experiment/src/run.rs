@@ -31,6 +31,7 @@ pub mod rollout;
 pub mod scenario;
 mod segments;
 pub mod servo_damping;
+mod simulated_devices;
 mod start;
 pub mod start_positions;
 mod transformer;

@@ -2,11 +2,12 @@
 
 use crate::calibration::{Calibration, MotorCalibration};
 use crate::counts::{CountScale, RAD_PER_COUNT};
-use opspace_backend::{CommandKind, DriverError, Settings};
+use opspace_backend::{CommandKind, DriverError, Measured, Settings};
+use std::path::Path;
 use std::time::Duration;
 
 /// Keys of `[driver]`.
-pub const KEYS: [&str; 19] = [
+pub const KEYS: [&str; 18] = [
     "port",
     "baud_hz",
     "calibration",
@@ -19,7 +20,6 @@ pub const KEYS: [&str; 19] = [
     "d",
     "goal_speed_rad_per_s",
     "acceleration_rad_per_s2",
-    "velocity",
     "torque_per_current_nm_per_a",
     "torque_per_load_nm",
     "silence_s",
@@ -118,32 +118,47 @@ impl ArmConfig {
         if let Some(sensor) = settings.force_sensors.first() {
             return Err(DriverError::new(format!("this bus has no force sensor '{}'", sensor.name)));
         }
-        let path = settings.text("calibration")?;
-        let calibration = read_calibration(path).map_err(|words| DriverError::at("calibration", words))?;
-        let motor_torque = match (
-            optional(settings, "torque_per_current_nm_per_a")?,
-            optional(settings, "torque_per_load_nm")?,
-        ) {
-            (None, None) => None,
-            (Some(constant), None) => Some(TorqueSource::Current(constant)),
-            (None, Some(constant)) => Some(TorqueSource::Load(constant)),
-            (Some(_), Some(_)) => {
-                let words =
-                    "motor torques come from the current or from the load: state one of both constants";
-                return Err(DriverError::at("torque_per_load_nm", words));
-            }
-        };
+        let path = settings.path("calibration")?;
+        let calibration = read_calibration(&path).map_err(|words| DriverError::at("calibration", words))?;
         Ok(Self {
-            servos: servos(settings, &calibration, path)?,
+            servos: servos(settings, &calibration, &path)?,
             period_s: settings.period_s,
             gains: Gains { p: gain(settings, "p")?, i: gain(settings, "i")?, d: gain(settings, "d")? },
             goal_speed_rad_per_s: optional(settings, "goal_speed_rad_per_s")?,
             acceleration_rad_per_s2: optional(settings, "acceleration_rad_per_s2")?,
-            measures_velocity: settings.flag("velocity")?,
-            motor_torque,
+            measures_velocity: settings.measured.contains(&Measured::Velocity),
+            motor_torque: torque_source(settings)?,
             silence: seconds(settings, "silence_s", 0.2)?,
             at_end: at_end(settings)?,
         })
+    }
+}
+
+/// Source of motor torques, if robot.toml states that they are measured.
+fn torque_source(settings: &Settings) -> Result<Option<TorqueSource>, DriverError> {
+    const CURRENT: &str = "torque_per_current_nm_per_a";
+    const LOAD: &str = "torque_per_load_nm";
+    if settings.measured.contains(&Measured::JointTorque) {
+        return Err(DriverError::new(
+            "these servos measure no joint torques: leave \"joint-torque\" out of `measured`",
+        ));
+    }
+    let is_measured = settings.measured.contains(&Measured::MotorCurrent);
+    match (optional(settings, CURRENT)?, optional(settings, LOAD)?) {
+        (Some(_), Some(_)) => {
+            let words = "motor torques come from the current or from the load: state one of both constants";
+            Err(DriverError::at(LOAD, words))
+        }
+        (None, None) if is_measured => Err(DriverError::new(format!(
+            "`measured` of [interface] has \"motor-current\": state {CURRENT} or {LOAD}"
+        ))),
+        (None, None) => Ok(None),
+        (current, _) if !is_measured => {
+            let words = "it is without effect: `measured` of [interface] lacks \"motor-current\"";
+            Err(DriverError::at(if current.is_some() { CURRENT } else { LOAD }, words))
+        }
+        (Some(constant), None) => Ok(Some(TorqueSource::Current(constant))),
+        (None, Some(constant)) => Ok(Some(TorqueSource::Load(constant))),
     }
 }
 
@@ -151,30 +166,31 @@ impl ArmConfig {
 const MAX_FILE: u64 = 100_000;
 
 /// Reads a calibration; an error names the file and the remedy.
-fn read_calibration(path: &str) -> Result<Calibration, String> {
+fn read_calibration(path: &Path) -> Result<Calibration, String> {
+    let name = path.display();
     let metadata = std::fs::metadata(path).map_err(|error| {
-        format!("{path}: {error}; LeRobot writes this file when the arm is calibrated (lerobot-calibrate)")
+        format!("{name}: {error}; LeRobot writes this file when the arm is calibrated (lerobot-calibrate)")
     })?;
     if !metadata.is_file() || metadata.len() > MAX_FILE {
-        return Err(format!("{path} is no file of at most {MAX_FILE} bytes"));
+        return Err(format!("{name} is no file of at most {MAX_FILE} bytes"));
     }
-    let text = std::fs::read_to_string(path).map_err(|error| format!("{path}: {error}"))?;
-    Calibration::from_json(&text).map_err(|error| format!("{path}: {error}"))
+    let text = std::fs::read_to_string(path).map_err(|error| format!("{name}: {error}"))?;
+    Calibration::from_json(&text).map_err(|error| format!("{name}: {error}"))
 }
 
 fn servos(
     settings: &Settings,
     calibration: &Calibration,
-    path: &str,
+    path: &Path,
 ) -> Result<Vec<ServoConfig>, DriverError> {
     let joints = &settings.joints;
-    let motors = match list(settings, "motors")? {
-        None => joints.clone(),
+    let motors = match settings.texts("motors")? {
+        None => joints.iter().map(String::as_str).collect(),
         Some(motors) if motors.len() == joints.len() => motors,
         Some(motors) => return Err(wrong_number("motors", motors.len(), joints)),
     };
-    let inverted = list(settings, "inverted")?.unwrap_or_default();
-    if let Some(unknown) = inverted.iter().find(|name| !joints.contains(name)) {
+    let inverted = settings.texts("inverted")?.unwrap_or_default();
+    if let Some(unknown) = inverted.iter().find(|name| !joints.iter().any(|joint| joint == *name)) {
         return Err(DriverError::at(
             "inverted",
             format!("unknown joint '{unknown}'; the joints are: {}", joints.join(", ")),
@@ -187,8 +203,9 @@ fn servos(
         let found = calibration.motor(motor).ok_or_else(|| {
             let names: Vec<&str> = calibration.names().collect();
             let words = format!(
-                "{path} has no motor '{motor}' for joint '{joint}'; its motors are: {}. State the motors in the order of the \
-                 joints: motors = \"…, …\"",
+                "{} has no motor '{motor}' for joint '{joint}'; its motors are: {}. State the motors in the order of the \
+                 joints: motors = [\"…\", \"…\"]",
+                path.display(),
                 names.join(", ")
             );
             DriverError::at("calibration", words)
@@ -196,10 +213,11 @@ fn servos(
         if let Some(id) = ids.as_ref().map(|ids| ids[index])
             && id != f64::from(found.id)
         {
-            let words = format!("the servo of joint '{joint}' has id {} in {path}, not {id}", found.id);
+            let words =
+                format!("the servo of joint '{joint}' has id {} in {}, not {id}", found.id, path.display());
             return Err(DriverError::at("ids", words));
         }
-        let is_inverted = (found.drive_mode == 1) != inverted.contains(joint);
+        let is_inverted = (found.drive_mode == 1) != inverted.contains(&joint.as_str());
         let sign = if is_inverted { -1.0 } else { 1.0 };
         let middle = f64::from(found.range_min + found.range_max) / 2.0;
         let zero_rad = zeros.as_ref().map_or(0.0, |zeros| zeros[index]);
@@ -267,34 +285,22 @@ fn optional_text<'a>(settings: &'a Settings, key: &str) -> Result<Option<&'a str
     if settings.contains(key) { settings.text(key).map(Some) } else { Ok(None) }
 }
 
-/// Returns the parts of a text that are separated by commas, if the key exists.
-fn list(settings: &Settings, key: &str) -> Result<Option<Vec<String>>, DriverError> {
-    let text = optional_text(settings, key)?;
-    Ok(text.map(|text| text.split(',').map(|part| part.trim().to_owned()).collect()))
-}
-
 /// Returns one number for each joint, if the key exists.
 fn numbers(settings: &Settings, key: &str) -> Result<Option<Vec<f64>>, DriverError> {
-    let Some(parts) = list(settings, key)? else { return Ok(None) };
-    if parts.len() != settings.joints.len() {
-        return Err(wrong_number(key, parts.len(), &settings.joints));
+    let numbers = settings.numbers(key)?;
+    match &numbers {
+        Some(numbers) if numbers.len() != settings.joints.len() => {
+            Err(wrong_number(key, numbers.len(), &settings.joints))
+        }
+        Some(numbers) if numbers.iter().any(|number| !number.is_finite()) => {
+            Err(DriverError::at(key, format!("'{key}' must have finite numbers")))
+        }
+        _ => Ok(numbers),
     }
-    let parse = |part: &String| {
-        part.parse::<f64>().ok().filter(|number| number.is_finite()).ok_or_else(|| {
-            DriverError::at(
-                key,
-                format!("'{key}' must be numbers separated by commas; '{part}' is no number"),
-            )
-        })
-    };
-    parts.iter().map(parse).collect::<Result<_, _>>().map(Some)
 }
 
 fn wrong_number(key: &str, found: usize, joints: &[String]) -> DriverError {
-    let words = format!(
-        "'{key}' has {found} values separated by commas; the robot has {} joints: {}",
-        joints.len(),
-        joints.join(", ")
-    );
+    let words =
+        format!("'{key}' has {found} values; the robot has {} joints: {}", joints.len(), joints.join(", "));
     DriverError::at(key, words)
 }

@@ -8,10 +8,12 @@ use crate::bus::Bus;
 use crate::protocol::MAX_ID;
 #[cfg(target_os = "linux")]
 use crate::scan::{self, FoundServo};
-use crate::transport::Transport;
 #[cfg(target_os = "linux")]
-use opspace_backend::FoundDevice;
+use crate::simulated::{PseudoTerminal, bus_with_arm};
+use crate::transport::Transport;
 use opspace_backend::{Backend, Driver, DriverError, Settings};
+#[cfg(target_os = "linux")]
+use opspace_backend::{FoundDevice, SimulatedDevices};
 
 /// Baud rate of the servos' factory settings.
 #[cfg(target_os = "linux")]
@@ -65,6 +67,32 @@ impl Driver for FeetechDriver {
             }
         }
         Ok(found)
+    }
+
+    /// Serves the servos of the arm behind a pseudo-terminal, in real time. Options are
+    /// [`OPTIONS`](crate::simulated::devices::OPTIONS).
+    #[cfg(target_os = "linux")]
+    fn simulate(
+        &self,
+        settings: &Settings,
+        devices: SimulatedDevices,
+        serve: &mut dyn FnMut(&str),
+    ) -> Result<String, DriverError> {
+        let link = devices.link.clone();
+        let bus = bus_with_arm(settings, devices)?;
+        let failed = |error: std::io::Error| DriverError::new(format!("no pseudo-terminal: {error}"));
+        let mut terminal = PseudoTerminal::open(bus).map_err(failed)?;
+        if let Some(link) = &link {
+            let failed = |error| DriverError::new(format!("{}: {error}", link.display()));
+            terminal = terminal.with_link(link).map_err(failed)?;
+        }
+        serve(&link.as_deref().unwrap_or(terminal.path()).display().to_string());
+        let pause_ms = terminal.longest_pause().as_secs_f64() * 1e3;
+        let failure = terminal.bus().joints().failure().map(str::to_owned);
+        match failure {
+            Some(failure) => Err(DriverError::new(format!("the simulated arm has failed: {failure}"))),
+            None => Ok(format!("longest pause of the simulation: {pause_ms:.1} ms")),
+        }
     }
 }
 

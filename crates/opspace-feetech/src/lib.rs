@@ -62,6 +62,6 @@ mod start;
 pub mod transport;
 
 pub use arm::FeetechArm;
-pub use arm_config::ArmConfig;
+pub use arm_config::{ArmConfig, TorqueSource};
 pub use driver::FeetechDriver;
 pub use fault::BusFault;

@@ -1,13 +1,18 @@
-//! `opspace driver`: the drivers of the program, and the devices that they find.
+//! `opspace driver`: the drivers of the program, the devices that they find, and simulated ones.
 
-use crate::cli::{DriverCommand, DriverScanArgs};
+use crate::cli::{DriverCommand, DriverScanArgs, DriverSimulateArgs};
 use crate::console::{Console, Exit, Failure, Outcome, print_exactly};
-use opspace_experiment::Extensions;
+use crate::interrupt;
+use opspace_backend::Setting;
+use opspace_experiment::{Extensions, Files, RunOptions, Scenario};
+use std::sync::atomic::Ordering;
+use std::time::{Duration, Instant};
 
 pub fn driver(command: &DriverCommand, extensions: &Extensions, console: Console) -> Outcome {
     match command {
         DriverCommand::List => list(extensions),
         DriverCommand::Scan(args) => scan(args, extensions, console),
+        DriverCommand::Simulate(args) => simulate(args, extensions, console),
     }
 }
 
@@ -48,5 +53,39 @@ fn scan(args: &DriverScanArgs, extensions: &Extensions, console: Console) -> Out
     if count == 0 {
         return Err(Failure::Other("no device has answered: is its power on?".to_owned(), Exit::Bad));
     }
+    Ok(Exit::Done)
+}
+
+/// Serves simulated devices until a signal, or for the duration that is asked for.
+fn simulate(args: &DriverSimulateArgs, extensions: &Extensions, console: Console) -> Outcome {
+    let options = RunOptions { seed: args.seed, ..RunOptions::default() };
+    let robot = args.robot.as_deref();
+    let scenario = Scenario::load(extensions, Files::Disk, &args.task, robot, None, options, &args.set)?;
+    let scenario = match args.plant.open(extensions)? {
+        None => scenario,
+        Some(engine) => scenario.on_engine(&engine)?,
+    };
+    let Some(experiment) = scenario.single() else {
+        let text = "simulated devices are those of one robot: name the task of the robot".to_owned();
+        return Err(Failure::Other(text, Exit::Bad));
+    };
+    let watch = interrupt::watch();
+    let with_options = |settings| {
+        args.option.iter().fold(settings, |settings: opspace_backend::Settings, (key, value)| {
+            settings.with(key, Setting::Number(*value))
+        })
+    };
+    let end = args.duration_s.map(|duration_s| Instant::now() + Duration::from_secs_f64(duration_s));
+    let mut printed = Ok(());
+    let mut serve = |place: &str| {
+        printed = print_exactly(&format!("{place}\n"));
+        console.note("the simulated arm is held until the first goal; Ctrl-C ends the simulation");
+        while !watch.interrupt.load(Ordering::Relaxed) && end.is_none_or(|end| Instant::now() < end) {
+            std::thread::sleep(Duration::from_millis(20));
+        }
+    };
+    let ended = experiment.serve_devices(extensions, args.link.clone(), with_options, &mut serve)?;
+    printed?;
+    console.note(&ended);
     Ok(Exit::Done)
 }

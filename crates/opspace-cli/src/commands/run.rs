@@ -130,6 +130,7 @@ impl RunView<'_> {
                 let expected = scenario.single().map_or(0, |experiment| experiment.task().file.expect.len());
                 say_expectations(robot, expected, console);
                 say_other_transformer(scenario, robot, progress, console);
+                say_felt_force(scenario, robot, progress, console);
                 say_written(robot, folder, console);
             }
             None => say_end_of_robots(summary, folder, console),
@@ -317,6 +318,14 @@ fn say_other_transformer(scenario: &Scenario, summary: &Summary, progress: &Prog
             let text = "NOTE the torque error is large, but no other transformer suits";
             console.note(&format!("{text}: {error}; {check}"));
         }
+    }
+}
+
+/// Says what a person feels on a real robot that was simulated, beside a torque robot and without friction compensation.
+fn say_felt_force(scenario: &Scenario, summary: &Summary, progress: &Progress, console: Console) {
+    // What cannot be repeated is not compared.
+    if let (false, Ok(Some(felt))) = (console.quiet, scenario.felt_force(summary, progress)) {
+        console.note(&format!("{felt}"));
     }
 }
 

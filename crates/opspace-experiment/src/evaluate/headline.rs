@@ -84,6 +84,12 @@ pub fn operator(summary: &Summary) -> Option<String> {
     Some(format!("the operator moves the arm by {} rms with {} rms", mm(motion_m), newtons(force_n)))
 }
 
+/// States how a person moves the arm, or how it yields to pushes; `None` if nobody does.
+#[must_use]
+pub fn moved_by_hand(summary: &Summary) -> Option<String> {
+    operator(summary).or_else(|| response(summary)).or_else(|| free_motion(summary))
+}
+
 /// Deflection of the axis on which the largest force acts, with its stiffness; axes that have one come first.
 fn response(summary: &Summary) -> Option<String> {
     let (name, (axis, force_n, moved_m, stiffness)) = first(summary, |task| {

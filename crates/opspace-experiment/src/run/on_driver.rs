@@ -2,15 +2,17 @@
 
 use crate::codes::Code;
 use crate::extensions::Extensions;
+use crate::files::robot::RobotDefinition;
 use crate::files::source::FileError;
 use crate::run::error::RunError;
 use crate::run::execute::{Progress, RunResult};
 use crate::run::experiment::Experiment;
 use crate::suggest::choices;
-use opspace_backend::{Backend, Driver, DriverError, Setting, Settings};
+use opspace_backend::{Backend, CommandKind, Driver, DriverError, Setting, Settings};
 use opspace_loop::driver_calls::stop;
 use std::io::Write;
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::Path;
 
 /// Key of `[driver]` that selects the driver.
 const NAME: &str = "name";
@@ -43,8 +45,28 @@ impl Experiment {
         body: impl FnOnce(&mut dyn Backend) -> Result<T, RunError>,
     ) -> Result<T, RunError> {
         self.refuse_comparison_options()?;
+        self.robot.with_driver(extensions, &self.driver_settings(), body)
+    }
+
+    /// Settings with which a driver opens the robot of the experiment.
+    #[must_use]
+    pub fn driver_settings(&self) -> Settings {
+        self.robot.driver_settings(self.command_kind(), self.profile.period_s())
+    }
+}
+
+impl RobotDefinition {
+    /// Opens the robot of `[driver]`, calls `body`, and closes the robot. After an error or a panic, the robot is stopped.
+    ///
+    /// # Errors
+    /// An unknown driver, invalid driver settings, or a robot that cannot be opened; the error of `body`.
+    pub fn with_driver<T>(
+        &self,
+        extensions: &Extensions,
+        settings: &Settings,
+        body: impl FnOnce(&mut dyn Backend) -> Result<T, RunError>,
+    ) -> Result<T, RunError> {
         let driver = self.driver(extensions)?;
-        let settings = self.driver_settings();
         let (mut body, mut result) = (Some(body), None);
         let mut run = |backend: &mut dyn Backend| {
             // A driver calls this closure once.
@@ -52,7 +74,7 @@ impl Experiment {
                 result = Some(or_stopped(backend, body));
             }
         };
-        let closed = catch_unwind(AssertUnwindSafe(|| driver.with(&settings, &mut run)));
+        let closed = catch_unwind(AssertUnwindSafe(|| driver.with(settings, &mut run)));
         match (result, closed) {
             (Some(Err(error)), _) => Err(error),
             (Some(Ok(done)), Ok(Ok(()))) => Ok(done),
@@ -71,15 +93,18 @@ impl Experiment {
         }
     }
 
-    fn driver<'a>(&self, extensions: &'a Extensions) -> Result<&'a dyn Driver, FileError> {
-        let source = &self.robot.source;
-        if !self.has_driver() {
+    /// Driver that `[driver]` selects.
+    ///
+    /// # Errors
+    /// A robot without `[driver]`, or with the name of a driver that the program does not have.
+    pub fn driver<'a>(&self, extensions: &'a Extensions) -> Result<&'a dyn Driver, FileError> {
+        let source = &self.source;
+        let Some(keys) = &self.file.driver else {
             let message = "this robot has no [driver], so it can only be simulated";
             let help = "a simulated robot needs no --move-to-start; a real robot needs a [driver]".to_owned();
             return Err(FileError::of_file(source.name(), message, Some(help)).refused(Code::MissingDriver));
-        }
-        let Some(Setting::Text(name)) = self.robot.file.driver.as_ref().and_then(|keys| keys.get(NAME))
-        else {
+        };
+        let Some(Setting::Text(name)) = keys.get(NAME) else {
             let message = "[driver] has no name";
             return Err(FileError::at_key(source, "driver", message, Some("add `name = ...`".to_owned())));
         };
@@ -97,19 +122,24 @@ impl Experiment {
         })
     }
 
-    fn driver_settings(&self) -> Settings {
-        let joints = self.robot.model.joints().iter().map(|joint| joint.name.clone()).collect();
-        let settings = Settings::new(self.command_kind(), joints, self.profile.period_s())
-            .with_force_sensors(self.capabilities().force_sensors);
-        let keys = self.robot.file.driver.iter().flatten().filter(|(key, _)| *key != NAME);
+    /// Settings with which a driver opens the robot for these commands, at this interface period (s).
+    #[must_use]
+    pub fn driver_settings(&self, command: CommandKind, period_s: f64) -> Settings {
+        let joints = self.model.joints().iter().map(|joint| joint.name.clone()).collect();
+        let folder = Path::new(self.source.name()).parent().unwrap_or(Path::new(""));
+        let settings = Settings::new(command, joints, period_s)
+            .measuring(&self.file.interface.measured)
+            .with_force_sensors(self.capabilities(command, period_s).force_sensors)
+            .in_folder(folder);
+        let keys = self.file.driver.iter().flatten().filter(|(key, _)| *key != NAME);
         keys.fold(settings, |settings, (key, value)| settings.with(key, value.clone()))
     }
 
-    fn driver_error(&self, error: &DriverError) -> FileError {
-        let source = &self.robot.source;
+    /// Error of a driver, at its key in `[driver]`.
+    pub(crate) fn driver_error(&self, error: &DriverError) -> FileError {
         match &error.key {
-            Some(key) => FileError::at_key(source, ["driver", key], error.words.clone(), None),
-            None => FileError::at_key(source, "driver", error.words.clone(), None),
+            Some(key) => FileError::at_key(&self.source, ["driver", key], error.words.clone(), None),
+            None => FileError::at_key(&self.source, "driver", error.words.clone(), None),
         }
     }
 }

@@ -1,13 +1,10 @@
 //! The simulated bus: requests in, answers out, in time.
 
-use crate::protocol::{BROADCAST_ID, Decoded, Decoder, Encoder, Instruction, Packet};
+use crate::protocol::{BROADCAST_ID, Decoded, Decoder, Encoder, Instruction, Packet, Register};
 use crate::simulated::joints::JointModel;
 use crate::simulated::servo::SimulatedServo;
 use std::collections::VecDeque;
 use std::time::Duration;
-
-/// Period of the servos' law.
-const SERVO_PERIOD: Duration = Duration::from_millis(1);
 
 /// Bytes of answers that are kept; further ones are lost, as in the buffer of an adapter.
 const MAX_QUEUED: usize = 4096;
@@ -17,6 +14,13 @@ const MAX_QUEUED: usize = 4096;
 pub struct BusOptions {
     /// Baud rate, Hz; a byte takes ten bits.
     pub baud_hz: u32,
+    /// Period of the servos' law.
+    pub servo_period: Duration,
+    /// Resistance of the supply that the servos share, with its cables, Ω.
+    pub supply_resistance_ohm: f64,
+    /// True if the joints keep their positions until the first goal is written: what moves them begins with the program that
+    /// controls them.
+    pub waits_for_goal: bool,
     /// Time from the end of a request until its answers arrive, in addition to that of their bytes and to the delays of
     /// the servos: that of USB.
     pub latency: Duration,
@@ -44,6 +48,9 @@ impl Default for BusOptions {
     fn default() -> Self {
         Self {
             baud_hz: 1_000_000,
+            servo_period: Duration::from_millis(1),
+            supply_resistance_ohm: 0.0,
+            waits_for_goal: false,
             latency: Duration::ZERO,
             lost_share: 0.0,
             damaged_share: 0.0,
@@ -72,6 +79,8 @@ pub struct SimulatedBus {
     /// Time until which the wire is busy.
     busy_until: Duration,
     now: Duration,
+    /// Time of the first goal.
+    begun: Option<Duration>,
     random: u64,
 }
 
@@ -90,6 +99,7 @@ impl SimulatedBus {
             answers: VecDeque::with_capacity(MAX_QUEUED),
             busy_until: Duration::ZERO,
             now: Duration::ZERO,
+            begun: None,
         };
         bus.control();
         bus
@@ -124,12 +134,21 @@ impl SimulatedBus {
         self.now
     }
 
+    /// Time at which the first goal was written; `None` before.
+    #[must_use]
+    pub fn first_goal(&self) -> Option<Duration> {
+        self.begun
+    }
+
     /// Simulates the servos and joints until a time.
     pub fn advance_to(&mut self, time: Duration) {
-        while self.now + SERVO_PERIOD <= time {
-            self.joints.advance(&self.torque_nm, SERVO_PERIOD.as_secs_f64());
-            self.now += SERVO_PERIOD;
-            self.control();
+        let period = self.options.servo_period;
+        while self.now + period <= time {
+            self.now += period;
+            if self.begun.is_some() || !self.options.waits_for_goal {
+                self.joints.advance(&self.torque_nm, period.as_secs_f64());
+                self.control();
+            }
         }
     }
 
@@ -174,9 +193,13 @@ impl SimulatedBus {
 
     fn control(&mut self) {
         let (q, dq) = (self.joints.q(), self.joints.dq());
+        let current_a: f64 = self.servos.iter().map(SimulatedServo::supply_current_a).sum();
+        let drop_v = self.options.supply_resistance_ohm * current_a;
+        let period_s = self.options.servo_period.as_secs_f64();
         for (index, servo) in self.servos.iter_mut().enumerate() {
             let (q, dq) = (q.get(index).copied().unwrap_or(0.0), dq.get(index).copied().unwrap_or(0.0));
-            let torque = servo.control(q, dq, SERVO_PERIOD.as_secs_f64());
+            servo.supply_v = (servo.options.voltage_v - drop_v).max(0.0);
+            let torque = servo.control(q, dq, period_s);
             if let Some(of_joint) = self.torque_nm.get_mut(index) {
                 *of_joint = torque;
             }
@@ -199,6 +222,7 @@ impl SimulatedBus {
                 }
             }
             (Some(Instruction::Write), [address, data @ ..]) => {
+                self.note_goal(*address, data.len());
                 for index in 0..self.servos.len() {
                     if is_asked(self.servos[index].id()) {
                         self.servos[index].write(*address, data);
@@ -218,6 +242,7 @@ impl SimulatedBus {
                 }
             }
             (Some(Instruction::SyncWrite), [address, length, values @ ..]) => {
+                self.note_goal(*address, usize::from(*length));
                 for value in values.chunks_exact(1 + usize::from(*length)) {
                     if let Some(index) = self.index_of(value[0]) {
                         self.servos[index].write(*address, &value[1..]);
@@ -225,6 +250,15 @@ impl SimulatedBus {
                 }
             }
             _ => {}
+        }
+    }
+
+    /// Notes the time of the first request that writes goals.
+    fn note_goal(&mut self, address: u8, length: usize) {
+        let goal = usize::from(Register::GOAL_POSITION.address);
+        let from = usize::from(address);
+        if (from..from + length).contains(&goal) && self.begun.is_none() {
+            self.begun = Some(self.now);
         }
     }
 
@@ -237,8 +271,7 @@ impl SimulatedBus {
         let servo = &self.servos[index];
         let (id, flags) = (servo.id(), servo.error_flags());
         let is_silent = self.options.silent || self.options.silent_ids.contains(&id);
-        let delay_us =
-            2 * u64::try_from(servo.get(crate::protocol::Register::RETURN_DELAY_TIME)).unwrap_or(0);
+        let delay_us = 2 * u64::try_from(servo.get(Register::RETURN_DELAY_TIME)).unwrap_or(0);
         let (mut data, mut count) = ([0; 255], 0);
         for byte in servo.read(address, length) {
             data[count] = byte;

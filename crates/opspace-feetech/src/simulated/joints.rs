@@ -13,6 +13,11 @@ pub trait JointModel: Send {
 
     /// Velocities (n; rad/s).
     fn dq(&self) -> &[f64];
+
+    /// Reason why the joints are not simulated any more; `None` while they are.
+    fn failure(&self) -> Option<&str> {
+        None
+    }
 }
 
 /// One joint of [`SeparateJoints`].

@@ -22,10 +22,8 @@ pub struct ServoOptions {
     pub stall_torque_nm: f64,
     /// Motor torque per motor current, Nm/A (`bam`).
     pub torque_per_current_nm_per_a: f64,
-    /// Supply voltage, V.
+    /// Supply voltage at which stiffness, damping and torque are as above, V: they are proportional to it.
     pub voltage_v: f64,
-    /// Drop of the supply voltage per motor current of this servo, V/A.
-    pub sag_v_per_a: f64,
     /// Temperature, °C.
     pub temperature_c: f64,
     /// Count of the sensor at q = 0.
@@ -43,7 +41,6 @@ impl Default for ServoOptions {
             stall_torque_nm: 1.91,
             torque_per_current_nm_per_a: 1.21,
             voltage_v: 7.4,
-            sag_v_per_a: 0.0,
             temperature_c: 30.0,
             sensor_zero: 2048.0,
             inverted: false,
@@ -62,12 +59,17 @@ pub struct SimulatedServo {
     pub ignores_goals_without_torque: bool,
     /// Register that keeps its value when it is written, by address: a defect that a test sets.
     pub stuck: Option<u8>,
+    /// Supply voltage, V. A bus sets it, whose servos share a supply.
+    pub supply_v: f64,
     registers: [u8; ADDRESSES],
     /// Setpoint of the profile to the goal, counts, and its velocity, counts/s.
     setpoint: f64,
     setpoint_velocity: f64,
     integral_nm: f64,
     torque_nm: f64,
+    /// Duration of an overload so far, s, and true if the torque is reduced because of one.
+    overload_s: f64,
+    is_reduced: bool,
 }
 
 impl SimulatedServo {
@@ -79,11 +81,14 @@ impl SimulatedServo {
             flags: ErrorFlags::NONE,
             ignores_goals_without_torque: false,
             stuck: None,
+            supply_v: options.voltage_v,
             registers: [0; ADDRESSES],
             setpoint: 0.0,
             setpoint_velocity: 0.0,
             integral_nm: 0.0,
             torque_nm: 0.0,
+            overload_s: 0.0,
+            is_reduced: false,
         };
         for (register, value) in [
             (Register::FIRMWARE_MAJOR_VERSION, 3),
@@ -173,10 +178,45 @@ impl SimulatedServo {
             }
         }
         if !torque_was_on && self.is_torque_on() {
-            self.setpoint = f64::from(self.get(Register::PRESENT_POSITION));
-            self.setpoint_velocity = 0.0;
-            self.integral_nm = 0.0;
+            self.switch_on();
         }
+    }
+
+    /// Begins to control the motor: the profile begins at the present position.
+    fn switch_on(&mut self) {
+        self.setpoint = f64::from(self.get(Register::PRESENT_POSITION));
+        self.setpoint_velocity = 0.0;
+        self.integral_nm = 0.0;
+        self.overload_s = 0.0;
+        self.is_reduced = false;
+    }
+
+    /// Lets the servo hold its joint at `q` (rad) under a torque of the motor (Nm) from the first period on: torque is on,
+    /// and the goal is as far from the position as the gain P asks for.
+    pub fn hold(&mut self, q: f64, torque_nm: f64) {
+        let share = f64::from(self.get(Register::P_COEFFICIENT)) / 32.0;
+        let stiffness = share * self.options.stiffness_at_32_nm_per_rad;
+        let sign = if self.options.inverted { -1.0 } else { 1.0 };
+        let counts_per_rad = f64::from(COUNTS_PER_TURN) / TAU;
+        let homing = f64::from(self.get(Register::HOMING_OFFSET));
+        let at = |q: f64| {
+            let sensor = self.options.sensor_zero + sign * q * counts_per_rad;
+            (sensor - homing).round() as i32
+        };
+        let deflection = if stiffness > 0.0 { torque_nm / stiffness } else { 0.0 };
+        let (position, goal) = (at(q), at(q + deflection));
+        self.set(Register::PRESENT_POSITION, position);
+        self.set(Register::GOAL_POSITION, goal);
+        self.set(Register::TORQUE_ENABLE, 1);
+        self.switch_on();
+        self.setpoint = f64::from(goal);
+    }
+
+    /// Current that the servo draws from its supply, A: motor current times duty cycle.
+    #[must_use]
+    pub fn supply_current_a(&self) -> f64 {
+        let torque = self.torque_nm.abs();
+        torque / self.options.torque_per_current_nm_per_a * torque / self.options.stall_torque_nm
     }
 
     /// Returns true if the motor is controlled.
@@ -190,6 +230,9 @@ impl SimulatedServo {
     pub fn error_flags(&self) -> ErrorFlags {
         let voltage = self.get(Register::PRESENT_VOLTAGE);
         let mut flags = self.flags;
+        if self.is_reduced {
+            flags = flags | ErrorFlags::OVERLOAD;
+        }
         if voltage > self.get(Register::MAX_VOLTAGE_LIMIT) || voltage < self.get(Register::MIN_VOLTAGE_LIMIT)
         {
             flags = flags | ErrorFlags::VOLTAGE;
@@ -213,9 +256,15 @@ impl SimulatedServo {
         let dead_zone = f64::from(self.get(Register::CW_DEAD_ZONE).max(self.get(Register::CCW_DEAD_ZONE)));
         let distance = self.setpoint - present;
         let error_rad = if distance.abs() <= dead_zone { 0.0 } else { distance / counts_per_rad };
-        let share = |servo: &Self, register| f64::from(servo.get(register)) / 32.0;
         let options = self.options;
-        let limit = options.stall_torque_nm * f64::from(self.get(Register::TORQUE_LIMIT)) / 1000.0;
+        // The law computes the duty cycle of the motor voltage.
+        let supply = self.supply_v / options.voltage_v;
+        let share = |servo: &Self, register| supply * f64::from(servo.get(register)) / 32.0;
+        let reduced =
+            if self.is_reduced { f64::from(self.get(Register::PROTECTIVE_TORQUE)) / 100.0 } else { 1.0 };
+        let limit = supply
+            * options.stall_torque_nm
+            * reduced.min(f64::from(self.get(Register::TORQUE_LIMIT)) / 1000.0);
         let integral = self.integral_nm
             + share(self, Register::I_COEFFICIENT)
                 * options.integral_at_32_nm_per_rad_s
@@ -227,24 +276,32 @@ impl SimulatedServo {
             + self.integral_nm;
         let is_on = self.is_torque_on() && self.get(Register::OPERATING_MODE) == 0;
         self.torque_nm = if is_on { torque.clamp(-limit, limit) } else { 0.0 };
+        self.watch_overload(duration_s);
 
         let current_a = self.torque_nm / options.torque_per_current_nm_per_a;
-        let voltage = options.voltage_v - options.sag_v_per_a * current_a.abs();
         let unit = if self.get(Register::PHASE) & 4 == 0 { 50.0 } else { 1.0 };
-        let flags = i32::from(self.error_flags().bits());
         for (register, value) in [
             (Register::PRESENT_POSITION, present),
             (Register::PRESENT_VELOCITY, velocity / unit),
-            (Register::PRESENT_LOAD, 1000.0 * self.torque_nm / options.stall_torque_nm),
+            (Register::PRESENT_LOAD, 1000.0 * self.torque_nm / (supply * options.stall_torque_nm)),
             (Register::PRESENT_CURRENT, current_a / 0.0065),
-            (Register::PRESENT_VOLTAGE, 10.0 * voltage),
+            (Register::PRESENT_VOLTAGE, 10.0 * self.supply_v),
             (Register::PRESENT_TEMPERATURE, options.temperature_c),
         ] {
             self.set(register, value.round() as i32);
         }
-        self.set(Register::STATUS, flags);
+        self.set(Register::STATUS, self.error_flags().bits().into());
         self.set(Register::MOVING, i32::from(velocity != 0.0));
         sign * self.torque_nm
+    }
+
+    /// Reduces the torque after a load above Overload_Torque for Protection_Time, until torque is switched on again.
+    fn watch_overload(&mut self, duration_s: f64) {
+        let load =
+            self.torque_nm.abs() / (self.supply_v / self.options.voltage_v * self.options.stall_torque_nm);
+        let is_overload = 100.0 * load > f64::from(self.get(Register::OVERLOAD_TORQUE));
+        self.overload_s = if is_overload { self.overload_s + duration_s } else { 0.0 };
+        self.is_reduced |= self.overload_s > 0.01 * f64::from(self.get(Register::PROTECTION_TIME));
     }
 
     /// Advances the profile to the goal, which lies within the limits of positions.

@@ -1,7 +1,7 @@
 //! The arm as a robot: samples, commands, pace and end.
 
 use crate::common::{IDS, arm, bus, config};
-use opspace_backend::{Backend, Command, Sample, Setting};
+use opspace_backend::{Backend, Command, Measured, Sample, Setting};
 use opspace_feetech::FeetechArm;
 use opspace_feetech::counts::RAD_PER_COUNT;
 use opspace_feetech::protocol::Register;
@@ -21,7 +21,7 @@ const MIDDLES_RAD: [f64; 3] = [
 fn samples_are_the_true_state() {
     let config = config(|settings| {
         settings
-            .with("velocity", Setting::Flag(true))
+            .measuring(&[Measured::Position, Measured::Velocity, Measured::MotorCurrent])
             .with("torque_per_current_nm_per_a", Setting::Number(1.21))
     });
     let mut arm = FeetechArm::start(SimulatedTransport::new(bus()), config).expect("an arm");

@@ -1,7 +1,7 @@
 //! Single requests.
 
 use crate::common::{IDS, JOINTS, bus, file, settings};
-use opspace_backend::{Backend, Command, Sample};
+use opspace_backend::{Backend, Command, Sample, Setting};
 use opspace_feetech::bus::Bus;
 use opspace_feetech::calibration::Calibration;
 use opspace_feetech::protocol::Register;
@@ -64,8 +64,8 @@ fn simulated_servos_of_a_configuration_have_its_angles() {
     assert_eq!(Calibration::from_json(&json).expect("the same"), calibration);
     let file = file(&json);
     let settings = settings(&file)
-        .with("inverted", opspace_backend::Setting::Text("elbow_flex".into()))
-        .with("zeros_rad", opspace_backend::Setting::Text("0.15, -0.75, 0".into()));
+        .with("inverted", Setting::List(vec![Setting::Text("elbow_flex".into())]))
+        .with("zeros_rad", Setting::List([0.15, -0.75, 0.0].map(Setting::Number).to_vec()));
     let config = ArmConfig::from_settings(&settings).expect("a configuration");
     // By hand: the ranges of the model, where half a turn is in their middle.
     for (servo, range) in config.servos.iter().zip(&ranges[..2]) {

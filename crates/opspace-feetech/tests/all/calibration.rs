@@ -1,13 +1,21 @@
 //! LeRobot's calibration, and the keys of `[driver]`.
 
 use crate::common::{CALIBRATION, JOINTS, config, file, settings};
-use opspace_backend::{CommandKind, ForceSensor, Setting, Settings};
-use opspace_feetech::ArmConfig;
+use opspace_backend::{CommandKind, ForceSensor, Measured, Setting, Settings};
 use opspace_feetech::calibration::Calibration;
+use opspace_feetech::{ArmConfig, TorqueSource};
 use std::f64::consts::TAU;
 
 fn text(text: &str) -> Setting {
     Setting::Text(text.to_owned())
+}
+
+fn texts(values: &[&str]) -> Setting {
+    Setting::List(values.iter().map(|value| text(value)).collect())
+}
+
+fn numbers(values: &[f64]) -> Setting {
+    Setting::List(values.iter().copied().map(Setting::Number).collect())
 }
 
 fn refused(change: impl FnOnce(Settings) -> Settings) -> (Option<String>, String) {
@@ -34,7 +42,9 @@ fn middle_of_the_range_is_zero() {
 #[test]
 fn signs_and_zeros_can_be_declared() {
     let config = config(|settings| {
-        settings.with("inverted", text("wrist_flex, elbow_flex")).with("zeros_rad", text("0.5, 0, -1"))
+        settings
+            .with("inverted", texts(&["wrist_flex", "elbow_flex"]))
+            .with("zeros_rad", numbers(&[0.5, 0.0, -1.0]))
     });
     let scales = [0, 1, 2].map(|index| config.servos[index].scale);
     assert_eq!(scales.map(|scale| scale.sign), [1.0, -1.0, 1.0]);
@@ -45,7 +55,8 @@ fn signs_and_zeros_can_be_declared() {
 #[test]
 fn motors_may_have_other_names_than_joints() {
     let calibration = file(CALIBRATION);
-    let mut settings = settings(&calibration).with("motors", text("wrist_flex, elbow_flex, shoulder_lift"));
+    let motors = texts(&["wrist_flex", "elbow_flex", "shoulder_lift"]);
+    let mut settings = settings(&calibration).with("motors", motors);
     settings.joints = ["a", "b", "c"].map(str::to_owned).to_vec();
     let config = ArmConfig::from_settings(&settings).expect("a configuration");
     assert_eq!(config.servos.iter().map(|servo| servo.calibration.id).collect::<Vec<_>>(), [4, 3, 2]);
@@ -58,12 +69,14 @@ fn wrong_keys_are_named() {
     assert!(words.contains("the keys are: port, baud_hz"), "{words}");
     for (name, value, expected) in [
         ("p", Setting::Number(16.5), "a whole number of 0 to 255"),
-        ("ids", text("2, 3"), "the robot has 3 joints: shoulder_lift, elbow_flex, wrist_flex"),
-        ("ids", text("2, 3, 5"), "the servo of joint 'wrist_flex' has id 4"),
-        ("motors", text("wrist_flex, elbow_flex, elbow_flex"), "two joints have the servo with id 3"),
-        ("motors", text("wrist, elbow_flex, elbow_flex"), "its motors are: elbow_flex, gripper"),
-        ("inverted", text("wrist"), "the joints are: shoulder_lift"),
-        ("zeros_rad", text("0, 0, NaN"), "'NaN' is no number"),
+        ("ids", numbers(&[2.0, 3.0]), "the robot has 3 joints: shoulder_lift, elbow_flex, wrist_flex"),
+        ("ids", numbers(&[2.0, 3.0, 5.0]), "the servo of joint 'wrist_flex' has id 4"),
+        ("motors", texts(&["wrist_flex", "elbow_flex", "elbow_flex"]), "two joints have the servo with id 3"),
+        ("motors", texts(&["wrist", "elbow_flex", "elbow_flex"]), "its motors are: elbow_flex, gripper"),
+        ("inverted", texts(&["wrist"]), "the joints are: shoulder_lift"),
+        ("inverted", text("wrist_flex"), "must be an array of strings, not \"wrist_flex\""),
+        ("zeros_rad", numbers(&[0.0, 0.0, f64::NAN]), "must have finite numbers"),
+        ("zeros_rad", texts(&["0", "0", "0"]), "must be an array of numbers, not \"0\""),
         ("silence_s", Setting::Number(0.0), "must be above 0, not 0"),
         ("silence_s", text("0.2"), "must be a number"),
         ("at_end", text("drop"), "\"hold\" or \"lower\""),
@@ -72,12 +85,37 @@ fn wrong_keys_are_named() {
         let (_, words) = refused(|settings| settings.with(name, value.clone()));
         assert!(words.contains(expected), "{name}: {words}");
     }
+}
+
+/// `measured` of `[interface]` decides what samples contain; a constant without it, or it without a constant, is refused.
+#[test]
+fn measured_motor_torques_need_one_constant() {
+    const CURRENT: &str = "torque_per_current_nm_per_a";
+    const LOAD: &str = "torque_per_load_nm";
+    let measured = |settings: Settings| settings.measuring(&[Measured::Position, Measured::MotorCurrent]);
+    let config = config(|settings| measured(settings).with(CURRENT, Setting::Number(1.2)));
+    assert_eq!(config.motor_torque, Some(TorqueSource::Current(1.2)));
     let (key, _) = refused(|settings| {
-        settings
-            .with("torque_per_current_nm_per_a", Setting::Number(1.2))
-            .with("torque_per_load_nm", Setting::Number(1.9))
+        measured(settings).with(CURRENT, Setting::Number(1.2)).with(LOAD, Setting::Number(1.9))
     });
-    assert_eq!(key.as_deref(), Some("torque_per_load_nm"));
+    assert_eq!(key.as_deref(), Some(LOAD));
+    let (_, words) = refused(measured);
+    assert!(words.contains("state torque_per_current_nm_per_a or torque_per_load_nm"), "{words}");
+    let (key, words) = refused(|settings| settings.with(LOAD, Setting::Number(1.9)));
+    assert_eq!(key.as_deref(), Some(LOAD));
+    assert!(words.contains("lacks \"motor-current\""), "{words}");
+    let (_, words) = refused(|settings| settings.measuring(&[Measured::Position, Measured::JointTorque]));
+    assert!(words.contains("measure no joint torques"), "{words}");
+}
+
+/// The calibration is beside robot.toml, wherever the program is started.
+#[test]
+fn relative_calibration_refers_to_the_folder_of_the_robot() {
+    let calibration = file(CALIBRATION);
+    let folder = calibration.path().parent().expect("a folder");
+    let name = calibration.path().file_name().and_then(|name| name.to_str()).expect("a name");
+    let settings = settings(&calibration).with("calibration", text(name)).in_folder(folder);
+    assert_eq!(ArmConfig::from_settings(&settings).expect("a configuration").servos.len(), JOINTS.len());
 }
 
 #[test]

@@ -1,8 +1,11 @@
 //! The simulated servo and its joints.
 
-use opspace_feetech::protocol::Register;
-use opspace_feetech::simulated::{JointModel, SeparateJoint, SeparateJoints, ServoOptions, SimulatedServo};
+use opspace_feetech::protocol::{ErrorFlags, Register};
+use opspace_feetech::simulated::{
+    BusOptions, JointModel, SeparateJoint, SeparateJoints, ServoOptions, SimulatedBus, SimulatedServo,
+};
 use std::f64::consts::TAU;
+use std::time::Duration;
 
 /// Holds a joint with a weight by a servo for two seconds, and returns its angle, rad.
 fn held(weight_nm: f64, change: impl FnOnce(&mut SimulatedServo)) -> f64 {
@@ -81,4 +84,45 @@ fn requests_do_not_write_what_is_only_read() {
     servo.write(200, &[1]);
     assert_eq!(servo.get(Register::PRESENT_POSITION), position);
     assert_eq!(servo.get(Register::MODEL_NUMBER), 777);
+}
+
+/// By hand: a blocked servo exerts its stall torque for Protection_Time, 2 s, and then Protective_Torque, 20 %, until torque is
+/// switched on again.
+#[test]
+fn overload_reduces_the_torque() {
+    let mut servo = SimulatedServo::new(1, ServoOptions::default());
+    servo.hold(0.0, 0.0);
+    servo.set(Register::GOAL_POSITION, servo.get(Register::PRESENT_POSITION) + 1000);
+    let torques: Vec<f64> = (0..2500).map(|_| servo.control(0.0, 0.0, 1e-3)).collect();
+    assert!((torques[1990] - 1.91).abs() < 1e-9, "{}", torques[1990]);
+    assert!((torques[2100] - 0.2 * 1.91).abs() < 1e-9, "{}", torques[2100]);
+    assert!(servo.error_flags().contains(ErrorFlags::OVERLOAD));
+    servo.write(Register::TORQUE_ENABLE.address, &[0]);
+    servo.write(Register::TORQUE_ENABLE.address, &[1]);
+    assert!(!servo.error_flags().contains(ErrorFlags::OVERLOAD));
+    assert!((servo.control(0.0, 0.0, 1e-3) - 1.91).abs() < 1e-9);
+}
+
+/// By hand: three servos that each exert 0.95 Nm draw 3 · (0.95/1.21) · (0.95/1.91) A; 0.5 Ω drop 0.59 V of 7.4 V, and stiffness with
+/// it: the joints sag further.
+#[test]
+fn supply_sags_under_the_load_of_all_servos() {
+    let angles = |resistance_ohm: f64| {
+        let joint = SeparateJoint { external_nm: -0.95, coulomb_nm: 0.0, ..SeparateJoint::default() };
+        let joints = SeparateJoints::new(vec![joint; 3], &[0.0; 3]);
+        let servos = (1..=3).map(|id| {
+            let mut servo = SimulatedServo::new(id, ServoOptions::default());
+            servo.hold(0.0, 0.0);
+            servo
+        });
+        let options = BusOptions { supply_resistance_ohm: resistance_ohm, ..BusOptions::default() };
+        let mut bus = SimulatedBus::new(servos.collect(), Box::new(joints), options);
+        bus.advance_to(Duration::from_secs(2));
+        let volts = bus.servo(2).expect("a servo").supply_v;
+        (volts, bus.joints().q()[1])
+    };
+    let ((stiff_v, stiff), (soft_v, soft)) = (angles(0.0), angles(0.5));
+    let expected = 7.4 - 0.5 * 3.0 * (0.95 / 1.21) * (0.95 / 1.91);
+    assert!((stiff_v - 7.4).abs() < 1e-9 && (soft_v - expected).abs() < 0.02, "{soft_v} for {expected}");
+    assert!((stiff / soft - expected / 7.4).abs() < 0.03, "{stiff} {soft}");
 }
