@@ -7,13 +7,15 @@
 use opspace_backend::{Backend, Capabilities, Command, DeviceFault, Sample, Setting, Settings, TruthRow};
 use opspace_experiment::run::replay::replay;
 use opspace_experiment::{ControllerKind, Experiment, Files, Progress, RunOptions};
+use opspace_feetech::protocol::ErrorFlags;
 use opspace_feetech::simulated::{SimulatedBus, SimulatedTransport, bus_with_arm};
-use opspace_feetech::{ArmConfig, FeetechArm};
+use opspace_feetech::{ArmConfig, BusFault, FeetechArm};
 use opspace_log::Recording;
 use opspace_loop::RunOutcome;
 use opspace_mujoco::Mujoco;
 use std::path::Path;
 use std::sync::{Arc, Mutex};
+use std::time::Duration;
 
 const TASKS: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../examples/so101");
 
@@ -312,4 +314,83 @@ fn mujoco_is_behind_the_bus() {
     print("MuJoCo", &mujoco);
     assert!((own.moved_mm / mujoco.moved_mm - 1.0).abs() < 0.1);
     assert!((own.force_n / mujoco.force_n - 1.0).abs() < 0.1);
+}
+
+/// Arm on a bus that gets a defect after a second.
+struct Breaking {
+    arm: FeetechArm<SimulatedTransport>,
+    defect: fn(&mut SimulatedBus),
+    cycles: u32,
+    /// Time of the defect on the clock of the bus.
+    since: Option<Duration>,
+}
+
+impl Backend for Breaking {
+    fn capabilities(&self) -> &Capabilities {
+        self.arm.capabilities()
+    }
+
+    fn read(&mut self, sample: &mut Sample) -> Result<(), DeviceFault> {
+        self.cycles += 1;
+        if self.cycles == 120 {
+            let bus = &mut self.arm.transport_mut().bus;
+            self.since = Some(bus.now());
+            (self.defect)(bus);
+        }
+        self.arm.read(sample)
+    }
+
+    fn write(&mut self, command: Command<'_>) -> Result<(), DeviceFault> {
+        self.arm.write(command)
+    }
+
+    fn stop(&mut self) {
+        self.arm.stop();
+    }
+}
+
+/// Defects in a whole run, one by one: each ends it with its name and code in the log, within the declared silence of 0.2 s and two
+/// cycles or at once, with torque on in all servos; and what was logged replays.
+#[test]
+fn defects_end_a_run_by_their_names() {
+    const SILENCE_S: f64 = 0.2;
+    let experiment = experiment("hold-and-yield", RunOptions::default(), &["duration_s=3.0"]);
+    type Defect = (BusFault, f64, fn(&mut SimulatedBus));
+    let defects: [Defect; 11] = [
+        (BusFault::PortGone, 0.0, |bus| bus.options.gone = true),
+        (BusFault::Silent, SILENCE_S, |bus| bus.options.silent = true),
+        (BusFault::ServoMissing, SILENCE_S, |bus| bus.options.silent_ids = vec![3]),
+        (BusFault::WrongAnswer, SILENCE_S, |bus| bus.options.shortened = Some(4)),
+        (BusFault::Checksum, SILENCE_S, |bus| bus.options.wrong_checksum = Some(2)),
+        (BusFault::TooSlow, SILENCE_S, |bus| bus.options.latency = Duration::from_millis(12)),
+        (BusFault::Overload, 0.0, |bus| flag(bus, ErrorFlags::OVERLOAD)),
+        (BusFault::Overheat, 0.0, |bus| flag(bus, ErrorFlags::OVERHEAT)),
+        (BusFault::Overcurrent, 0.0, |bus| flag(bus, ErrorFlags::OVERCURRENT)),
+        (BusFault::Sensor, 0.0, |bus| flag(bus, ErrorFlags::SENSOR)),
+        (BusFault::Voltage, 0.0, |bus| flag(bus, ErrorFlags::VOLTAGE)),
+    ];
+    for (expected, after_s, defect) in defects {
+        let truth = Arc::new(Mutex::new(Truth::default()));
+        let (bus, config) = bus(&experiment, &truth, &[("latency_ms", 1.0)]);
+        let arm = FeetechArm::start(SimulatedTransport::new(bus), config).unwrap();
+        let mut arm = Breaking { arm, defect, cycles: 0, since: None };
+        let done = experiment.run_on(&mut arm, Vec::new(), &Progress::default()).unwrap();
+        let reported =
+            done.record.device_fault.as_ref().unwrap_or_else(|| panic!("{expected:?}: {:?}", done.record));
+        assert_eq!(reported.code, expected.code(), "{expected:?}: {reported:?}");
+        let bus = &arm.arm.transport_mut().bus;
+        let lasted_s = (bus.now() - arm.since.unwrap()).as_secs_f64();
+        assert!(lasted_s <= after_s + 0.03, "{expected:?}: {lasted_s} s");
+        assert!(bus.servos().iter().all(|servo| servo.is_torque_on()), "{expected:?}");
+        let recording = Recording::from_bytes(&done.sink).unwrap();
+        let report = replay(&experiment, &recording).unwrap();
+        assert_eq!((report.differing, report.unmatched.len()), (0, 0), "{expected:?}");
+        println!("{}: {lasted_s:.3} s, {reported}", expected.name());
+    }
+}
+
+fn flag(bus: &mut SimulatedBus, flags: ErrorFlags) {
+    if let Some(servo) = bus.servo_mut(3) {
+        servo.flags = flags;
+    }
 }
