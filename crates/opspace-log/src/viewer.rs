@@ -24,7 +24,8 @@ use crate::header::{Scene, SceneCapsule, TIME_ZERO_NS, Wall};
 use nalgebra::{Rotation3, UnitQuaternion, Vector3};
 use opspace_backend::Layout;
 use opspace_backend::signal_names::{
-    self, DQ, MOTOR_TORQUE, ORIENTATION, POSITION, Q, REFERENCE, REFERENCE_ORIENTATION, TICK_CHANNEL,
+    self, DQ, EXTERNAL_CHANNEL, FORCE, MOTOR_TORQUE, ORIENTATION, POSITION, Q, REFERENCE,
+    REFERENCE_ORIENTATION, TICK_CHANNEL,
 };
 use opspace_model::{Data, FrameId, Model, Placement, frame_placement, kinematics};
 use std::collections::VecDeque;
@@ -112,8 +113,22 @@ struct Force {
     channel: usize,
     columns: Range<usize>,
     frame: FrameId,
+    /// Point on which it acts, fixed in the frame, m.
+    point: Vector3<f64>,
+    /// Columns of frame and point, if they are in the rows.
+    place: Option<PlaceColumns>,
     id: String,
     value: Vector3<f64>,
+}
+
+/// Columns of the place of an external force.
+struct PlaceColumns {
+    /// Column of the index of the frame in the model.
+    frame: usize,
+    /// Columns of the point; `None` in older logs, whose forces act on the origin.
+    point: Option<Range<usize>>,
+    /// Frames of the model, in its order.
+    frames: Vec<FrameId>,
 }
 
 impl Viewer {
@@ -226,9 +241,7 @@ impl Viewer {
     /// Passes the messages of a row to `put`, if the last ones are old enough.
     pub fn show(&mut self, channel: usize, ns: u64, row: &[f64], put: &mut Put<'_>) -> Result<(), LogError> {
         if let Some((_, forces, _)) = &mut self.forces {
-            for force in forces.iter_mut().filter(|force| force.channel == channel) {
-                force.value.copy_from_slice(&row[force.columns.clone()]);
-            }
+            forces.iter_mut().filter(|force| force.channel == channel).for_each(|force| force.read(row));
         }
         if channel != self.channel || self.last_ns.is_some_and(|last| ns.abs_diff(last) < PERIOD_NS) {
             return Ok(());
@@ -247,7 +260,8 @@ impl Viewer {
                 for (force, entity) in forces.iter().zip(&mut scene.entities) {
                     entity.timestamp = time;
                     entity.arrows.clear();
-                    let origin = frame_placement(&bodies.model, &bodies.data, force.frame).translation;
+                    let frame = frame_placement(&bodies.model, &bodies.data, force.frame);
+                    let origin = frame.translation + frame.rotation * force.point;
                     entity.arrows.extend(arrow(&origin, &force.value));
                 }
                 put(*topic, scene)?;
@@ -325,19 +339,58 @@ impl Once {
 }
 
 impl Force {
+    /// Forces of the environment, and the external force that a program or a hand applies.
     fn all(scene: &Scene, layouts: &[&Layout], model: &Model) -> Vec<Self> {
-        let force = |arrow: &crate::header::ForceArrow| {
-            let channel = layouts.iter().position(|layout| layout.channel == arrow.channel)?;
-            let columns = layouts[channel].columns(&arrow.signal).filter(|columns| columns.len() >= 3)?;
+        let force = |channel: &str, signal: &str| {
+            let channel = layouts.iter().position(|layout| layout.channel == channel)?;
+            let columns = layouts[channel].columns(signal).filter(|columns| columns.len() >= 3)?;
+            Some((channel, columns.start..columns.start + 3))
+        };
+        let of_environment = |arrow: &crate::header::ForceArrow| {
+            let (channel, columns) = force(&arrow.channel, &arrow.signal)?;
             Some(Self {
                 channel,
-                columns: columns.start..columns.start + 3,
+                columns,
                 frame: model.frame_id(&arrow.frame).ok()?,
+                point: Vector3::zeros(),
+                place: None,
                 id: arrow.signal.clone(),
                 value: Vector3::from_element(f64::NAN),
             })
         };
-        scene.forces.iter().filter_map(force).collect()
+        let external = || {
+            let (channel, columns) = force(EXTERNAL_CHANNEL, FORCE)?;
+            let frames: Vec<FrameId> =
+                model.frames().iter().filter_map(|frame| model.frame_id(&frame.name).ok()).collect();
+            let place = PlaceColumns {
+                frame: layouts[channel].columns("frame")?.start,
+                point: layouts[channel].columns("point").filter(|columns| columns.len() == 3),
+                frames,
+            };
+            Some(Self {
+                channel,
+                columns,
+                frame: *place.frames.first()?,
+                point: Vector3::zeros(),
+                place: Some(place),
+                id: EXTERNAL_CHANNEL.to_owned(),
+                value: Vector3::from_element(f64::NAN),
+            })
+        };
+        scene.forces.iter().filter_map(of_environment).chain(external()).collect()
+    }
+
+    /// Reads the force from a row of its channel, and its place, which stays while none is set.
+    fn read(&mut self, row: &[f64]) {
+        self.value.copy_from_slice(&row[self.columns.clone()]);
+        let Some(place) = &self.place else { return };
+        let Some(frame) = place.frames.get(row[place.frame] as usize).filter(|_| row[place.frame] >= 0.0)
+        else {
+            return;
+        };
+        self.frame = *frame;
+        let point = place.point.as_ref().map(|columns| Vector3::from_column_slice(&row[columns.clone()]));
+        self.point = point.filter(|point| point.iter().all(|x| x.is_finite())).unwrap_or_default();
     }
 }
 

@@ -290,6 +290,53 @@ fn viewers_get_tasks_and_scene() {
     assert_eq!(&urdf[0].data[8..urdf[0].data.len() - 1], ARM.as_bytes());
 }
 
+/// Compared: the arrow of an external force on a point of a link, and the point by forward kinematics; none while no force acts.
+#[test]
+fn viewers_get_the_force_of_a_hand() {
+    let model = Arc::new(Model::from_urdf(ARM).unwrap().model);
+    let tick =
+        Layout { channel: "tick".to_owned(), signals: vec![Signal::new("q", "rad", &["shoulder", "elbow"])] };
+    let xyz = ["x", "y", "z"];
+    let external = Layout {
+        channel: "external".to_owned(),
+        signals: vec![
+            Signal::new("frame", "1", &["index"]),
+            Signal::new("force", "N", &xyz),
+            Signal::new("point", "m", &xyz),
+        ],
+    };
+    let channels = [tick, external].map(|layout| Channel { layout, rate_hz: 50.0 });
+    let scene = Scene { robot_description: Some(ARM.to_owned()), ..Scene::default() };
+    let header = Header { model: Some(Arc::clone(&model)), scene, ..Header::default() };
+    let (mut recorder, writer) =
+        record(Cursor::new(Vec::new()), header, channels.to_vec(), Pace::Simulated).unwrap();
+    let lower = model.frames().iter().position(|frame| frame.name == "lower").unwrap();
+    let (q, point) = ([0.3, 0.4], [0.05, -0.02, 0.1]);
+    let held = [&[lower as f64], &[0.0, 3.0, 4.0][..], &point].concat();
+    let free = [&[f64::NAN], &[0.0; 3][..], &[f64::NAN; 3]].concat();
+    for k in 0..10 {
+        recorder.push(1, f64::from(k) * 0.02, if k < 5 { &held } else { &free });
+        recorder.push(0, f64::from(k) * 0.02, &q);
+    }
+    drop(recorder);
+    let bytes = writer.finish().unwrap().1.into_inner();
+    let arrows: Vec<_> = MessageStream::new(&bytes)
+        .unwrap()
+        .map(Result::unwrap)
+        .filter(|message| message.channel.topic == "/scene/forces")
+        .map(|message| SceneUpdate::decode(&*message.data).unwrap().entities.remove(0).arrows)
+        .collect();
+    assert_eq!(arrows.iter().map(Vec::len).collect::<Vec<_>>(), [1, 1, 1, 1, 1, 0, 0, 0, 0, 0]);
+    let mut data = opspace_model::Data::new(&model);
+    opspace_model::kinematics(&model, &mut data, &q, &[0.0; 2]);
+    let frame = opspace_model::frame_placement(&model, &data, model.frame_id("lower").unwrap());
+    let expected = frame.translation + frame.rotation * nalgebra::Vector3::from(point);
+    let at = arrows[3][0].pose.unwrap().position.unwrap();
+    let away = nalgebra::Vector3::new(at.x, at.y, at.z) - expected;
+    assert!(away.norm() < 1e-15, "{away}");
+    assert!((arrows[3][0].shaft_length + arrows[3][0].head_length - 0.05).abs() < 1e-15);
+}
+
 /// Checks the errors for data that can't be recorded.
 #[test]
 fn mismatched_data_are_refused() {
