@@ -1,11 +1,12 @@
-"""The page about the package: its code runs, from top to bottom."""
+"""The page about the package, and the front page: their code runs, from top to bottom."""
 
 import re
 import subprocess
 import sys
 from pathlib import Path
 
-PAGE = Path(__file__).parents[2] / "docs" / "howto" / "python.md"
+ROOT = Path(__file__).parents[2]
+PAGE = ROOT / "docs" / "howto" / "python.md"
 
 CHECKS = """
 if __name__ == "__main__":
@@ -30,3 +31,17 @@ def test_code_of_the_page_runs(tmp_path):
     ran = subprocess.run([sys.executable, script], capture_output=True, text=True, timeout=120, cwd=tmp_path)
     assert ran.returncode == 0, ran.stderr
     assert "did you mean 'tip'" in ran.stdout
+
+
+def test_code_of_the_front_page_runs(tmp_path):
+    page = (ROOT / "README.md").read_text()
+    (task,) = re.findall(r"^```toml\n# circle.toml\n(.*?)^```", page, flags=re.DOTALL | re.MULTILINE)
+    (code,) = re.findall(r"^```python\n(.*?)^```", page, flags=re.DOTALL | re.MULTILINE)
+    (tmp_path / "circle.toml").write_text(task)
+    (tmp_path / "robots").symlink_to(ROOT / "robots")
+    check = "assert tip.shape == (len(result.log['tick'].time_s), 3)"
+    ran = subprocess.run(
+        [sys.executable, "-c", f"{code}\n{check}"], capture_output=True, text=True, timeout=120, cwd=tmp_path
+    )
+    assert ran.returncode == 0, ran.stderr
+    assert float(ran.stdout) < 1.1e-3
