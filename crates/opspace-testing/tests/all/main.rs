@@ -10,3 +10,4 @@ mod old_names;
 mod packages;
 mod public_api;
 mod schemas;
+mod sentences;
