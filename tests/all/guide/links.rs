@@ -54,8 +54,9 @@ fn pages() -> Vec<String> {
     let mut pages: Vec<String> = super::docs().iter().map(|page| project(page)).collect();
     pages.extend(own.map(project));
     for entry in fs::read_dir(project("crates")).unwrap() {
-        let page = entry.unwrap().path().join("README.md");
-        pages.extend(page.exists().then(|| page.display().to_string()));
+        let folder = entry.unwrap().path();
+        let own = ["README.md", "DESIGN.md"].map(|name| folder.join(name));
+        pages.extend(own.iter().filter(|page| page.exists()).map(|page| page.display().to_string()));
     }
     pages
 }
