@@ -11,7 +11,7 @@
 //! in a displacement Δx (m, rad) is `force`·Δx. At a force sensor it is the negative of the sensed force on the robot.
 //!
 //! Vectors have six rows, at most one per axis; rows that are not used are zero. The mathematics knows nothing of tasks,
-//! packets in transit or clocks. Derivations: `docs/explain/several-robots.md`.
+//! packets in transit or clocks. Derivations: `docs/reference/couplings.md`.
 //!
 //! | file | contents |
 //! |---|---|
