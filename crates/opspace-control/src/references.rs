@@ -1,4 +1,8 @@
 //! Reference motions of tasks: position, velocity and acceleration.
+//!
+//! ```text
+//! t → (x_d, ẋ_d, ẍ_d)
+//! ```
 
 pub mod acceleration_bound;
 pub(crate) mod blend;

@@ -1,4 +1,8 @@
 //! Horizon at which velocities and positions must be within their limits.
+//!
+//! ```text
+//! h = max(0.02 s, 5 T)        T: control period
+//! ```
 
 /// Default of the horizon of the acceleration bounds at short control periods, s: velocity noise must not make the bounds
 /// jump, and an arm needs much longer to brake.

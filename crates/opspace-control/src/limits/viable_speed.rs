@@ -1,4 +1,10 @@
 //! Highest speeds of joints towards their position limits.
+//!
+//! ```text
+//! v(x − q) = √((2 b h)² + 2 b (x − q)) − 2 b h        at most the speed limit
+//! ```
+//!
+//! x is the position limit, b the braking acceleration, h the [horizon](crate::limits::horizon).
 
 use crate::limits::bounds::Bounds;
 use crate::limits::joint_limits::{JointLimits, LimitParameters};

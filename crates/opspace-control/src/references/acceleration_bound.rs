@@ -1,4 +1,8 @@
 //! Bound on the acceleration and the speed along a path.
+//!
+//! ```text
+//! gaining max(s̈, 0) + braking max(−s̈, 0) + squared_speed ṡ² ≤ 1
+//! ```
 
 /// Bound on the acceleration s̈ and the speed ṡ along a path:
 ///

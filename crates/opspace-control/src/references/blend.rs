@@ -1,4 +1,11 @@
 //! Fading of the difference between a target and a reference, and displacement of a pose.
+//!
+//! ```text
+//! x = x_d + p(t)        R = exp(φ(t)) R_d        p(T) = φ(T) = 0
+//! ```
+//!
+//! p and φ are [quintic polynomials](crate::references::ramp) from the difference at the beginning, with its first two derivatives,
+//! to rest at zero. The angular velocity follows from that of the rotation vector φ.
 
 use crate::orientation;
 use crate::orientation::rotation_vector_rates;

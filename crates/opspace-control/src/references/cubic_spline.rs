@@ -1,13 +1,13 @@
 //! Natural cubic splines: twice continuously differentiable, without curvature at both ends.
+//!
+//! ```text
+//! h₋ M₋ + 2(h₋ + h) M + h M₊ = 6 ((y₊ − y)/h − (y − y₋)/h₋)        M: second derivatives, zero at both ends
+//! ```
 
 use crate::references::ramp::Quintic;
 
 /// Returns the natural cubic spline through `values` at increasing `knots`: the polynomial of each interval in the
 /// distance from its first knot.
-///
-/// ```text
-/// h₋ M₋ + 2(h₋ + h) M + h M₊ = 6 ((y₊ − y)/h − (y − y₋)/h₋)     M: second derivatives, zero at both ends
-/// ```
 pub(crate) fn natural_spline(knots: &[f64], values: &[f64]) -> Vec<Quintic> {
     let last = knots.len().saturating_sub(1);
     let h = |k: usize| knots[k + 1] - knots[k];

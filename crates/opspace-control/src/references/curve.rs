@@ -1,5 +1,9 @@
 //! Curves in space whose parameter is arc length: lines, arcs of circles, and polynomials.
 //!
+//! ```text
+//! p(s), p′(s), p″(s), p‴(s)        |p′| = 1
+//! ```
+//!
 //! A polynomial p(u) is evaluated as p(u(s)), where u(s) is a table of quintics with the exact arc length, slope and
 //! curvature at its knots. Its derivatives are those of this composition, so that they belong to its positions to the
 //! last digits; its speed |dp/ds| is 1 within 1e-5.

@@ -1,4 +1,11 @@
 //! Goal poses, absolute or relative to the start of the run.
+//!
+//! ```text
+//! offset_m        x = x₀ + A Δ
+//! offset_rpy_rad  R = A R(rpy) Aᵀ R₀
+//! ```
+//!
+//! x₀, R₀ are the pose at the start, A the axes of the task.
 
 use crate::orientation;
 use nalgebra::{Matrix3, Vector3};

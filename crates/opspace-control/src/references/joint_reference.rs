@@ -1,4 +1,14 @@
-//! References of a joint-tracking task. Each starts, at time 0, at the current reference: at the start of a run this is
+//! References of a joint-tracking task: q_d, q̇_d and q̈_d of each joint.
+//!
+//! ```text
+//! point-to-point, waypoints   q_d = q₀ + s(t) (q_goal − q₀)
+//! sinusoid                    q_d = q₀ + s(t) Σ (b + a sin(2π f t + φ))
+//! goal                        jerk-limited motion (online)
+//! ```
+//!
+//! s is the [minimum-jerk ramp](crate::references::ramp).
+//!
+//! Each starts, at time 0, at the current reference: at the start of a run this is
 //! the posture of the robot, at rest; during a run it is the value of the previous reference. A [`JointOnlineGoal`]
 //! also continues the velocity and acceleration; the other references start from rest. Joints that are not named keep
 //! their position.

@@ -1,6 +1,10 @@
 //! Online trajectory generation: from any state of motion to rest at a goal, within limits of velocity, acceleration
 //! and jerk.
 //!
+//! ```text
+//! (x, ẋ, ẍ) → (x_goal, 0, 0)        |ẋ| ≤ v    |ẍ| ≤ a    |x⃛| ≤ j
+//! ```
+//!
 //! The motion of each coordinate is time-optimal: up to two segments bring a state beyond the limits back within them,
 //! and up to seven segments of constant jerk follow (Berscheid and Kröger 2021, *Jerk-limited Real-time Trajectory
 //! Generation with Arbitrary Target States*; the crate `rsruckig` computes the segments). The whole motion is computed

@@ -1,5 +1,11 @@
 //! Bounds on the motion along a path that do not follow from the path itself, but from the robot: the limits of speed,
-//! acceleration and torque of its joints. They are computed before a run from the joint motion along the path.
+//! acceleration and torque of its joints.
+//!
+//! ```text
+//! ṡ ≤ speed        gaining max(s̈, 0) + braking max(−s̈, 0) + squared_speed ṡ² ≤ 1        in each part of the path
+//! ```
+//!
+//! They are computed before a run from the joint motion along the path.
 
 use crate::references::acceleration_bound::AccelerationBound;
 use crate::references::timing_law::Span;

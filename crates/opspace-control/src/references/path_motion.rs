@@ -1,4 +1,10 @@
 //! Motion along a path: its geometry, its timing law, and the approach of a path in world coordinates.
+//!
+//! ```text
+//! x_d = p(s(t))        ẋ_d = p′ ṡ        ẍ_d = p″ ṡ² + p′ s̈
+//! ```
+//!
+//! p is the [shape](crate::references::path_shape), s(t) the [timing law](crate::references::timing_law).
 
 use crate::error::ControlError;
 use crate::orientation;

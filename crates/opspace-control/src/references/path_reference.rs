@@ -1,4 +1,8 @@
 //! Paths of lines, arcs, circles and splines with rounded corners, in the form of the task file.
+//!
+//! ```text
+//! x_d = p(s(t))        p: segments and corners        s(t): as fast as the limits allow, from rest to rest
+//! ```
 
 use crate::references::path_bounds::PathBounds;
 use opspace_backend::quantity::{Count, NonNegative, Positive, exactly};

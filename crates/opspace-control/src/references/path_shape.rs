@@ -1,4 +1,11 @@
 //! Geometry of a path: position and orientation as functions of arc length, and the bounds on its motion.
+//!
+//! ```text
+//! x = p(s)        R = exp(w(s) φ) R₀
+//! |p″ ṡ² + p′ s̈| ≤ a        |p‴| ṡ³ ≤ j        w′ |φ| ṡ ≤ ω_max        |w″ ṡ² + w′ s̈| |φ| ≤ α_max
+//! ```
+//!
+//! s is the arc length, w the [minimum-jerk ramp](crate::references::ramp) of a rotation by φ over the length of a segment.
 
 use crate::error::ControlError;
 use crate::orientation;

@@ -1,5 +1,9 @@
 //! The minimum-jerk ramp, the product rule that applies it to a reference, and the quintic polynomial from any state.
 //!
+//! ```text
+//! s = 10u³ − 15u⁴ + 6u⁵        u = t/T        (s x)˙ = ṡ x + s ẋ        x = Σ_k c_k t^k, k = 0 … 5
+//! ```
+//!
 //! A quantity and its first two time derivatives are stored as `[x, ẋ, ẍ]`.
 
 /// Minimum-jerk ramp s = 10u³ − 15u⁴ + 6u⁵ with u = t/duration, and its derivatives (1/s, 1/s²): from 0 to 1, with zero

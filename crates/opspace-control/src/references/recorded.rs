@@ -1,5 +1,9 @@
 //! Recorded paths: timed poses read from CSV and interpolated by splines.
 //!
+//! ```text
+//! x_d(t): C² cubic spline through (t_k, x_k)        ẋ_d = ẍ_d = 0 at both ends
+//! ```
+//!
 //! This crate reads no files: the reader of a task file also reads the recorded file that the task file names, with
 //! [`parse`], into [`RecordedPath::samples`].
 

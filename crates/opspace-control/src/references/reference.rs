@@ -1,5 +1,15 @@
 //! References of a Cartesian task: pose, velocity and acceleration of its frame.
 //!
+//! ```text
+//! hold                        x_d = x₀
+//! point-to-point, waypoints   x_d = x₀ + s(t) (x_goal − x₀)        R_d = exp(s(t) φ) R₀
+//! sinusoid                    x_d = x₀ + A s(t) Σ (b + a sin(2π f t + φ))
+//! goal                        jerk-limited motion (online)
+//! path, recorded, streamed    see their files
+//! ```
+//!
+//! s is the [minimum-jerk ramp](crate::references::ramp), A the axes of the task.
+//!
 //! Every reference starts, at time 0, at the current target: at the start of a run this is the frame's pose, at rest;
 //! during a run it is the target of the previous reference. An [`OnlineGoal`] also continues the velocity and
 //! acceleration; the other references start from rest.

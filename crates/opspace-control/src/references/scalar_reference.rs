@@ -1,5 +1,11 @@
 //! References of a scalar, such as an angle: its value, first and second derivative.
 //!
+//! ```text
+//! point-to-point   x_d = x₀ + s(t) (x_goal − x₀)        sinusoid   x_d = x₀ + s(t) Σ (b + a sin(2π f t + φ))
+//! ```
+//!
+//! s is the [minimum-jerk ramp](crate::references::ramp).
+//!
 //! Every reference starts, at time 0, at the current value.
 
 use crate::references::online::{MotionLimits, OnlineMotion};

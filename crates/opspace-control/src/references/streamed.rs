@@ -1,5 +1,10 @@
 //! Streamed references: the motion between the arrivals of targets and after the last one.
 //!
+//! ```text
+//! extrapolated   x_d = x_k + ẋ_k Δt + ½ ẍ_k Δt² + p(t)        p: fading difference, zero after blend_s
+//! generated      jerk-limited motion to x_k (online)
+//! ```
+//!
 //! A new target never makes the reference jump. `extrapolated` follows pose + twist Δt + acceleration Δt²/2, where Δt
 //! is the target's age. When a target arrives, the difference in position and velocity between the reference and this
 //! motion fades along a quintic polynomial within `blend_s`; the acceleration changes as the sender's does. `generated`

@@ -1,4 +1,10 @@
 //! A streamed reference of a joint-tracking task.
+//!
+//! ```text
+//! q_d = q_k + q̇_k Δt + ½ q̈_k Δt² + p(t)        or a jerk-limited motion to q_k
+//! ```
+//!
+//! [`streamed`](crate::references::streamed) describes both.
 
 use crate::error::ControlError;
 use crate::per_joint::PerJoint;

@@ -1,4 +1,10 @@
 //! A streamed reference of a Cartesian task.
+//!
+//! ```text
+//! x_d = x_k + v_k Δt + ½ v̇_k Δt² + p(t)        R_d = exp(φ(t)) exp(ω_k Δt + ½ ω̇_k Δt²) R_k
+//! ```
+//!
+//! [`streamed`](crate::references::streamed) describes this motion and the alternative, a jerk-limited motion to the pose.
 
 use crate::orientation;
 use crate::references::blend::{Joining, moved};

@@ -1,4 +1,8 @@
 //! Target of a frame: pose, velocity and acceleration.
+//!
+//! ```text
+//! (x_d, R_d)        (ẋ_d, ω_d)        (ẍ_d, ω̇_d)
+//! ```
 
 use opspace_model::{Motion, Placement};
 

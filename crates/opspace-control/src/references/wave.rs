@@ -1,4 +1,8 @@
 //! Sums of sines, for circles, Lissajous figures and sweeps.
+//!
+//! ```text
+//! x = Σ (b + a sin(2π f t + φ))
+//! ```
 
 use opspace_backend::quantity::{NonNegative, Positive};
 #[cfg(feature = "schema")]

@@ -1,5 +1,11 @@
 //! Force feedback of a Cartesian task: the force that is added on compliant and force axes, and on motion axes that
 //! compensate the sensed force.
+//!
+//! ```text
+//! compliant   F = −f_d + k (f − f_d)
+//! force       F = −γ f_d + s k (f − f_d) + ∫ s i (f − f_d) dt        (force_axis)
+//! motion      F = −share f
+//! ```
 
 use crate::axis_mode::AxisMode;
 use crate::context::ControlContext;

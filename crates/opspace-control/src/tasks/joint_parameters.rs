@@ -1,4 +1,8 @@
 //! Parameters of the joint-space tasks, and the gains of each joint.
+//!
+//! ```text
+//! q̈* = q̈_d + 2ζω (q̇_d − q̇) + ω² (q_d − q)
+//! ```
 
 use crate::error::ControlError;
 use crate::per_joint::PerJoint;

@@ -1,4 +1,8 @@
 //! The trait of a task of all joints, in the null space of the other tasks.
+//!
+//! ```text
+//! τ = Nᵀ τ_joint
+//! ```
 
 use crate::controller::ControlInput;
 use crate::tasks::task::{RowGains, TaskInput, TaskSignals};

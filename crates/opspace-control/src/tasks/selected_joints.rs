@@ -1,4 +1,10 @@
 //! A task of up to six selected joints that follow a reference; other tasks can be below it.
+//!
+//! ```text
+//! x = S q        J = S        a* = q̈_d + 2ζω (q̇_d − q̇) + ω² (q_d − q)
+//! ```
+//!
+//! S selects the joints.
 
 use crate::context::ControlContext;
 use crate::controller::ControlInput;
