@@ -14,6 +14,7 @@
 mod excerpts;
 mod links;
 mod pages;
+mod reference;
 
 use crate::cli_common::{ROOT, project, read, scratch};
 use pages::{Block, Command, blocks, commands, file_name};
@@ -249,14 +250,18 @@ fn excerpts_of_reference_pages_have_known_keys() {
 #[test]
 fn key_pages_match_the_program() {
     for kind in ["task", "robot", "suite", "experiment"] {
-        let page = format!("docs/reference/keys-{kind}.md");
         let shown =
             crate::cli_common::opspace(Path::new(ROOT), &["schema", kind, "--markdown"]).exits(0).stdout;
-        if std::env::var_os("OPSPACE_WRITE_DOCS").is_some() {
-            std::fs::write(project(&page), &shown).unwrap();
-        }
-        assert!(shown == read(project(&page)), "{page} is out of date: OPSPACE_WRITE_DOCS=1 writes it");
+        assert_page(&format!("docs/reference/keys-{kind}.md"), &shown);
     }
+}
+
+/// Compares a committed page with the one that the program generates, or writes it.
+fn assert_page(page: &str, generated: &str) {
+    if std::env::var_os("OPSPACE_WRITE_DOCS").is_some() {
+        fs::write(project(page), generated).unwrap();
+    }
+    assert!(generated == read(project(page)), "{page} is out of date: OPSPACE_WRITE_DOCS=1 writes it");
 }
 
 /// Compared: every key of a schema, and the keys of its page.

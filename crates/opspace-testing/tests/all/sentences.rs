@@ -147,7 +147,8 @@ fn split(line: usize, text: &str) -> Vec<Sentence> {
         }
     }
     let count = |words: &[&str]| words.iter().filter(|word| word.contains(char::is_alphanumeric)).count();
-    let sentences = sentences.iter().map(|words| Sentence { line, words: count(words), text: words.join(" ") });
+    let sentences =
+        sentences.iter().map(|words| Sentence { line, words: count(words), text: words.join(" ") });
     sentences.filter(|sentence| sentence.words > 0).collect()
 }
 
