@@ -1,4 +1,10 @@
 //! Filtered reading of a force sensor, at the origin of a task's frame.
+//!
+//! ```text
+//! [Aᵀ f; Aᵀ (m + l × f)]        l = x_sensor − x_frame
+//! ```
+//!
+//! f and m are force and moment of the filtered reading in world axes, A the axes of the task.
 
 use crate::measurement::Measurement;
 use nalgebra::{Matrix3, Vector3, Vector6};
