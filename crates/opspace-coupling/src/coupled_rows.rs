@@ -1,8 +1,8 @@
 //! Rows of a coupled task: axes of a frame, or joints, with their displacement since the start.
 //!
 //! ```text
-//! frame    p = [x − x₀; log(R R₀ᵀ)]        v = J q̇
-//! joints   p = q − q₀                      v = q̇
+//! frame    p = [Aᵀ (x − x₀); Aᵀ log(R R₀ᵀ)]        v = J q̇        A: axes of the task
+//! joints   p = q − q₀                              v = q̇
 //! ```
 
 use crate::coupled_parameters::{CoupledParameters, DEFAULT_AXES};

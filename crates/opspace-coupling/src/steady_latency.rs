@@ -4,7 +4,7 @@
 //! m ← m + T/(0.5 s + T) (age − m)        Δ = age − m, |Δ| ≤ 0.05 s        p̂ ← p̂ + v̂ Δ
 //! ```
 //!
-//! m is the mean age of what was received, T the control period. The [law](crate::teleoperation) continues the received position p̂
+//! m is the mean age of what was received, T the control period. The law (`teleoperation.rs`) continues the received position p̂
 //! by its velocity over Δ.
 
 /// Time of the mean, s.

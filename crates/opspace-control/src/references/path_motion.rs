@@ -4,7 +4,7 @@
 //! x_d = p(s(t))        ẋ_d = p′ ṡ        ẍ_d = p″ ṡ² + p′ s̈
 //! ```
 //!
-//! p is the [shape](crate::references::path_shape), s(t) the [timing law](crate::references::timing_law).
+//! p is the shape (`path_shape.rs`), s(t) the timing law (`timing_law.rs`).
 
 use crate::error::ControlError;
 use crate::orientation;
