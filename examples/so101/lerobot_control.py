@@ -22,13 +22,15 @@ for register, value in [("P_Coefficient", 16), ("I_Coefficient", 0), ("D_Coeffic
 bus.enable_torque()
 
 late, begun = 0, time.monotonic()
-for cycle in range(round(experiment.duration_s / loop.period_s)):
-    due = begun + cycle * loop.period_s
-    late += time.monotonic() > due + loop.period_s
+due, end = begun, begun + experiment.duration_s
+while due < end:
     time.sleep(max(0.0, due - time.monotonic()))
     time_s, degrees = time.monotonic() - begun, bus.sync_read("Present_Position", joints, num_retry=3)
     kind, setpoints = loop.step(time_s, [math.radians(degrees[name]) for name in joints])
     if kind == "position":
         bus.sync_write("Goal_Position", {name: math.degrees(q) for name, q in zip(joints, setpoints)})
-print(f"{cycle + 1} cycles, {late} late; torques {loop.signals()['torque_desired'].round(3)} Nm")
+    # A cycle that is late is left out: what follows it keeps the period.
+    late += time.monotonic() > due + loop.period_s
+    due = max(due + loop.period_s, time.monotonic())
+print(f"{late} late cycles; torques {loop.signals()['torque_desired'].round(3)} Nm")
 bus.disconnect(disable_torque=False)

@@ -274,7 +274,7 @@ def wheel(opspace, folder):
     error = names["loop"].signals()["hand.error"]
     check(abs(error[1]) < 0.015 and abs(error[2]) < 0.015, f"held along y and z: {error}")
     check(names["loop"].fault is None, str(names["loop"].fault))
-    print(f"lerobot and the wheel of opspace {package.__version__}: {names['cycle'] + 1} cycles, {names['late']} late")
+    print(f"lerobot and the wheel of opspace {package.__version__}: {names['late']} late cycles")
 
 
 def with_patience(judge, port):
