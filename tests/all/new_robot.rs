@@ -1,7 +1,7 @@
 //! Robots of which only the URDF is known: `opspace new --assume`, `check` and `run` without a value written by hand.
 #![expect(clippy::unwrap_used, reason = "a test that can't go on has failed")]
 
-use crate::cli_common::{opspace, read, read_json, scratch};
+use crate::cli_common::{opspace, project, read, read_json, scratch};
 use opspace_experiment::{Files, RobotDefinition};
 use opspace_log::Recording;
 use opspace_model::{Data, forward_kinematics, frame_placement};
@@ -413,6 +413,36 @@ fn identified_arm_without_friction_runs() {
     let summary = read_json(at("out/summary.json"));
     let error_m = summary["metrics"]["position_rms_m"].as_f64().unwrap();
     assert!(error_m < FOLLOWED_M, "{error_m} m");
+}
+
+/// Stiffness of the servos of an SO-101 in its template, Nm/rad, and the largest error of its estimate.
+const SO101_NM_PER_RAD: f64 = 8.9;
+const SO101_WITHIN: f64 = 0.05;
+
+/// Compared, through the program: the stiffness that the weight of an SO-101 with backlash and twice the friction shows, and that of the
+/// simulation; the plan of the motion is printed, and the robot that is written runs its first task.
+#[test]
+fn so101_is_identified_from_its_weight() {
+    let folder = scratch();
+    let urdf = project("examples/so101/so101.urdf");
+    opspace(folder.path(), &["new", "so101", "--like", "so101", "--urdf", &urdf]).exits(0);
+    let joints = ["shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll"];
+    let gears = joints.map(|joint| {
+        format!("robot.simulated.gear.{joint}={{stiffness_nm_per_rad=300.0,damping_nms_per_rad=0.3,backlash_rad=0.0175}}")
+    });
+    let mut how =
+        vec!["identify", "so101", "--out", "found", "--set", "robot.simulated.true_over_nominal.friction=2"];
+    how.extend(gears.iter().flat_map(|gear| ["--set", gear]));
+    let said = opspace(folder.path(), &how).exits(0);
+    let results = read_json(folder.path().join("found/identification.json"));
+    for joint in joints {
+        assert!(said.stderr.contains(&format!("{joint} will move from ")), "{}", said.stderr);
+        let stiffness = results["joints"][joint]["static_servo"]["stiffness"].as_f64().unwrap();
+        assert!((stiffness / SO101_NM_PER_RAD - 1.0).abs() < SO101_WITHIN, "{joint}: {stiffness}");
+    }
+    let page = read(folder.path().join("found/report.html"));
+    assert!(page.contains("Offset of setpoint from position over the torque of gravity of elbow_flex"));
+    opspace(folder.path(), &["run", "so101/first-task.toml", "--robot", "found", "--out", "out"]).exits(0);
 }
 
 /// Compared: the lines of a new robot.toml that are to be filled in, and the values that `opspace check` calls missing.

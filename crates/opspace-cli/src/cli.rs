@@ -10,6 +10,7 @@ use clap::error::{ContextKind, ContextValue};
 use clap::{Arg, Args, Parser, Subcommand, ValueEnum};
 use clap_complete::Shell;
 use opspace_backend::CommandKind;
+use opspace_backend::quantity::Positive;
 use opspace_experiment::codes::{COMPARISONS, allowed_code};
 use opspace_experiment::run::physics::OWN_PLANT;
 use opspace_experiment::{Code, ControllerKind, Extensions, RunOptions, TransformerEntry};
@@ -703,12 +704,16 @@ servo, the rates, limits, URDF and rotor inertias; gains, filter, delay and fric
 comes from motor current if the robot measures it, otherwise from URDF and rotor inertia. With neither, only ratios are \
 written and torque control is refused (exit code 1), as for a joint whose servo cannot be inverted.
 
+PID servos without damping, or without measured motor current, are identified statically: each joint moves slowly through its \
+range, and its offsets under the weight of the arm show stiffness and friction. The motions are printed beforehand.
+
 Writes servo.toml (the identified keys of robot.toml), robot.toml with a copy of the URDF (a complete robot with these \
-keys), identification.json and report.html (Bode plots) into runs/identify-ROBOT.
+keys), identification.json and report.html (figures) into runs/identify-ROBOT.
 
 Examples:
   opspace identify robots/asimo-arm
-  opspace identify robots/asimo-arm --profile b-soft --joint elbow --start-rad elbow=-1.35"
+  opspace identify robots/asimo-arm --profile b-soft --joint elbow --start-rad elbow=-1.35
+  opspace identify so101 --hang tip=0.15"
 )]
 pub struct IdentifyArgs {
     /// The robot's folder or its robot.toml.
@@ -727,6 +732,10 @@ pub struct IdentifyArgs {
     #[arg(long, value_name = "JOINT=VALUE", value_delimiter = ',', value_parser = joint_value)]
     pub start_rad: Vec<(String, f64)>,
 
+    /// Repeat the identification of servos without a velocity loop with a weight of this mass (kg) on a link or tool, and compare.
+    #[arg(long, value_name = "FRAME=KG", value_parser = hung_weight)]
+    pub hang: Option<(String, Positive)>,
+
     /// Seed of the excitation's phases and of all random numbers in the simulation.
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
@@ -737,6 +746,13 @@ pub struct IdentifyArgs {
 
     #[command(flatten)]
     pub output: OutputArgs,
+}
+
+fn hung_weight(text: &str) -> Result<(String, Positive), String> {
+    let wrong = || "expected a link or tool and a mass above zero in kg, for example tip=0.2".to_owned();
+    let (frame, mass_kg) = text.split_once('=').ok_or_else(wrong)?;
+    let mass_kg: f64 = mass_kg.trim().parse().map_err(|_| wrong())?;
+    Ok((frame.trim().to_owned(), Positive::try_from(mass_kg).map_err(|_| wrong())?))
 }
 
 fn joint_value(text: &str) -> Result<(String, f64), String> {

@@ -57,6 +57,12 @@ impl Interval95 {
         Self { lower: self.lower.min(other.lower), upper: self.upper.max(other.upper) }
     }
 
+    /// Returns the interval of the estimate plus `by`.
+    #[must_use]
+    pub fn shifted(&self, by: f64) -> Self {
+        Self { lower: self.lower + by, upper: self.upper + by }
+    }
+
     /// Returns the interval of the estimate times `factor` (above 0).
     #[must_use]
     pub fn scaled(&self, factor: f64) -> Self {

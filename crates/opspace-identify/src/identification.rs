@@ -9,6 +9,7 @@ use crate::interval::{Drive, Interval, Rates, Responses, SetpointFilterModel};
 use crate::load::Gear;
 use crate::response::{Distortion, Point};
 use crate::session::AbortReason;
+use crate::static_identification::{Evaluation, StaticServo};
 use crate::transfer_function::DelayedTransferFunction;
 use nalgebra::Complex;
 use opspace_backend::Setpoints;
@@ -100,6 +101,8 @@ pub enum TorqueScale {
     MotorCurrent,
     /// Inertia from URDF and rotor.
     Urdf,
+    /// Gravity with the masses of the URDF.
+    Gravity,
     /// None: kv, inertia and friction are only known as ratios to the inertia.
     Unknown,
 }
@@ -241,6 +244,9 @@ pub struct Identification {
     pub measured: Vec<Measured>,
     /// Identified servo; for information only if [`refused`](Self::refused) gives a reason.
     pub servo: Option<Servo>,
+    /// Servo that was identified statically, for information only if [`refused`](Self::refused) gives a reason; `None` with
+    /// the other method.
+    pub static_servo: Option<StaticServo>,
     /// Viscous friction equivalent to the joint's friction at the largest amplitude, in the servo's units.
     pub equivalent_friction: f64,
     /// T as a rational function in series with hold and delay.
@@ -257,6 +263,34 @@ pub struct Identification {
 }
 
 impl Identification {
+    /// Returns the result of a static identification.
+    #[must_use]
+    pub fn from_static(evaluation: Evaluation) -> Self {
+        let Evaluation { servo, refused, doubts } = evaluation;
+        Self {
+            static_servo: servo,
+            refused: refused.map(|reason| reason.to_string()),
+            doubts,
+            ..Self::empty(TorqueScale::Gravity)
+        }
+    }
+
+    /// Returns a result without measurements.
+    pub(crate) fn empty(scale: TorqueScale) -> Self {
+        Self {
+            scale,
+            measured: Vec::new(),
+            servo: None,
+            static_servo: None,
+            equivalent_friction: 0.0,
+            rational: None,
+            rational_residual: None,
+            fit_quality: None,
+            refused: None,
+            doubts: Vec::new(),
+        }
+    }
+
     /// Returns the reason why the joint cannot be controlled by torques; `None` if it can.
     #[must_use]
     pub fn no_torque_mode(&self) -> Option<String> {

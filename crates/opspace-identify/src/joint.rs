@@ -36,17 +36,7 @@ pub fn identify(
         (false, Some(_)) => TorqueScale::Urdf,
         (false, None) => TorqueScale::Unknown,
     };
-    let mut found = Identification {
-        scale,
-        measured: Vec::new(),
-        servo: None,
-        equivalent_friction: 0.0,
-        rational: None,
-        rational_residual: None,
-        fit_quality: None,
-        refused: None,
-        doubts: Vec::new(),
-    };
+    let mut found = Identification::empty(scale);
     match (Joint { session, known: told, plan }).identify(&mut found) {
         Ok(()) => Ok(found),
         Err(IdentificationFailure::Stopped(stop)) if stop.is_final() => Err(stop),
@@ -228,7 +218,9 @@ impl Joint<'_, '_> {
             gear: gains.gear,
             friction: match found.scale {
                 TorqueScale::MotorCurrent => friction::fit(&passes),
-                TorqueScale::Urdf | TorqueScale::Unknown => friction::fit_with_viscous(&passes, viscous),
+                TorqueScale::Urdf | TorqueScale::Gravity | TorqueScale::Unknown => {
+                    friction::fit_with_viscous(&passes, viscous)
+                }
             },
             intervals: self.intervals(found.scale, &gains, scale, &passes),
             passes,
@@ -303,7 +295,7 @@ impl Joint<'_, '_> {
     /// Compares the scale of torque of the motor current with that of the inertia.
     fn check_scale(&self, found: &mut Identification) -> Result<(), IdentificationFailure> {
         match (found.scale, self.known.inertia) {
-            (TorqueScale::Unknown, _) => Ok(()),
+            (TorqueScale::Unknown | TorqueScale::Gravity, _) => Ok(()),
             (TorqueScale::Urdf, _) => {
                 found.doubts.push(
                     "without motor current nothing checks the inertia of URDF and rotor: an error of it is the same \

@@ -8,6 +8,8 @@
 //! at constant velocity in both directions. The structure of the servo, `τ = kv [kp (q_desired − y) − w]`, its rates
 //! and the limits are known; gains, filter, delay, inertia and friction are identified.
 //!
+//! A servo without a velocity loop is identified [statically](static_identification), from the weight of the arm.
+//!
 //! T does not change if inertia, friction and kv are scaled together. The scale of torque comes from the motor current,
 //! or from the inertias of URDF and rotor, or is unknown; see [`TorqueScale`].
 //!
@@ -73,6 +75,7 @@ pub mod least_squares;
 pub mod load;
 pub mod response;
 pub mod session;
+pub mod static_identification;
 mod sweep;
 pub mod transfer_function;
 

@@ -2,11 +2,23 @@
 //! cycle.
 
 use opspace_backend::{Backend, Command, DeviceFault, Sample};
+use opspace_control::ramp::minimum_jerk;
 use opspace_model::JointKind;
 use thiserror::Error;
 
 /// Time over which speed is computed as a finite difference, s.
 const SPEED_OVER_S: f64 = 4e-3;
+
+/// Time constant with which setpoints of held joints follow a changed weight, s, and distance of a joint from its posture up to
+/// which they do not: within it, friction would make the joint hunt.
+const FOLLOWS_WEIGHT_S: f64 = 1.0;
+const HELD_WITHIN: f64 = 0.03;
+
+/// Distance of a joint from a posture at which it has not been reached, or is not held, rad (m).
+const NOT_REACHED: f64 = 0.12;
+
+/// Ratio of the peak to the mean speed of a minimum-jerk motion.
+const PEAK_OVER_MEAN: f64 = 1.875;
 
 /// Limits of a joint during its excitation.
 #[derive(Clone, Copy, Debug)]
@@ -38,6 +50,24 @@ pub enum AbortReason {
     /// Motor torque above the limit.
     #[error("its motor torque reached {0} Nm (N)")]
     Torque(f64),
+    /// Measured position outside the position limits.
+    #[error("joint {joint} reached {position:.3} rad (m), outside its position limits")]
+    Limit {
+        /// Index of the joint.
+        joint: usize,
+        /// Measured position, rad (m).
+        position: f64,
+    },
+    /// Posture that a joint does not reach, or does not hold.
+    #[error(
+        "joint {joint} stays {distance:.3} rad (m) away from its setpoint; is it in contact, or overloaded?"
+    )]
+    NotReached {
+        /// Index of the joint.
+        joint: usize,
+        /// Distance, rad (m).
+        distance: f64,
+    },
     /// Requested interruption.
     #[error("interrupted")]
     Interrupted,
@@ -115,14 +145,44 @@ impl<'a> ExcitationSession<'a> {
         session.posture.copy_from_slice(session.sample.q.as_slice());
         session.setpoints.copy_from_slice(session.sample.q.as_slice());
         session.robot.write(Command::Position(&session.setpoints))?;
+        session.find_bias()?;
+        Ok(session)
+    }
+
+    /// Adds to the setpoints the error that the servos need to hold the weight in the present posture.
+    fn find_bias(&mut self) -> Result<(), AbortReason> {
         for _ in 0..2 {
-            session.rest(0.4)?;
-            for i in 0..joints {
-                session.bias[i] += session.posture[i] - session.sample.q[i];
+            self.rest(0.4)?;
+            for i in 0..self.posture.len() {
+                self.bias[i] += self.posture[i] - self.sample.q[i];
             }
         }
-        session.rest(0.4)?;
-        Ok(session)
+        self.rest(0.4)
+    }
+
+    /// Moves all joints to `posture` (n; rad, m) on a straight line, at most at `speed` (rad/s, m/s), and holds them there.
+    ///
+    /// # Errors
+    /// If the robot fails, a joint does not reach its position, or the run is interrupted.
+    pub fn move_to(&mut self, posture: &[f64], speed: f64) -> Result<(), AbortReason> {
+        // From the setpoints, which are those of a posture or of a sweep that was aborted.
+        let from: Vec<f64> = self.setpoints.iter().zip(&self.bias).map(|(sent, bias)| sent - bias).collect();
+        let furthest = from.iter().zip(posture).map(|(a, b)| (b - a).abs()).fold(0.0, f64::max);
+        let cycles = (PEAK_OVER_MEAN * furthest / speed / self.period_s()).ceil() as u64;
+        for k in 1..=cycles {
+            let share = minimum_jerk(k as f64, cycles as f64)[0];
+            for (i, held) in self.posture.iter_mut().enumerate() {
+                *held = from[i] + share * (posture[i] - from[i]);
+            }
+            self.tick(0, 0.0)?;
+        }
+        self.posture.copy_from_slice(posture);
+        self.find_bias()?;
+        let distances = self.posture.iter().zip(&self.sample.q).map(|(held, q)| (q - held).abs());
+        match distances.enumerate().find(|(_, distance)| *distance > NOT_REACHED) {
+            Some((joint, distance)) => Err(AbortReason::NotReached { joint, distance }),
+            None => Ok(()),
+        }
     }
 
     /// Time between two control cycles, s.
@@ -141,6 +201,43 @@ impl<'a> ExcitationSession<'a> {
     #[must_use]
     pub fn posture(&self, joint: usize) -> f64 {
         self.posture[joint]
+    }
+
+    /// Measured positions of all joints at the last control cycle (n; rad, m).
+    #[must_use]
+    pub fn positions(&self) -> &[f64] {
+        &self.sample.q
+    }
+
+    /// Last setpoint of a joint, rad (m).
+    #[must_use]
+    pub fn setpoint(&self, joint: usize) -> f64 {
+        self.setpoints[joint]
+    }
+
+    /// Setpoint that holds a joint at its posture, rad (m).
+    fn held_setpoint(&self, joint: usize) -> f64 {
+        self.posture[joint] + self.bias[joint]
+    }
+
+    /// Reads a sample and sends the setpoint (rad, m) of a joint; the other joints are held, also if their load changes slowly.
+    /// Returns the setpoint (rad, m) that was in effect before the sample.
+    ///
+    /// # Errors
+    /// If the robot fails, another joint does not hold its posture, or the run is interrupted.
+    pub fn follow(&mut self, joint: usize, setpoint: f64) -> Result<f64, AbortReason> {
+        let before = self.setpoints[joint];
+        self.read()?;
+        let share = self.period_s() / FOLLOWS_WEIGHT_S;
+        for i in (0..self.posture.len()).filter(|i| *i != joint) {
+            let distance = self.posture[i] - self.sample.q[i];
+            if distance.abs() > NOT_REACHED {
+                return Err(AbortReason::NotReached { joint: i, distance: distance.abs() });
+            }
+            self.bias[i] += share * (distance - distance.clamp(-HELD_WITHIN, HELD_WITHIN));
+        }
+        self.write(joint, setpoint)?;
+        Ok(before)
     }
 
     /// Last measured motor torque, Nm (N).
@@ -221,6 +318,12 @@ impl<'a> ExcitationSession<'a> {
     /// Reads a sample and sends the next setpoints; returns the measured torque, which belongs to the previous
     /// interval.
     fn tick(&mut self, joint: usize, offset: f64) -> Result<Option<f64>, AbortReason> {
+        self.read()?;
+        self.write(joint, self.held_setpoint(joint) + offset)?;
+        Ok(self.torque(joint))
+    }
+
+    fn read(&mut self) -> Result<(), AbortReason> {
         self.ticks += 1;
         if (self.ended)(self.ticks) {
             return Err(AbortReason::Interrupted);
@@ -232,11 +335,16 @@ impl<'a> ExcitationSession<'a> {
         for (i, kind) in self.kinds.iter().enumerate() {
             self.sample.q[i] = kind.nearest_turn(self.sample.q[i], self.posture[i]);
         }
+        Ok(())
+    }
+
+    /// Sends the setpoint (rad, m) of a joint, with those that hold the others.
+    fn write(&mut self, joint: usize, setpoint: f64) -> Result<(), AbortReason> {
         for i in 0..self.posture.len() {
-            self.setpoints[i] = self.posture[i] + self.bias[i];
+            self.setpoints[i] = self.held_setpoint(i);
         }
-        self.setpoints[joint] += offset;
+        self.setpoints[joint] = setpoint;
         self.robot.write(Command::Position(&self.setpoints))?;
-        Ok(self.torque(joint))
+        Ok(())
     }
 }

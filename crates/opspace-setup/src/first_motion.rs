@@ -31,7 +31,7 @@ const LARGEST_JOINT_SPEED: f64 = 1.0;
 /// Peak over mean speed of a minimum-jerk motion.
 const PEAK_OVER_MEAN: f64 = 1.875;
 /// Least distance of links over the length of the arm.
-const LEAST_DISTANCE: f64 = 0.02;
+pub(crate) const LEAST_DISTANCE: f64 = 0.02;
 
 /// Axes of a tip that a first task controls.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -137,6 +137,21 @@ pub fn first_motion(
     Some(search.at(start, ControlledAxes::One, (0, 0.0), 1.0, Clearance::None))
 }
 
+/// Largest distance of a frame from the first joint that moves it, in some postures, m.
+pub(crate) fn reach(model: &Model, frame: FrameId) -> f64 {
+    let mut data = Data::new(model);
+    let mut reach: f64 = 0.0;
+    for number in 0..50 {
+        let q = Postures::new(model, 1.0).posture(number);
+        forward_kinematics(model, &mut data, &q);
+        let tip = frame_placement(model, &data, frame).translation;
+        let first = model.ancestors(frame).last();
+        let base = first.map_or(Vector3::zeros(), |body| data.placement[body].translation);
+        reach = reach.max((tip - base).norm());
+    }
+    reach.max(1e-3)
+}
+
 /// Positions of joints that need no others (n; rad, m): zero, or the middle of their range if zero is not in its middle half.
 fn rest(model: &Model) -> Vec<f64> {
     let rest = |joint: &opspace_model::Joint| {
@@ -171,24 +186,10 @@ impl<'a> Search<'a> {
             reach_m: 0.0,
             own_body: None,
         };
-        search.reach_m = search.reach();
+        search.reach_m = reach(model, frame);
         let within_m = LEAST_DISTANCE * search.reach_m;
         search.own_body = OwnBody::new(model, urdf, None, search.reach_m, within_m);
         Some(search)
-    }
-
-    /// Largest distance of the tip from the first joint that moves it, in some postures, m.
-    fn reach(&mut self) -> f64 {
-        let mut reach: f64 = 0.0;
-        for number in 0..50 {
-            let q = Postures::new(self.model, 1.0).posture(number);
-            forward_kinematics(self.model, &mut self.data, &q);
-            let tip = frame_placement(self.model, &self.data, self.frame).translation;
-            let first = self.model.ancestors(self.frame).last();
-            let base = first.map_or(Vector3::zeros(), |body| self.data.placement[body].translation);
-            reach = reach.max((tip - base).norm());
-        }
-        reach.max(1e-3)
     }
 
     /// Sets of axes that the arm may be able to control, the largest first.

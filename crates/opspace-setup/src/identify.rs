@@ -4,6 +4,7 @@
 //! results as a section of robot.toml, as a complete robot.toml, as JSON and as an HTML page.
 
 pub mod identification_page;
+mod static_joints;
 mod toml_output;
 
 use nalgebra::DMatrix;
@@ -17,10 +18,13 @@ use opspace_experiment::run::start_positions::check_start;
 use opspace_experiment::suggest::choices;
 use opspace_identify::response::Point;
 use opspace_identify::session::{AbortReason, ExcitationSession};
+use opspace_identify::static_identification::Evaluation;
+use opspace_identify::static_identification::plan::{PlanFailure, SweepPlan};
 use opspace_identify::{ExcitationPlan, Identification, KnownParameters, TorqueScale, identify};
 use opspace_model::{Data, JointKind, crba, kinematics};
+use opspace_sim::parameters::SimulatedParameters;
 use opspace_sim::{ArmConfig, SimulatedArm};
-use opspace_transformer::{CascadedServo, IdentifiedKeys, ProfileParameters, ServoParameters};
+use opspace_transformer::{CascadedServo, IdentifiedKeys, PidServo, ProfileParameters, ServoParameters};
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::sync::atomic::Ordering;
@@ -37,6 +41,17 @@ pub struct Request {
     pub start_rad: Vec<(String, f64)>,
     /// Excitation of the joints.
     pub plan: ExcitationPlan,
+    /// Weight with which static identifications are repeated.
+    pub hung_weight: Option<HungWeight>,
+}
+
+/// Weight of known mass that hangs on the arm.
+#[derive(Clone, Debug, PartialEq)]
+pub struct HungWeight {
+    /// Link or tool on whose origin it hangs.
+    pub frame: String,
+    /// Mass, kg.
+    pub mass_kg: Positive,
 }
 
 /// Checked request for an identification of a robot's servos.
@@ -50,6 +65,9 @@ pub struct IdentificationJob {
     /// Structure of the servo of each of these joints.
     structures: Vec<Structure>,
     plan: ExcitationPlan,
+    hung_weight: Option<HungWeight>,
+    /// Planned sweep of each of these joints that is identified statically.
+    sweeps: Vec<Option<Result<SweepPlan, PlanFailure>>>,
 }
 
 /// An identified joint.
@@ -69,6 +87,9 @@ pub struct JointIdentification {
     pub position_rad: f64,
     /// Inertia of the joint from URDF and rotor, kg m² (kg): with the other joints free, and with them held.
     pub urdf_inertia_kg_m2: Option<[f64; 2]>,
+    /// Planned sweep, if the joint is identified statically.
+    #[serde(skip)]
+    pub sweep: Option<SweepPlan>,
     /// Result of the identification.
     #[serde(flatten)]
     pub found: Identification,
@@ -84,8 +105,18 @@ pub struct JointIdentification {
 pub struct Structure {
     /// Name in files.
     pub name: &'static str,
-    /// Keys and values of identified gains.
-    pub keys: IdentifiedKeys,
+    /// Method that identifies it.
+    pub method: Method,
+}
+
+/// Method of an identification.
+#[derive(Clone, Copy, Debug)]
+#[non_exhaustive]
+pub enum Method {
+    /// Responses to multisines, with the keys and values of identified gains.
+    Multisines(IdentifiedKeys),
+    /// Offsets under the weight of the arm, for this declared servo.
+    Static(PidServo),
 }
 
 /// Results of the identification of a robot.
@@ -101,6 +132,8 @@ pub struct IdentificationResults {
     /// Duration of the robot's motion, measured by the robot's clock, s.
     pub robot_s: f64,
     seed: u64,
+    /// Static identifications, to which a measurement with a hung weight adds.
+    evaluations: BTreeMap<usize, Evaluation>,
 }
 
 /// Contents of `identification.json`.
@@ -170,10 +203,13 @@ impl IdentificationJob {
             })?;
             start[at] = *value;
         }
-        let (plan, structures) = (request.plan, Vec::new());
-        let job = Self { robot, profile_name, profile, start, joints, plan, structures };
+        let (plan, structures, hung_weight, sweeps) =
+            (request.plan, Vec::new(), request.hung_weight, Vec::new());
+        let job = Self { robot, profile_name, profile, start, joints, plan, structures, hung_weight, sweeps };
         let structures = job.joints.iter().map(|&joint| job.structure(joint)).collect::<Result<_, _>>()?;
-        Ok(Self { structures, ..job })
+        let job = Self { structures, ..job };
+        let sweeps = job.plan_sweeps()?;
+        Ok(Self { sweeps, ..job })
     }
 
     /// The robot.
@@ -193,12 +229,18 @@ impl IdentificationJob {
     /// # Errors
     /// A robot file without `[simulated]`, or parameters that contradict each other.
     pub fn simulated_arm(&self) -> Result<SimulatedArm, FileError> {
+        self.simulate(|_| {})
+    }
+
+    /// Returns the simulated robot after a change of its plant.
+    fn simulate(&self, change: impl FnOnce(&mut SimulatedParameters)) -> Result<SimulatedArm, FileError> {
         let robot = &self.robot;
-        let Some(simulated) = robot.file.simulated.clone() else {
+        let Some(mut simulated) = robot.file.simulated.clone() else {
             let help = "add [simulated]; `opspace schema robot` lists its keys".to_owned();
             let message = "this robot has no [simulated] section, so there is no robot to identify";
             return Err(FileError::of_file(robot.source.name(), message, Some(help)));
         };
+        change(&mut simulated);
         let servos = match robot.servos(&self.profile) {
             declared if declared.is_empty() => self.simulated_servos(&simulated.servo)?,
             declared => declared,
@@ -255,11 +297,17 @@ impl IdentificationJob {
         let kinds: Vec<JointKind> = self.robot.model.joints().iter().map(|joint| joint.kind).collect();
         let mut session = ExcitationSession::begin(robot, &kinds, &ended)?;
         let mut joints = Vec::new();
-        for (&joint, &structure) in self.joints.iter().zip(&self.structures) {
+        let evaluations = self.run_static(&mut session, &mut begun)?;
+        for (index, (&joint, &structure)) in self.joints.iter().zip(&self.structures).enumerate() {
             let name = &self.robot.model.joints()[joint].name;
-            begun(name);
             let told = self.known_parameters(joint);
-            let found = identify(&mut session, &told, &self.plan)?;
+            let found = match evaluations.get(&joint) {
+                Some(evaluation) => Identification::from_static(evaluation.clone()),
+                None => {
+                    begun(name);
+                    identify(&mut session, &told, &self.plan)?
+                }
+            };
             joints.push(JointIdentification {
                 name: name.clone(),
                 structure,
@@ -268,6 +316,7 @@ impl IdentificationJob {
                 effective_servo: effective_servo(&found),
                 no_torque_mode: found.no_torque_mode(),
                 known: told,
+                sweep: self.sweeps[index].clone().and_then(Result::ok),
                 found,
             });
         }
@@ -278,6 +327,7 @@ impl IdentificationJob {
             robot_s: session.ticks() as f64 * session.period_s(),
             joints,
             seed: self.plan.seed,
+            evaluations,
         })
     }
 
@@ -323,9 +373,12 @@ impl IdentificationJob {
             ServoParameters::Cascaded(CascadedServo::new(any, any, any))
         };
         let servo = servos.get(joint).cloned().unwrap_or_else(default);
+        if let Some(method) = self.static_method(&servo, name)? {
+            return Ok(Structure { name: servo.name(), method });
+        }
         let what = match servo.structure().identified() {
             _ if servo.acceleration_feed_forward_kg_m2() != 0.0 => "with acceleration feed-forward",
-            Ok(keys) => return Ok(Structure { name: servo.name(), keys }),
+            Ok(keys) => return Ok(Structure { name: servo.name(), method: Method::Multisines(keys) }),
             Err(what) => what,
         };
         let key = ["profile", &self.profile_name, "servo", name];
@@ -340,6 +393,23 @@ fn effective_servo(found: &Identification) -> Vec<[f64; 3]> {
     let points = found.measured.first().map_or(&[][..], |m| &m.position);
     let point = |p: &Point| found.effective_servo(p.hz, p.value).map(|d| [p.hz, d.re, d.im]);
     points.iter().filter_map(point).collect()
+}
+
+impl JointIdentification {
+    /// True if the joint was identified statically.
+    #[must_use]
+    pub fn is_static(&self) -> bool {
+        matches!(self.structure.method, Method::Static(_))
+    }
+
+    /// Cell of a table that says if the results are accepted.
+    fn acceptance(&self) -> Cell {
+        match &self.no_torque_mode {
+            None if self.found.doubts.is_empty() => Cell::Pass("accepted".to_owned()),
+            None => Cell::Text("doubtful".to_owned()),
+            Some(_) => Cell::Fail("refused".to_owned()),
+        }
+    }
 }
 
 impl IdentificationResults {
@@ -358,9 +428,23 @@ impl IdentificationResults {
         Some((most, count(most) == delays.len()))
     }
 
-    /// Table of the identified parameters of all joints.
+    /// Tables of the identified parameters of the joints that were identified with multisines, and of those that were identified
+    /// statically, which are marked.
     #[must_use]
-    pub fn table(&self) -> Table {
+    pub fn tables(&self) -> Vec<(bool, Table)> {
+        let (of_static, others): (Vec<_>, Vec<_>) = self.joints.iter().partition(|joint| joint.is_static());
+        let mut tables = Vec::new();
+        if !others.is_empty() {
+            tables.push((false, Self::table(&others)));
+        }
+        if !of_static.is_empty() {
+            tables.push((true, Self::static_table(&of_static)));
+        }
+        tables
+    }
+
+    /// Table of the parameters of joints that were identified with multisines.
+    fn table(joints: &[&JointIdentification]) -> Table {
         let mut table = Table::new(&[
             ("joint", ""),
             ("kp", "1/s"),
@@ -378,7 +462,7 @@ impl IdentificationResults {
             ("distortion", "%"),
             ("torque mode", ""),
         ]);
-        for joint in &self.joints {
+        for joint in joints {
             let servo = joint.found.servo.as_ref();
             let trust = joint.found.fit_quality.as_ref();
             let friction = servo.and_then(|s| s.friction);
@@ -386,6 +470,7 @@ impl IdentificationResults {
             let scale = match joint.found.scale {
                 TorqueScale::MotorCurrent => "motor current",
                 TorqueScale::Urdf => "URDF and rotor",
+                TorqueScale::Gravity => "gravity of the URDF",
                 TorqueScale::Unknown => "none: relative to inertia",
             };
             table.push(vec![
@@ -403,11 +488,7 @@ impl IdentificationResults {
                 trust.map_or(Cell::Empty, |t| percent(t.position_residual)),
                 trust.and_then(|t| t.torque_residual).map_or(Cell::Empty, percent),
                 joint.found.measured.first().map_or(Cell::Empty, |m| percent(m.distortion.total())),
-                match &joint.no_torque_mode {
-                    None if joint.found.doubts.is_empty() => Cell::Pass("accepted".to_owned()),
-                    None => Cell::Text("doubtful".to_owned()),
-                    Some(_) => Cell::Fail("refused".to_owned()),
-                },
+                joint.acceptance(),
             ]);
         }
         table

@@ -14,7 +14,7 @@ use opspace_identify::ExcitationPlan;
 use opspace_identify::session::AbortReason;
 use opspace_model::files::open_file;
 use opspace_setup::identify::identification_page::identification_page;
-use opspace_setup::identify::{IdentificationJob, IdentificationResults, Request};
+use opspace_setup::identify::{HungWeight, IdentificationJob, IdentificationResults, Request};
 use std::io;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -32,17 +32,28 @@ pub fn identify(args: &IdentifyArgs, console: Console) -> Outcome {
         joint: args.joint.clone(),
         start_rad: first_task.into_iter().chain(args.start_rad.clone()).collect(),
         plan: ExcitationPlan { seed: args.seed, ..ExcitationPlan::default() },
+        hung_weight: args.hang.clone().map(|(frame, mass_kg)| HungWeight { frame, mass_kg }),
     };
     let identifying = IdentificationJob::new(robot, request)?;
     let mut arm = identifying.simulated_arm()?;
+    let mut with_weight = identifying.simulated_arm_with_weight()?;
     let default = PathBuf::from(format!("runs/identify-{}", identifying.robot().name()));
     let files = [IDENTIFICATION, REPORT, SERVO_FILE, ROBOT_FILE].map(str::to_owned);
     let inputs: Vec<PathBuf> = [&robot_paths.0, &robot_paths.1].map(PathBuf::from).into();
     let results = prepare(&args.output, &default, &files, &inputs, console)?;
     let folder = results.path();
     refuse_other_urdf(folder, &identifying.robot().urdf)?;
+    for (joint, motion) in identifying.planned_motions() {
+        console.note(&format!("{joint} will move {motion}"));
+    }
     let watch = interrupt::watch();
-    let identified = with_progress(&identifying, console, |begun| identifying.run(&mut arm, &watch, begun));
+    let identified = with_progress(&identifying, console, |begun| {
+        let mut results = identifying.run(&mut arm, &watch, &mut *begun)?;
+        if let Some(arm) = &mut with_weight {
+            identifying.run_with_weight(&mut results, arm, &watch, begun)?;
+        }
+        Ok(results)
+    });
     let identified = identified.map_err(|stop| match stop {
         AbortReason::Interrupted => {
             Failure::Other("interrupted before all joints were identified".to_owned(), Exit::Interrupted)
@@ -50,7 +61,8 @@ pub fn identify(args: &IdentifyArgs, console: Console) -> Outcome {
         other => Failure::Other(other.to_string(), Exit::Failed),
     })?;
     let written = write_results(folder, &identified)?;
-    let text = || format!("{}\n{}", identified.verdict(), render(&identified.table()));
+    let tables = || identified.tables().iter().map(|(_, table)| render(table)).collect::<Vec<_>>().join("\n");
+    let text = || format!("{}\n{}", identified.verdict(), tables());
     args.output.json.print(|| pretty(&identified.json()), text)?;
     for joint in &identified.joints {
         if let Some(reason) = &joint.no_torque_mode {
@@ -60,7 +72,7 @@ pub fn identify(args: &IdentifyArgs, console: Console) -> Outcome {
             console.note(&format!("{}: doubtful: {doubt}", joint.name));
         }
     }
-    if identified.joints.iter().any(|joint| joint.found.refused.is_some()) {
+    if identified.joints.iter().any(|joint| joint.found.refused.is_some() && !joint.is_static()) {
         console.note(
             "a joint that is refused may be identified in another posture: --start-rad JOINT=RAD sets it. Choose one away from \
              limits, in which the joints are weakly coupled and hold little weight",

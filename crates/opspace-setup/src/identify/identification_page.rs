@@ -1,22 +1,59 @@
-//! Page about an identification: Bode plots of T and D* for each joint, and friction over speed.
+//! Page about an identification: Bode plots of T and D* for each joint, and friction over speed; for a joint that was identified
+//! statically, its offsets over the torque of gravity.
 
 use super::{IdentificationResults, JointIdentification};
 use nalgebra::Complex;
-use opspace_identify::TorqueScale;
 use opspace_identify::interval::SetpointFilterModel;
+use opspace_identify::static_identification::StaticServo;
+use opspace_identify::static_identification::sweep::StaticPoint;
+use opspace_identify::{Interval95, TorqueScale};
 use opspace_report::figure::{Figure, Panel, Scale, Series, Style};
 use opspace_report::html::Page;
 
+/// Span of the torque of gravity of a joint on which it has no effect, Nm (N): rounding.
+const NO_GRAVITY_NM: f64 = 1e-6;
+
 /// Number of points of a drawn curve.
 const CURVE: usize = 300;
+
+/// Notes below the table of the joints that were identified with multisines.
+const NOTES: [&str; 2] = [
+    "Doubtful: a warning above says what the measurement does not confirm. \
+     Torque mode is refused for a joint whose servo cannot be inverted, and if the scale of torque is unknown: \
+     all torques are then relative to the inertia.",
+    "T: closed loop from setpoint (commanded position) to position. T error: relative error of the modelled T at \
+     the largest amplitude, rms over coherent frequencies, up to the given bandwidth. Torque error: relative \
+     error of the motor torque computed from setpoints and measured positions. Distortion: rms motion at \
+     frequencies that are not excited, relative to that at the excited ones.",
+];
+
+/// Notes below the table of the joints that were identified statically.
+const STATIC_NOTES: [&str; 2] = [
+    "Stiffness: torque per offset of the setpoint from the position, with the masses of the URDF. With weight: the same from the \
+     difference that the hung weight makes, without these masses. Gravity: span of the torque of gravity over the motion; it has to be four \
+     times Coulomb friction.",
+    "Doubtful: a warning above says what the measurement does not confirm. Torque mode is refused for a joint whose stiffness is not \
+     identified, or is not the declared one.",
+];
 
 /// Draws the page about an identification.
 #[must_use]
 pub fn identification_page(results: &IdentificationResults) -> String {
     let title = format!("Servos of {}, profile {}", results.robot.name(), results.profile_name);
-    let lead = "Each joint was excited about its initial position by odd random-phase multisines at two amplitudes, \
-                while the other joints were held. Points are measured; curves are the identified models.";
-    let mut page = Page::new(title).lead(lead);
+    let has = |is_static: bool| results.joints.iter().any(|joint| joint.is_static() == is_static);
+    let multisines = "Each joint was excited about its initial position by odd random-phase multisines at two amplitudes, \
+                      while the other joints were held.";
+    let sweeps = "Each joint with a servo without a velocity loop moved slowly through its range in both directions, while the others \
+                  were held: offsets between setpoint and position under a known weight show the stiffness of its servo, and their \
+                  difference between the directions shows friction.";
+    let lead = [(false, multisines), (true, sweeps)]
+        .into_iter()
+        .filter(|(is_static, _)| has(*is_static))
+        .map(|(_, text)| text)
+        .chain(["Points are measured; curves are the identified models."])
+        .collect::<Vec<_>>()
+        .join(" ");
+    let mut page = Page::new(title).lead(&lead);
     for joint in &results.joints {
         if let Some(reason) = &joint.no_torque_mode {
             page = page.warning(&format!("{}: torque control refused. {reason}.", joint.name));
@@ -25,19 +62,11 @@ pub fn identification_page(results: &IdentificationResults) -> String {
             page = page.warning(&format!("{}: {doubt}.", joint.name));
         }
     }
-    page = page.section("Results").table(
-        "Identified parameters of each joint",
-        &results.table(),
-        &[
-            "Doubtful: a warning above says what the measurement does not confirm. \
-             Torque mode is refused for a joint whose servo cannot be inverted, and if the scale of torque is unknown: \
-             all torques are then relative to the inertia.",
-            "T: closed loop from setpoint (commanded position) to position. T error: relative error of the modelled T at \
-             the largest amplitude, rms over coherent frequencies, up to the given bandwidth. Torque error: relative \
-             error of the motor torque computed from setpoints and measured positions. Distortion: rms motion at \
-             frequencies that are not excited, relative to that at the excited ones.",
-        ],
-    );
+    page = page.section("Results");
+    for (is_static, table) in results.tables() {
+        let notes: &[&str] = if is_static { &STATIC_NOTES } else { &NOTES };
+        page = page.table("Identified parameters of each joint", &table, notes);
+    }
     for joint in &results.joints {
         page = with_joint(page.section(&joint.name), joint);
     }
@@ -45,6 +74,13 @@ pub fn identification_page(results: &IdentificationResults) -> String {
 }
 
 fn with_joint(mut page: Page, joint: &JointIdentification) -> Page {
+    if let Some(servo) = &joint.found.static_servo {
+        // Without gravity there is no line.
+        if servo.gravity_span > NO_GRAVITY_NM {
+            page = page.figure(&offsets(joint, servo));
+        }
+        return page.facts(static_facts(joint, servo));
+    }
     if !joint.found.measured.is_empty() {
         page = page.figure(&position(joint)).figure(&effective(joint));
     }
@@ -52,6 +88,79 @@ fn with_joint(mut page: Page, joint: &JointIdentification) -> Page {
         page = page.figure(&figure);
     }
     page.facts(facts(joint))
+}
+
+/// Offsets over the torque of gravity in both directions, without the part of viscous friction, with the fitted lines.
+fn offsets(joint: &JointIdentification, servo: &StaticServo) -> Figure {
+    let viscous = servo.viscous + joint.static_damping();
+    let load = |point: &StaticPoint| point.gravity + point.weight;
+    let measured = |label: &str, direction: f64| {
+        let points = servo.points.iter().filter(|point| point.speed * direction > 0.0);
+        let (x, y) = points.map(|p| (load(p), p.offset - p.speed * viscous / servo.stiffness)).unzip();
+        Series::new(label, x, y).style(Style::Dots)
+    };
+    let ends = servo
+        .points
+        .iter()
+        .map(load)
+        .fold([f64::INFINITY, f64::NEG_INFINITY], |[least, most], g| [least.min(g), most.max(g)]);
+    let fitted = |label: &str, direction: f64| {
+        let y = ends.map(|g| (g + direction * servo.coulomb) / servo.stiffness);
+        Series::new(label, ends.to_vec(), y.to_vec()).style(Style::Desired)
+    };
+    Figure {
+        title: format!("Offset of setpoint from position over the torque of gravity of {}", joint.name),
+        caption: "Means near each posture at all speeds, without the part of viscous friction. The slope of the lines is one over the \
+                  stiffness; their distance is twice Coulomb friction over the stiffness."
+            .to_owned(),
+        panels: vec![Panel {
+            x_label: "torque of gravity (N·m)".to_owned(),
+            y_label: "offset (rad)".to_owned(),
+            series: vec![
+                measured("upwards", 1.0),
+                measured("downwards", -1.0),
+                fitted("fitted, upwards", 1.0),
+                fitted("fitted, downwards", -1.0),
+            ],
+            ..Panel::default()
+        }],
+        ..Figure::default()
+    }
+}
+
+fn static_facts(joint: &JointIdentification, servo: &StaticServo) -> Vec<(&'static str, String)> {
+    let within = |interval: Interval95| format!("{:.4} to {:.4}", interval.lower, interval.upper);
+    let mut facts = vec![
+        ("95 % interval of the stiffness (Nm/rad)", within(servo.stiffness_interval)),
+        ("95 % interval of Coulomb friction (Nm)", within(servo.coulomb_interval)),
+        ("95 % interval of viscous friction (Nms/rad)", within(servo.viscous_interval)),
+        ("rms error of the offsets (mrad)", format!("{:.2}", 1e3 * servo.residual)),
+    ];
+    if let Some(sweep) = &joint.sweep {
+        let posture: Vec<String> = sweep.posture.iter().map(|q| format!("{q:.2}")).collect();
+        facts.push((
+            "motion",
+            format!(
+                "from {:.2} to {:.2} rad, from the posture {}",
+                sweep.lower,
+                sweep.upper,
+                posture.join(", ")
+            ),
+        ));
+    }
+    if let Some(hung) = servo.hung_weight {
+        facts.push((
+            "with the hung weight: stiffness (Nm/rad), masses over those of the URDF, with 95 % intervals",
+            format!(
+                "{:.3} ({}); {:.3} ({})",
+                hung.stiffness,
+                within(hung.stiffness_interval),
+                hung.mass_scale,
+                within(hung.mass_scale_interval)
+            ),
+        ));
+    }
+    facts
 }
 
 fn facts(joint: &JointIdentification) -> Vec<(&'static str, String)> {

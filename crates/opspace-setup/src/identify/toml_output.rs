@@ -1,10 +1,11 @@
 //! Identification results in the format of robot.toml: the servo section, and a complete file.
 
-use super::{IdentificationResults, JointIdentification};
+use super::{IdentificationResults, JointIdentification, Method};
 use opspace_experiment::files::source::{FileError, KeyPath};
 use opspace_experiment::transformers::gain_interval::ASSUMED;
 use opspace_identify::identification::Servo;
 use opspace_identify::interval::SetpointFilterModel;
+use opspace_identify::static_identification::StaticServo;
 use opspace_identify::{Interval95, TorqueScale};
 use opspace_transformer::IdentifiedGains;
 use std::fmt::Write as _;
@@ -33,7 +34,9 @@ impl IdentificationResults {
         let _ = writeln!(text, "\n[profile.{profile}.servo]");
         for joint in &self.joints {
             text += &match &joint.no_torque_mode {
-                None => format!("# {}\n{}{} = {}\n", remark(joint), doubts(joint), joint.name, servo(joint)),
+                None => {
+                    format!("# {}\n{}{} = {}\n", remark(joint), doubts(joint), joint.name, self.servo(joint))
+                }
                 Some(reason) => format!("# {}: {reason}.\n{}", joint.name, ratios(joint)),
             };
         }
@@ -81,7 +84,7 @@ impl IdentificationResults {
         }
         let servos = table_or_new(driven, "servo").ok_or_else(|| wrong("`servo` is not a table"))?;
         for joint in &self.joints {
-            put(servos, &joint.name, servo(joint));
+            put(servos, &joint.name, self.servo(joint));
         }
         // All joints or none, because a transformer needs the models of all joints.
         let measured: Option<Vec<Table>> = self.joints.iter().map(identified).collect();
@@ -141,6 +144,9 @@ impl IdentificationResults {
 
     /// Identified friction of a joint; its presliding displacement is that of the robot's file.
     fn friction(&self, joint: &JointIdentification) -> Option<Value> {
+        if let Some(servo) = &joint.found.static_servo {
+            return self.static_friction(joint, servo);
+        }
         let servo = joint.found.servo.as_ref()?;
         // Friction that the motion does not separate is not written.
         let friction = servo.friction.filter(|_| servo.intervals.coulomb.is_some())?;
@@ -151,6 +157,24 @@ impl IdentificationResults {
         values.insert("stribeck_rad_per_s", rounded(friction.stribeck));
         values.insert("viscous_nms_per_rad", rounded(friction.viscous));
         values.insert("presliding_rad", presliding.get().into());
+        Some(values.into())
+    }
+
+    /// Friction of a joint that was identified statically. The sweeps do not show the Stribeck effect: static over Coulomb friction
+    /// remains as declared.
+    fn static_friction(&self, joint: &JointIdentification, servo: &StaticServo) -> Option<Value> {
+        let declared = &self.robot.file.joint.get(&joint.name)?.friction;
+        let coulomb = servo.coulomb.max(0.0);
+        let ratio = match declared.coulomb_nm.get() {
+            0.0 => 1.0,
+            nominal => declared.static_nm.get() / nominal,
+        };
+        let mut values = InlineTable::new();
+        values.insert("coulomb_nm", rounded(coulomb));
+        values.insert("static_nm", rounded(coulomb * ratio));
+        values.insert("stribeck_rad_per_s", declared.stribeck_rad_per_s.get().into());
+        values.insert("viscous_nms_per_rad", rounded(servo.viscous.max(0.0)));
+        values.insert("presliding_rad", declared.presliding_rad.get().into());
         Some(values.into())
     }
 
@@ -219,6 +243,7 @@ fn remark(joint: &JointIdentification) -> String {
     let scale = match joint.found.scale {
         TorqueScale::MotorCurrent => "motor current",
         TorqueScale::Urdf => "URDF and rotor inertia, kp and kv with the declared viscous friction",
+        TorqueScale::Gravity => return static_remark(joint),
         TorqueScale::Unknown => "nothing",
     };
     let trust = joint.found.fit_quality.as_ref().map_or_else(String::new, |t| {
@@ -245,15 +270,56 @@ fn remark(joint: &JointIdentification) -> String {
     format!("torque scale from {scale}{trust}{intervals}")
 }
 
+/// Source of the stiffness of a servo without a velocity loop, and the intervals.
+fn static_remark(joint: &JointIdentification) -> String {
+    let Some(servo) = &joint.found.static_servo else { return String::new() };
+    let source = match (servo.stiffness_from, servo.hung_weight) {
+        (Some(_), _) => "another joint with the same declared gains",
+        (None, Some(hung)) if hung.stiffness == servo.stiffness => "the hung weight",
+        (None, Some(_)) => "gravity with the masses of the URDF, which a hung weight confirms",
+        (None, None) => "gravity with the masses of the URDF",
+    };
+    let within = |i: Interval95| format!("{} to {}", rounded(i.lower), rounded(i.upper));
+    format!(
+        "stiffness from {source}; 95 %: {}, Coulomb {}, viscous {}; the other keys are as declared",
+        within(servo.stiffness_interval),
+        within(servo.coulomb_interval),
+        within(servo.viscous_interval)
+    )
+}
+
+impl IdentificationResults {
+    /// Servo of a joint in the format of robot.toml.
+    fn servo(&self, joint: &JointIdentification) -> Value {
+        let Some(found) = &joint.found.static_servo else { return servo(joint) };
+        let path = ["profile", &self.profile_name, "servo", &joint.name];
+        let declared = self.robot.value_of(&path).and_then(|value| value.as_inline_table().cloned());
+        let mut kind = declared.unwrap_or_default();
+        if let Some(values) = kind.get_mut(joint.structure.name).and_then(Value::as_inline_table_mut) {
+            values.insert("stiffness_nm_per_rad", rounded(found.stiffness));
+            let relative = found.stiffness_interval.half_width() / found.stiffness;
+            values.insert("gain_uncertainty", thousandths(relative).into());
+            values.fmt();
+        }
+        kind.fmt();
+        kind.into()
+    }
+}
+
+/// Rounds a fraction up to thousandths, from one thousandth to one.
+fn thousandths(fraction: f64) -> f64 {
+    (1e3 * fraction).ceil().clamp(1.0, 1e3) / 1e3
+}
+
 fn servo(joint: &JointIdentification) -> Value {
     let (mut kind, mut values) = (InlineTable::new(), InlineTable::new());
-    if let Some(servo) = &joint.found.servo {
+    if let (Some(servo), Method::Multisines(keys)) = (&joint.found.servo, joint.structure.method) {
         let gains = IdentifiedGains {
             kp_per_s: servo.kp,
             kv_nms_per_rad: servo.kv,
             filter_hz: servo.velocity_filter_hz,
         };
-        for (key, value) in (joint.structure.keys)(&gains) {
+        for (key, value) in keys(&gains) {
             values.insert(key, rounded(value));
         }
         add_setpoint_path(&mut values, servo);
@@ -270,7 +336,7 @@ fn gain_uncertainty(servo: &Servo, structure: &str) -> f64 {
     let Servo { kp, .. } = *servo;
     let half_width = servo.intervals.kp.map_or(ASSUMED, |i| (i.upper - kp).max(kp - i.lower) / kp);
     let of_each = if structure == "cascaded" { half_width } else { half_width / (2.0 + half_width) };
-    (1e3 * of_each).ceil().clamp(1.0, 1e3) / 1e3
+    thousandths(of_each)
 }
 
 /// Adds feed-forward and filter of the setpoint.
