@@ -727,14 +727,18 @@ pub struct IdentifyArgs {
     #[arg(long)]
     pub profile: Option<String>,
 
-    /// Joint positions during the identification, rad or m [default: the start of first-task.toml beside robot.toml, or the middle of
-    /// each range].
+    /// Joint positions during the identification of a simulated robot, rad or m [default: the start of first-task.toml beside
+    /// robot.toml, or the middle of each range]. A real robot begins where it is.
     #[arg(long, value_name = "JOINT=VALUE", value_delimiter = ',', value_parser = joint_value)]
     pub start_rad: Vec<(String, f64)>,
 
     /// Repeat the identification of servos without a velocity loop with a weight of this mass (kg) on a link or tool, and compare.
     #[arg(long, value_name = "FRAME=KG", value_parser = hung_weight)]
     pub hang: Option<(String, Positive)>,
+
+    /// Identify a simulated robot although its file names a driver.
+    #[arg(long)]
+    pub simulate: bool,
 
     /// Seed of the excitation's phases and of all random numbers in the simulation.
     #[arg(long, default_value_t = 1)]

@@ -109,7 +109,9 @@ static BUILT_IN: [Command; 15] = [
         check::check(&args(m)?, extensions, console)
     }),
     Command::built_in::<ExplainArgs>("explain", |m, _, _| explain::explain(args::<ExplainArgs>(m)?.code)),
-    Command::built_in::<IdentifyArgs>("identify", |m, _, console| identify::identify(&args(m)?, console)),
+    Command::built_in::<IdentifyArgs>("identify", |m, extensions, console| {
+        identify::identify(&args(m)?, extensions, console)
+    }),
     Command::built_in::<DriverArgs>("driver", |m, extensions, console| {
         driver::driver(&args::<DriverArgs>(m)?.command, extensions, console)
     }),

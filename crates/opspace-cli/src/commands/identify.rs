@@ -8,8 +8,10 @@ use crate::output::{pretty, write};
 use crate::result_folder::{IDENTIFICATION, ROBOT_FILE, SERVO_FILE, prepare};
 use crate::run_progress::style;
 use indicatif::ProgressBar;
+use opspace_backend::CommandKind;
+use opspace_experiment::run::real_robot::positions;
 use opspace_experiment::run::result_files::REPORT;
-use opspace_experiment::{Files, RobotDefinition, Source};
+use opspace_experiment::{Extensions, Files, RobotDefinition, Source};
 use opspace_identify::ExcitationPlan;
 use opspace_identify::session::AbortReason;
 use opspace_model::files::open_file;
@@ -19,33 +21,47 @@ use std::io;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-pub fn identify(args: &IdentifyArgs, console: Console) -> Outcome {
+pub fn identify(args: &IdentifyArgs, extensions: &Extensions, console: Console) -> Outcome {
     let robot = RobotDefinition::load_to_identify(Files::Disk, &args.robot, &args.set)?;
     for warning in &robot.warnings {
         console.detail(&format!("{}: {warning}", robot.urdf.name()));
     }
-    let robot_paths = (robot.source.name().to_owned(), robot.urdf.name().to_owned());
-    // Positions of the command line replace those of the first task.
-    let first_task = first_task(&robot).and_then(|first| first.start_rad).unwrap_or_default();
-    let request = Request {
+    let default = PathBuf::from(format!("runs/identify-{}", robot.name()));
+    let files = [IDENTIFICATION, REPORT, SERVO_FILE, ROBOT_FILE].map(str::to_owned);
+    let inputs: Vec<PathBuf> = [robot.source.name(), robot.urdf.name()].map(PathBuf::from).into();
+    let results = prepare(&args.output, &default, &files, &inputs, console)?;
+    refuse_other_urdf(results.path(), &robot.urdf)?;
+    let is_real = robot.file.driver.is_some() && !args.simulate;
+    let identified = match is_real {
+        true => identify_real_robot(&robot, args, extensions, console)?,
+        false => identify_simulated_robot(robot, args, console)?,
+    };
+    say_results(&identified, results.path(), args, console)
+}
+
+/// Request of the command line, without start positions.
+fn request(args: &IdentifyArgs) -> Request {
+    Request {
         profile: args.profile.clone(),
         joint: args.joint.clone(),
-        start_rad: first_task.into_iter().chain(args.start_rad.clone()).collect(),
+        start_rad: Vec::new(),
         plan: ExcitationPlan { seed: args.seed, ..ExcitationPlan::default() },
         hung_weight: args.hang.clone().map(|(frame, mass_kg)| HungWeight { frame, mass_kg }),
-    };
-    let identifying = IdentificationJob::new(robot, request)?;
+    }
+}
+
+fn identify_simulated_robot(
+    robot: RobotDefinition,
+    args: &IdentifyArgs,
+    console: Console,
+) -> Result<IdentificationResults, Failure> {
+    // Positions of the command line replace those of the first task.
+    let first_task = first_task(&robot).and_then(|first| first.start_rad).unwrap_or_default();
+    let start_rad = first_task.into_iter().chain(args.start_rad.clone()).collect();
+    let identifying = IdentificationJob::new(robot, Request { start_rad, ..request(args) })?;
     let mut arm = identifying.simulated_arm()?;
     let mut with_weight = identifying.simulated_arm_with_weight()?;
-    let default = PathBuf::from(format!("runs/identify-{}", identifying.robot().name()));
-    let files = [IDENTIFICATION, REPORT, SERVO_FILE, ROBOT_FILE].map(str::to_owned);
-    let inputs: Vec<PathBuf> = [&robot_paths.0, &robot_paths.1].map(PathBuf::from).into();
-    let results = prepare(&args.output, &default, &files, &inputs, console)?;
-    let folder = results.path();
-    refuse_other_urdf(folder, &identifying.robot().urdf)?;
-    for (joint, motion) in identifying.planned_motions() {
-        console.note(&format!("{joint} will move {motion}"));
-    }
+    say_plan(&identifying, console);
     let watch = interrupt::watch();
     let identified = with_progress(&identifying, console, |begun| {
         let mut results = identifying.run(&mut arm, &watch, &mut *begun)?;
@@ -54,13 +70,72 @@ pub fn identify(args: &IdentifyArgs, console: Console) -> Outcome {
         }
         Ok(results)
     });
-    let identified = identified.map_err(|stop| match stop {
+    identified.map_err(ended_early)
+}
+
+/// Identifies the robot of `[driver]`, from the posture in which it is.
+fn identify_real_robot(
+    robot: &RobotDefinition,
+    args: &IdentifyArgs,
+    extensions: &Extensions,
+    console: Console,
+) -> Result<IdentificationResults, Failure> {
+    if !args.start_rad.is_empty() {
+        let text = "--start-rad is for simulations: a real robot, as its [driver] says, begins where it is; --simulate identifies a \
+                    simulated one";
+        return Err(Failure::Other(text.to_owned(), Exit::Bad));
+    }
+    let (_, profile) = robot.profile(args.profile.as_deref())?;
+    let settings = robot.driver_settings(CommandKind::Position, profile.period_s());
+    let watch = interrupt::watch_with_robots();
+    let identified = robot.with_driver(extensions, &settings, |arm| {
+        let joints = robot.model.joints().iter().map(|joint| joint.name.clone());
+        let start_rad = joints.zip(positions(arm)?).collect();
+        let identifying = IdentificationJob::new(robot.clone(), Request { start_rad, ..request(args) })?;
+        say_plan(&identifying, console);
+        console.note("the arm moves now: keep its workspace clear; Ctrl-C stops it");
+        let identified = with_progress(&identifying, console, |begun| identifying.run(arm, &watch, begun));
+        let Ok(mut results) = identified else { return Ok(identified) };
+        if let Some((frame, mass_kg)) = &args.hang {
+            console.note(&format!("hang {} kg on '{frame}', and press Enter", mass_kg.get()));
+            // Without a terminal there is nobody to wait for.
+            let _ = io::stdin().read_line(&mut String::new());
+            let repeated = with_progress(&identifying, console, |begun| {
+                identifying.run_with_weight(&mut results, arm, &watch, begun)
+            });
+            if let Err(stop) = repeated {
+                return Ok(Err(stop));
+            }
+        }
+        Ok(Ok(results))
+    })?;
+    identified.map_err(ended_early)
+}
+
+/// Says how each joint will move.
+fn say_plan(identifying: &IdentificationJob, console: Console) {
+    for (joint, motion) in identifying.planned_motions() {
+        console.note(&format!("{joint} will move {motion}"));
+    }
+}
+
+fn ended_early(stop: AbortReason) -> Failure {
+    match stop {
         AbortReason::Interrupted => {
             Failure::Other("interrupted before all joints were identified".to_owned(), Exit::Interrupted)
         }
         other => Failure::Other(other.to_string(), Exit::Failed),
-    })?;
-    let written = write_results(folder, &identified)?;
+    }
+}
+
+/// Writes the results and shows them.
+fn say_results(
+    identified: &IdentificationResults,
+    folder: &Path,
+    args: &IdentifyArgs,
+    console: Console,
+) -> Outcome {
+    let written = write_results(folder, identified)?;
     let tables = || identified.tables().iter().map(|(_, table)| render(table)).collect::<Vec<_>>().join("\n");
     let text = || format!("{}\n{}", identified.verdict(), tables());
     args.output.json.print(|| pretty(&identified.json()), text)?;
