@@ -30,6 +30,23 @@ fn links_lead_somewhere() {
     assert!(count > 100, "{count} links");
 }
 
+/// In the book, the address of a page that was moved leads to a page.
+#[test]
+fn old_addresses_lead_to_pages() {
+    let book: toml::Table = read(project("docs/book.toml")).parse().unwrap();
+    let redirects = book["output"]["html"]["redirect"].as_table().unwrap();
+    assert!(redirects.len() > 30, "{} addresses", redirects.len());
+    let page = |address: &str| {
+        let page = address.trim_start_matches('/').replace("index.html", "README.md").replace(".html", ".md");
+        Path::new(&project(&format!("docs/{page}"))).exists()
+    };
+    for (old, new) in redirects {
+        let new = new.as_str().unwrap();
+        assert!(page(new), "{old} leads to {new}: no such page");
+        assert!(!page(old), "{old} is a page, and leads to {new}");
+    }
+}
+
 /// Every figure is shown by a page, and is small.
 #[test]
 fn figures_are_small_and_shown() {
