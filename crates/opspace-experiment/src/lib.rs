@@ -53,7 +53,7 @@ pub use files::task_kinds::TaskKind;
 pub use finding::{Causes, Finding, Place};
 pub use metrics::metric::{Better, Column, LogMetric, Metric};
 pub use plants::PlantEntry;
-pub use run::companion::Companion;
+pub use run::companion::{Companion, CompanionEntry};
 pub use run::error::RunError;
 pub use run::execute::{Progress, RunResult};
 pub use run::experiment::{Experiment, RunOptions};

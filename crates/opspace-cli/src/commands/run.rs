@@ -3,7 +3,7 @@
 use crate::cli::{BackendChoice, RunArgs};
 use crate::commands::check::large_log;
 use crate::commands::run_in_view::{
-    open_view, run_on_drivers_in_view, simulate_in_view, with_robots_beside, with_tunable_tasks,
+    open_view, run_with_companions, simulate_in_view, with_robots_beside, with_tunable_tasks,
 };
 use crate::commands::run_on_log::{run_on_log, say_fault, say_written};
 use crate::console::{Console, Exit, Failure, Outcome, note, render, report, results as table};
@@ -25,7 +25,6 @@ use opspace_live::ViewKind;
 use opspace_preflight::{checked_for_real_robots, coupling_diagnostics, problems};
 use opspace_report::coupling_table::coupling_table;
 use opspace_report::run_in_folder;
-use opspace_report::run_on_drivers;
 use std::path::{Path, PathBuf};
 
 pub fn run(args: &RunArgs, extensions: &Extensions, console: Console) -> Outcome {
@@ -96,12 +95,7 @@ pub fn run(args: &RunArgs, extensions: &Extensions, console: Console) -> Outcome
     let summary = with_bar((&scenario.name(), scenario.ticks()), &progress, console, || {
         if real.is_some() {
             let left_behind = |summary| exit_with(view.say_left_behind(summary, folder));
-            match &live {
-                Some(live) => {
-                    run_on_drivers_in_view(live, &scenario, extensions, &results, &progress, &left_behind)
-                }
-                None => run_on_drivers(&scenario, extensions, &results, &progress, &left_behind),
-            }
+            run_with_companions(live.as_ref(), &scenario, extensions, &results, &progress, &left_behind)
         } else {
             run_in_folder(&scenario, &results, &progress)
         }

@@ -6,7 +6,9 @@ use crate::result_folder::empty;
 use crate::view_address::{Side, ViewAddress};
 use opspace_control::TaskParameters;
 use opspace_experiment::run::result_files::ResultFolder;
-use opspace_experiment::{Extensions, FileError, Files, Progress, RunError, RunSummary, Scenario};
+use opspace_experiment::{
+    Companion, CompanionEntry, Extensions, FileError, Files, Progress, RunError, RunSummary, Scenario,
+};
 use opspace_live::{LiveRun, LiveView, ViewKind};
 use opspace_report::{LeftBehind, run_arms_in_folder, run_on_drivers_with};
 use std::net::SocketAddr;
@@ -87,19 +89,30 @@ pub fn with_robots_beside(
     Ok(Scenario::beside(robots)?)
 }
 
-/// Runs a scenario on its real robots, and shows it. The view only watches.
-pub fn run_on_drivers_in_view(
-    live: &LiveView,
+/// Runs a scenario on its real robots, with the companions that the program adds, and shows it if there is a view, which only
+/// watches.
+pub fn run_with_companions(
+    live: Option<&LiveView>,
     scenario: &Scenario,
     extensions: &Extensions,
     results: &ResultFolder,
     progress: &Progress,
     left_behind: LeftBehind<'_>,
 ) -> Result<RunSummary, RunError> {
-    let mut companion = LiveRun::new(live, scenario, None, Arc::clone(&progress.interrupt));
+    let mut companions: Vec<Box<dyn Companion + '_>> = Vec::new();
+    if let Some(live) = live {
+        companions.push(Box::new(LiveRun::new(live, scenario, None, Arc::clone(&progress.interrupt))));
+    }
+    for entry in extensions.all::<CompanionEntry>() {
+        if let Some(companion) = entry.open(scenario, progress)? {
+            companions.push(companion);
+        }
+    }
     let summary =
-        run_on_drivers_with(scenario, extensions, results, progress, (&mut companion, left_behind))?;
-    live.end(&outcome(&summary));
+        run_on_drivers_with(scenario, extensions, results, progress, (&mut companions, left_behind))?;
+    if let Some(live) = live {
+        live.end(&outcome(&summary));
+    }
     Ok(summary)
 }
 

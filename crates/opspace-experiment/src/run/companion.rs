@@ -1,7 +1,13 @@
 //! Companion of a run: gets its messages for viewers, and is called between its cycles.
 
+use crate::extensions::Entry;
+use crate::run::error::RunError;
+use crate::run::execute::Progress;
+use crate::run::scenario::Scenario;
 use opspace_log::ViewerReceiver;
 use opspace_loop::Run;
+use std::fmt;
+use std::sync::Arc;
 
 /// Companion of a run, for example a live view that paces it.
 pub trait Companion {
@@ -22,5 +28,67 @@ impl Companion for () {
 
     fn before_cycle(&mut self, _robot: usize, _time_s: f64, _run: &mut Run<'_>) -> bool {
         true
+    }
+}
+
+/// Several companions of one run. All are called before each cycle; the run has no further cycles if one says so.
+impl Companion for Vec<Box<dyn Companion + '_>> {
+    fn receivers(&mut self, robot: usize) -> Vec<Box<dyn ViewerReceiver>> {
+        self.iter_mut().flat_map(|companion| companion.receivers(robot)).collect()
+    }
+
+    fn before_cycle(&mut self, robot: usize, time_s: f64, run: &mut Run<'_>) -> bool {
+        // Not `all`, which would leave out those after the first that ends the run.
+        self.iter_mut().fold(true, |goes_on, companion| companion.before_cycle(robot, time_s, run) && goes_on)
+    }
+}
+
+type Open = dyn Fn(&Scenario, &Progress) -> Result<Option<Box<dyn Companion>>, RunError> + Send + Sync;
+
+/// Companion that a program adds to each run on real robots, by which targets enter from outside.
+#[derive(Clone)]
+pub struct CompanionEntry {
+    name: &'static str,
+    open: Arc<Open>,
+}
+
+impl CompanionEntry {
+    /// Returns an entry. `open` gets the scenario and the flags of its stop requests before the robots are opened, and returns
+    /// `None` for a scenario that needs no such companion.
+    #[must_use]
+    pub fn new(
+        name: &'static str,
+        open: impl Fn(&Scenario, &Progress) -> Result<Option<Box<dyn Companion>>, RunError>
+        + Send
+        + Sync
+        + 'static,
+    ) -> Self {
+        Self { name, open: Arc::new(open) }
+    }
+
+    /// Opens the companion of a run, if it needs one.
+    ///
+    /// # Errors
+    /// A companion that cannot be opened.
+    pub fn open(
+        &self,
+        scenario: &Scenario,
+        progress: &Progress,
+    ) -> Result<Option<Box<dyn Companion>>, RunError> {
+        (self.open)(scenario, progress)
+    }
+}
+
+impl Entry for CompanionEntry {
+    const KIND: &'static str = "companion";
+
+    fn name(&self) -> &str {
+        self.name
+    }
+}
+
+impl fmt::Debug for CompanionEntry {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("CompanionEntry").field("name", &self.name).finish_non_exhaustive()
     }
 }
