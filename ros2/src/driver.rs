@@ -1,0 +1,107 @@
+//! The driver `ros2` of `[driver]` in robot.toml.
+
+use crate::arm::RosArm;
+use crate::config::{DRIVER, NodePlace, RosConfig};
+use crate::link::Link;
+use crate::messages::{Float64MultiArray, JointState, JointTrajectory, Text, WrenchStamped};
+use crate::node::{Participants, RobotTopics};
+use crate::reports::Reports;
+use crate::start;
+use opspace_backend::{Backend, CommandKind, Driver, DriverError, FoundDevice, Settings};
+use std::time::{Duration, Instant};
+
+/// Time for which `scan` looks for topics.
+const SCAN: Duration = Duration::from_secs(3);
+
+/// Driver of robots behind topics of ROS 2. Its keys are [`KEYS`](crate::config::KEYS).
+#[derive(Clone, Default)]
+pub struct Ros2Driver {
+    participants: Participants,
+    reports: Reports,
+}
+
+impl Ros2Driver {
+    /// Returns a driver whose nodes share participants, and that says to `reports` how its runs were.
+    #[must_use]
+    pub fn new(participants: Participants, reports: Reports) -> Self {
+        Self { participants, reports }
+    }
+}
+
+impl Driver for Ros2Driver {
+    fn name(&self) -> &str {
+        DRIVER
+    }
+
+    fn with(&self, settings: &Settings, run: &mut dyn FnMut(&mut dyn Backend)) -> Result<(), DriverError> {
+        let config = RosConfig::from_settings(settings)?;
+        let topics = RobotTopics::open(&self.participants, &config)?;
+        let found = start::find(&topics, &config)?;
+        let link = Link::start(topics, found, &config)?;
+        let mut arm = RosArm::new(link, &config);
+        run(&mut arm);
+        self.reports.add(arm.pace().to_string());
+        arm.close();
+        Ok(())
+    }
+
+    /// Lists the joint states, controllers and force sensors of a domain, `place`, or of that of the environment.
+    fn scan(&self, place: Option<&str>) -> Result<Vec<FoundDevice>, DriverError> {
+        let mut settings = Settings::new(CommandKind::Position, Vec::new(), 0.0);
+        if let Some(place) = place {
+            let number = place.parse().map_err(|_| {
+                DriverError::new(format!("the place of a search is the number of a domain, not '{place}'"))
+            })?;
+            settings = settings.with("domain", opspace_backend::Setting::Number(number));
+        }
+        let place = NodePlace::from_settings(&settings)?;
+        let mut node = self.participants.node(&place, "_scan")?;
+        let graph = node.graph();
+        let began = Instant::now();
+        while began.elapsed() < SCAN {
+            std::thread::sleep(Duration::from_millis(100));
+        }
+        let mut found = Vec::new();
+        let mut list = |topics: Vec<String>, key: &str, what: &str| {
+            found.extend(topics.into_iter().map(|topic| FoundDevice {
+                place: format!("domain = {}, {key} = \"{topic}\"", place.domain),
+                description: what.to_owned(),
+            }));
+        };
+        list(
+            graph.topics::<Float64MultiArray>(),
+            "commands",
+            "commands of a controller, an array of numbers",
+        );
+        list(
+            graph.topics::<JointTrajectory>(),
+            "command_type = \"joint-trajectory\", commands",
+            "commands of a controller, trajectories",
+        );
+        list(graph.topics::<WrenchStamped>(), "wrenches", "wrenches, possibly of a force sensor");
+        list(graph.topics::<Text>(), "description", "text, possibly a robot description");
+        let states = graph.topics::<JointState>();
+        for topic in states {
+            let joints = joints_on(&mut node, &topic)?;
+            let joints = if joints.is_empty() { "none so far".to_owned() } else { joints.join(", ") };
+            found.push(FoundDevice {
+                place: format!("domain = {}, states = \"{topic}\"", place.domain),
+                description: format!("states of joints: {joints}"),
+            });
+        }
+        Ok(found)
+    }
+}
+
+/// Names of the joints of the first message of a topic.
+fn joints_on(node: &mut crate::node::RosNode, topic: &str) -> Result<Vec<String>, DriverError> {
+    let states = node.subscribe::<JointState>(topic, &crate::config::profile(false, 1))?;
+    let began = Instant::now();
+    while began.elapsed() < SCAN {
+        if let Ok(Some((message, _))) = states.take() {
+            return Ok(message.name);
+        }
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    Ok(Vec::new())
+}
