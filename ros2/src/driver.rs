@@ -4,8 +4,8 @@ use crate::arm::RosArm;
 use crate::config::{DRIVER, NodePlace, RosConfig};
 use crate::link::Link;
 use crate::messages::{Float64MultiArray, JointState, JointTrajectory, Text, WrenchStamped};
-use crate::node::{Participants, RobotTopics};
-use crate::reports::Reports;
+use crate::node::RobotTopics;
+use crate::Program;
 use crate::start;
 use opspace_backend::{Backend, CommandKind, Driver, DriverError, FoundDevice, Settings};
 use std::time::{Duration, Instant};
@@ -16,15 +16,14 @@ const SCAN: Duration = Duration::from_secs(3);
 /// Driver of robots behind topics of ROS 2. Its keys are [`KEYS`](crate::config::KEYS).
 #[derive(Clone, Default)]
 pub struct Ros2Driver {
-    participants: Participants,
-    reports: Reports,
+    program: Program,
 }
 
 impl Ros2Driver {
-    /// Returns a driver whose nodes share participants, and that says to `reports` how its runs were.
+    /// Returns the driver of a program.
     #[must_use]
-    pub fn new(participants: Participants, reports: Reports) -> Self {
-        Self { participants, reports }
+    pub fn new(program: Program) -> Self {
+        Self { program }
     }
 }
 
@@ -35,12 +34,12 @@ impl Driver for Ros2Driver {
 
     fn with(&self, settings: &Settings, run: &mut dyn FnMut(&mut dyn Backend)) -> Result<(), DriverError> {
         let config = RosConfig::from_settings(settings)?;
-        let topics = RobotTopics::open(&self.participants, &config)?;
-        let found = start::find(&topics, &config)?;
+        let topics = RobotTopics::open(&self.program.participants, &config)?;
+        let found = start::find(&topics, &config, &self.program.tare)?;
         let link = Link::start(topics, found, &config)?;
         let mut arm = RosArm::new(link, &config);
         run(&mut arm);
-        self.reports.add(arm.pace().to_string());
+        self.program.reports.add(arm.pace().to_string());
         arm.close();
         Ok(())
     }
@@ -55,7 +54,7 @@ impl Driver for Ros2Driver {
             settings = settings.with("domain", opspace_backend::Setting::Number(number));
         }
         let place = NodePlace::from_settings(&settings)?;
-        let mut node = self.participants.node(&place, "_scan")?;
+        let mut node = self.program.participants.node(&place, "_scan")?;
         let graph = node.graph();
         let began = Instant::now();
         while began.elapsed() < SCAN {

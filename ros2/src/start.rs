@@ -4,6 +4,7 @@ use crate::config::{CommandType, RosConfig};
 use crate::messages::{Float64MultiArray, JointState, JointTrajectory, Named};
 use crate::node::{Endpoints, RobotTopics, publisher_of};
 use crate::states::{Failure, RobotState, StateReader};
+use crate::tare::Tare;
 use crate::wrenches::WrenchReader;
 use opspace_backend::DriverError;
 use std::thread::sleep;
@@ -38,9 +39,9 @@ pub struct FoundRobot {
 /// # Errors
 /// What is missing when the time is over, and what is there in its place; a fault of the states; another program that publishes
 /// commands; states at another rate than the profile's.
-pub fn find(topics: &RobotTopics, config: &RosConfig) -> Result<FoundRobot, DriverError> {
+pub fn find(topics: &RobotTopics, config: &RosConfig, tare: &Tare) -> Result<FoundRobot, DriverError> {
     let began = Instant::now();
-    let mut search = Search::new(config, began);
+    let mut search = Search::new(config, began, tare);
     let graph = topics.node.graph();
     let commands = config.whole_name(&config.commands);
     let mut next_look = began;
@@ -96,10 +97,10 @@ struct Search {
 }
 
 impl Search {
-    fn new(config: &RosConfig, began: Instant) -> Self {
+    fn new(config: &RosConfig, began: Instant, tare: &Tare) -> Self {
         Self {
             reader: StateReader::new(config),
-            wrenches: WrenchReader::new(config),
+            wrenches: WrenchReader::new(config, tare.clone()),
             state: RobotState::default(),
             began,
             first: None,

@@ -116,7 +116,7 @@ impl StateReader {
     ) -> Result<bool, Failure> {
         if !self.find_joints(message)? {
             self.counts.foreign += 1;
-            return Ok(false);
+            return self.check_renamed(message, publisher, arrival_s);
         }
         self.check_publisher(publisher, arrival_s)?;
         self.check_values(message)?;
@@ -164,6 +164,21 @@ impl StateReader {
         self.places = found.into_iter().flatten().collect();
         self.names.clone_from(&message.name);
         Ok(true)
+    }
+
+    /// Tells a message about other joints from one of the robot's own publisher that has no other ones any more.
+    fn check_renamed(
+        &self,
+        message: &JointState,
+        publisher: Publisher,
+        arrival_s: f64,
+    ) -> Result<bool, Failure> {
+        let silent_s = self.last.map_or(0.0, |last| arrival_s - last.arrival_s);
+        if self.publisher != Some(publisher) || silent_s < self.side_by_side_s {
+            return Ok(false);
+        }
+        let details = format!("their publisher sends {} instead", message.name.join(", "));
+        Err((RosFault::JointsMissing, details))
     }
 
     fn check_publisher(&mut self, publisher: Publisher, arrival_s: f64) -> Result<(), Failure> {

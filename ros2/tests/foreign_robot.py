@@ -128,7 +128,9 @@ def main():
     arm = Arm(args.urdf, args.push_n, args.board_z)
     arrived = threading.Condition()
     counts = {"states": 0, "commands": 0, "late_cycles": 0, "wrong_commands": 0}
-    latest = {"command": None}
+    latest = {"command": None, "published_s": None}
+    # From the publication of a state to the arrival of the next command, in a process of the same computer.
+    latencies = []
 
     def take(message):
         with arrived:
@@ -136,6 +138,9 @@ def main():
                 counts["wrong_commands"] += 1
                 return
             latest["command"] = np.array(message.data)
+            if latest["published_s"] is not None:
+                latencies.append(time.perf_counter() - latest["published_s"])
+                latest["published_s"] = None
             counts["commands"] += 1
             arrived.notify()
 
@@ -174,6 +179,7 @@ def main():
             time.sleep(0.03)
         if not happens(args.silent_after_s):
             wrench_publisher.publish(wrench)
+            latest["published_s"] = time.perf_counter()
             publisher.publish(message)
             counts["states"] += 1
         # The command that had come before.
@@ -181,7 +187,9 @@ def main():
             if first_cycle is not None and args.patient:
                 # The command that answers the state before.
                 wanted = first_count + cycle - first_cycle
-                arrived.wait_for(lambda: counts["commands"] >= wanted or stop.is_set(), timeout=0.1)
+                if not arrived.wait_for(lambda: counts["commands"] >= wanted or stop.is_set(), timeout=0.2):
+                    # The commands have ended.
+                    args.patient = False
             command = latest["command"]
             if command is not None and first_cycle is None:
                 first_cycle, first_count, driven_s = cycle, counts["commands"], arm.data.time
@@ -203,6 +211,9 @@ def main():
             counts["late_cycles"] += 1
     if record:
         record.close()
+    if latencies:
+        median, most, largest = 1e3 * np.quantile(latencies, [0.5, 0.99, 1.0])
+        counts |= {"latency_ms": [round(float(value), 3) for value in (median, most, largest)]}
     drift = np.abs(arm.data.qvel[arm.v]).max()
     print(json.dumps(counts | {"speed_at_end_rad_per_s": float(drift), "cycles": cycle}), flush=True)
     # Without the destructors of rclpy, which can wait for each other.

@@ -5,6 +5,7 @@ use crate::link::Link;
 use crate::run::Run;
 use crate::timeline::Timeline;
 use opspace_backend::{Backend, GroundTruth, Sample};
+use opspace_control::HoldCause;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
 /// Reads the robot, computes the run's cycle and writes its command, until the run is over. The robot always ends in
@@ -79,7 +80,8 @@ pub fn drive_together_with(
             }
             let of_driver = &mut calls[next.robot];
             cycle(*backend, of_driver, run, &mut samples[next.robot], &mut |run, clock_s| {
-                let mut cause = None;
+                // What a program asks for is not that of a coupling, which ends when the coupling says so.
+                let mut cause = run.targets().hold_cause().filter(|cause| *cause == HoldCause::Requested);
                 for link in links.iter_mut().filter(|link| link.to() == next.robot) {
                     let of_link = link.deliver(next.tick, clock_s, run.targets());
                     cause = cause.or(of_link);

@@ -338,7 +338,7 @@ impl Experiment {
             self.refuse_comparison_options()?;
         }
         self.compare_capabilities(capabilities)?;
-        let control = self.control_loop()?;
+        let control = self.control_loop_for(capabilities.reports_status)?;
         let profile = self.profile().1;
         let (cycle_hz, servo_hz) = (1.0 / profile.period_s(), profile.servo_hz.get());
         let channels = (Run::layouts(&control, truth).into_iter().enumerate())

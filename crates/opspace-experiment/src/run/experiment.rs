@@ -649,7 +649,14 @@ impl Experiment {
     /// # Errors
     /// A servo that the transformer cannot invert.
     pub fn control_loop(&self) -> Result<ControlLoop, FileError> {
-        ControlLoop::new(self.loop_config()?)
+        self.control_loop_for(false)
+    }
+
+    /// Returns the control loop for a robot that reports a status in each sample, or does not: no file states it.
+    pub(super) fn control_loop_for(&self, reports_status: bool) -> Result<ControlLoop, FileError> {
+        let mut config = self.loop_config()?;
+        config.capabilities.reports_status = reports_status;
+        ControlLoop::new(config)
             .map_err(|e: LoopError| FileError::of_file(self.robot.source.name(), e.to_string(), None))
     }
 

@@ -2,7 +2,7 @@
 
 use crate::run::error::RunError;
 use crate::run::experiment::Experiment;
-use opspace_backend::signal_names::{COMMAND, DQ_DESIRED, Q_DESIRED, TICK_CHANNEL, TORQUE_DESIRED};
+use opspace_backend::signal_names::{COMMAND, DQ_DESIRED, Q_DESIRED, STATUS, TICK_CHANNEL, TORQUE_DESIRED};
 use opspace_backend::{Capabilities, Layout, Sink, TICK};
 use opspace_log::{Comparer, Difference, LogError, LogFile, LoggedInputs, OutcomeRecord, Recording};
 use opspace_loop::{ControlLoop, Run, RunOutcome};
@@ -60,7 +60,7 @@ fn replay_segments(
     whole: &Recording,
     pass: impl FnOnce(&mut Receive<'_>) -> Result<(), LogError>,
 ) -> Result<ReplayReport, RunError> {
-    let control = experiment.control_loop()?;
+    let control = experiment.control_loop_for(whole.tick()?.signal(STATUS).is_some())?;
     let inputs = InputsOfLog::new(&control, whole);
     let layout = &whole.tick()?.layout;
     let comparer = Mutex::new(Comparer::new(layout, &Run::layouts(&control, None)[TICK]));
@@ -171,7 +171,7 @@ pub fn replay_into(
     recording: &Recording,
     sink: &mut dyn Sink,
 ) -> Result<RunOutcome, RunError> {
-    let control = experiment.control_loop()?;
+    let control = experiment.control_loop_for(recording.tick()?.signal(STATUS).is_some())?;
     let inputs = InputsOfLog::new(&control, recording);
     let stop = AtomicBool::new(false);
     let mut run = Run::new(control, experiment.duration_s(), sink).with_stop_request(&stop);
