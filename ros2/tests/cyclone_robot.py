@@ -3,6 +3,10 @@
     cyclone_robot.py FOLDER
 
 reads /tf too, records commands and /tf as a bag in FOLDER, and prints counts as JSON when the commands have ended.
+
+    cyclone_robot.py --frame
+
+is no robot: it publishes the frame `table` on /tf_static, 0.2 m above `pedestal`, until its input ends.
 """
 
 import json
@@ -114,6 +118,14 @@ class WrenchStamped_(IdlStruct, typename="geometry_msgs::msg::dds_::WrenchStampe
 
 
 participant = DomainParticipant(0)
+if sys.argv[1] == "--frame":
+    kept = Qos(Policy.Reliability.Reliable(duration(milliseconds=100)), Policy.Durability.TransientLocal, Policy.History.KeepLast(1))
+    frames = DataWriter(participant, Topic(participant, "rt/tf_static", TFMessage_, qos=kept), qos=kept)
+    placement = Transform_(Vector3_(0.0, 0.0, 0.2), Quaternion_(0.0, 0.0, 0.0, 1.0))
+    frames.write(TFMessage_([TransformStamped_(Header_(Time_(0, 0), "pedestal"), "table", placement)]))
+    print("ready", flush=True)
+    sys.stdin.read()
+    sys.exit()
 quality = Qos(Policy.Reliability.Reliable(duration(milliseconds=100)), Policy.History.KeepLast(10))
 states = DataWriter(participant, Topic(participant, "rt/joint_states", JointState_, qos=quality))
 wrenches = DataWriter(participant, Topic(participant, "rt/wrist/wrench", WrenchStamped_, qos=quality))

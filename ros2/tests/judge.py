@@ -285,6 +285,20 @@ def targets_are_followed():
     spinning = threading.Thread(target=executor.spin, daemon=True)
     spinning.start()
 
+    # The bytes as they come, for rosbags.
+    from rosbags.highlevel import AnyReader
+    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_JAZZY)
+    bag = Writer(FOLDER / "outputs", version=9, storage_plugin=StoragePlugin.MCAP)
+    bag.open()
+    for kind, topic in ((PoseStamped, "/opspace/flange/state"), (WrenchStamped, "/opspace/wrist/wrench"), (DiagnosticArray, "/diagnostics"), (Float64MultiArray, "/forward_position_controller/commands")):
+        connection = bag.add_connection(topic, f"{kind.__module__.split('.')[0]}/msg/{kind.__name__}", typestore=store)
+        node.create_subscription(kind, topic, lambda raw, connection=connection: bag.write(connection, time.time_ns(), raw), 10, raw=True)
+
+    frame = subprocess.Popen([sys.executable, str(TESTS / "cyclone_robot.py"), "--frame"], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    assert frame.stdout.readline().strip() == "ready"
     robot = Robot()
     started = start("streamed")
     began = time.monotonic()
@@ -296,6 +310,7 @@ def targets_are_followed():
         started[0].kill()
         print(end(started)[1])
         robot.end()
+        frame.kill()
         return
 
     def state():
@@ -338,6 +353,9 @@ def targets_are_followed():
     time.sleep(0.4)
     away = np.linalg.norm(state()[0] - (home + [0.0, 0.05, 0.0]))
     check(away < 1e-3, f"targets: poses in a frame of the URDF are followed, one in an unknown frame is not ({1e3 * away:.2f} mm)")
+    lead(home + [0.0, 0.03, -0.2], 1.0, frame="table")
+    away = np.linalg.norm(state()[0] - (home + [0.0, 0.03, 0.0]))
+    check(away < 1e-3, f"targets: poses in a frame of /tf_static are followed ({1e3 * away:.2f} mm)")
     old = PoseStamped()
     old.header.stamp.sec = 1
     poses.publish(old)
@@ -408,6 +426,14 @@ def targets_are_followed():
     check(stale > 20, f"targets: the log has the dropouts ({stale:.0f} cycles)")
     executor.shutdown()
     node.destroy_node()
+    frame.kill()
+    bag.close()
+    counted = {}
+    with AnyReader([FOLDER / "outputs"], default_typestore=store) as reader:
+        for connection, _, raw in reader.messages():
+            reader.deserialize(raw, connection.msgtype)
+            counted[connection.topic] = counted.get(connection.topic, 0) + 1
+    check(counted.get("/opspace/flange/state", 0) > 300 and len(counted) == 4, f"rosbags reads the bytes of a recording in MCAP: {counted}")
 
 
 # ---- programs of others ----

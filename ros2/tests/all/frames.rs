@@ -23,7 +23,7 @@ fn fixed(parent: &str, child: &str, x: f64) -> TransformStamped {
 /// Compared: a point by hand, at a quarter turn of the joint.
 #[test]
 fn frames_of_the_urdf_and_static_frames_on_them_are_found() {
-    let model = Model::from_urdf_str(URDF).unwrap();
+    let model = Model::from_urdf(URDF).unwrap().model;
     let mut frames = Frames::new(model.clone());
     frames.add(&TfMessage { transforms: vec![fixed("camera", "/tag", 0.5), fixed("arm", "camera", 2.0)] });
     let at = |found: FrameRef, q: f64| {
@@ -41,7 +41,7 @@ fn frames_of_the_urdf_and_static_frames_on_them_are_found() {
 
 #[test]
 fn unknown_frames_and_circles_of_frames_are_refused() {
-    let mut frames = Frames::new(Model::from_urdf_str(URDF).unwrap());
+    let mut frames = Frames::new(Model::from_urdf(URDF).unwrap().model);
     frames.add(&TfMessage { transforms: vec![fixed("a", "b", 1.0), fixed("b", "a", 1.0)] });
     for name in ["a", "nowhere"] {
         let words = frames.find(name).expect_err("no frame");

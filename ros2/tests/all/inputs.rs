@@ -10,13 +10,14 @@ use opspace_ros2::messages::{
 
 fn frames() -> Frames {
     Frames::new(
-        Model::from_urdf_str(
+        Model::from_urdf(
             r#"<robot name="r"><link name="base"/><link name="arm"><inertial><mass value="1"/>
             <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
             <joint name="turn" type="revolute"><parent link="base"/><child link="arm"/><axis xyz="0 0 1"/>
             <limit lower="-2" upper="2" effort="1" velocity="1"/></joint></robot>"#,
         )
-        .unwrap(),
+        .unwrap()
+        .model,
     )
 }
 
