@@ -15,6 +15,7 @@ use opspace_backend::signal_names::{
 };
 use opspace_backend::{DriverError, ForceSensor, Layout};
 use opspace_log::{ViewerReceiver, ViewerTopic};
+use opspace_loop::Phase;
 use ros2_client::Publisher;
 use std::ops::Range;
 use std::sync::Arc;
@@ -267,7 +268,9 @@ impl ViewerReceiver for Outputs {
         if let Some(status) = &self.columns.status {
             self.pace.add(1e-6 * row[status.start]);
         }
-        if time_s - self.last_s >= 1.0 / self.plan.config.output_hz - 0.5 * self.plan.period_s {
+        // Before control the tasks have no values.
+        let is_controlled = self.columns.phase.as_ref().is_some_and(|phase| row[phase.start] != Phase::Rest.code());
+        if is_controlled && time_s - self.last_s >= 1.0 / self.plan.config.output_hz - 0.5 * self.plan.period_s {
             self.last_s = time_s;
             self.publish(row);
         }

@@ -1,6 +1,6 @@
 //! Start: the robot is found, its states are read, and its rate is measured, before anything is commanded.
 
-use crate::config::{CommandType, RosConfig};
+use crate::config::{ClockSource, CommandType, RosConfig};
 use crate::messages::{Float64MultiArray, JointState, JointTrajectory, Named};
 use crate::node::{Endpoints, RobotTopics, publisher_of};
 use crate::states::{Failure, RobotState, StateReader};
@@ -64,7 +64,7 @@ pub fn find(topics: &RobotTopics, config: &RosConfig, tare: &Tare) -> Result<Fou
         }
         sleep(POLL);
     }
-    let period_s = search.period_s();
+    let period_s = search.period_s(config.clock);
     // False for NaN.
     let is_same = (period_s / config.period_s - 1.0).abs() <= SAME_PERIOD;
     if !is_same {
@@ -139,10 +139,15 @@ impl Search {
         self.reader.counts().states >= STATES && self.first.is_some_and(|first| now - first >= LOOK)
     }
 
-    /// Mean interval of the states, s.
-    fn period_s(&self) -> f64 {
+    /// Mean interval of the states, s: on their own clock, which that of a simulator need not keep up with, or of arrivals.
+    fn period_s(&self, clock: ClockSource) -> f64 {
         let (Some(first), Some(last)) = (self.first, self.last) else { return f64::NAN };
-        (last - first).as_secs_f64() / (self.reader.counts().states as f64 - 1.0)
+        let whole_s = match clock {
+            // The first state is at zero.
+            ClockSource::Stamp => self.state.time_s,
+            ClockSource::Arrival => (last - first).as_secs_f64(),
+        };
+        whole_s / (self.reader.counts().states as f64 - 1.0)
     }
 
     /// Describes what is missing.

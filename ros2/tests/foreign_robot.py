@@ -103,7 +103,7 @@ def main():
     parser.add_argument("--duration-s", type=float, default=60.0)
     parser.add_argument("--push-n", type=float, nargs=3, default=[0.0, 0.0, 0.0])
     parser.add_argument("--board-z", type=float)
-    parser.add_argument("--patient", action="store_true", help="wait for the command that answers a state, as a simulator does")
+    parser.add_argument("--patient", action="store_true", help="go slowly until the first command, and then wait for the command that answers a state, as a simulator may do")
     parser.add_argument("--record")
     parser.add_argument("--rename-after-s", type=float, help="publish other names of the joints then")
     parser.add_argument("--clock-jump-after-s", type=float, help="let the stamps jump by an hour then")
@@ -155,7 +155,7 @@ def main():
         print("time_s,x_m,y_m,z_m,fx_n,fy_n,fz_n," + ",".join(f"{name}_command_rad" for name in JOINTS), file=record)
     period_s = 1.0 / args.hz
     began, wall = time.time(), time.perf_counter()
-    cycle, first_cycle, first_count, driven_s = 0, None, 0, None
+    cycle, first_cycle, first_count, driven_s, waited = 0, None, 0, None, 0
     print("ready", flush=True)
     while not stop.is_set() and arm.data.time < args.duration_s:
         since = None if driven_s is None else arm.data.time - driven_s
@@ -187,9 +187,10 @@ def main():
             if first_cycle is not None and args.patient:
                 # The command that answers the state before.
                 wanted = first_count + cycle - first_cycle
-                if not arrived.wait_for(lambda: counts["commands"] >= wanted or stop.is_set(), timeout=0.2):
-                    # The commands have ended.
-                    args.patient = False
+                came = arrived.wait_for(lambda: counts["commands"] >= wanted or stop.is_set(), timeout=0.06)
+                waited = 0 if came else waited + 1
+                # The commands have ended.
+                args.patient = waited < 4
             command = latest["command"]
             if command is not None and first_cycle is None:
                 first_cycle, first_count, driven_s = cycle, counts["commands"], arm.data.time
@@ -201,7 +202,9 @@ def main():
         if record and driven_s is not None:
             values = [arm.data.time - driven_s, *arm.data.xpos[arm.flange], *arm.force, *arm.command]
             print(",".join(f"{value:.9g}" for value in values), file=record)
-        ahead_s = wall + cycle * period_s - time.perf_counter()
+        slower = 4.0 if args.patient and driven_s is None else 1.0
+        wall += slower * period_s
+        ahead_s = wall - time.perf_counter()
         if ahead_s > 0.0:
             time.sleep(ahead_s)
         elif args.patient or ahead_s < -10.0 * period_s:

@@ -148,21 +148,21 @@ def faults_have_names():
         "not-following": ["--inactive-after-s", 1.0],
     }.items():
         # An arm that is pushed along its compliant axis: setpoints move.
-        robot = Robot("--push-n", 3, 0, 0, *options)
+        robot = Robot("--patient", "--push-n", 3, 0, 0, *options)
         ended(name, "compliant-x", robot)
     import rclpy
     from sensor_msgs.msg import JointState
     from std_msgs.msg import Float64MultiArray
 
     node = rclpy.create_node("intruder")
-    robot = Robot()
+    robot = Robot("--patient")
     started = start("compliant-x")
     wait_for_commands(node)
     publisher = node.create_publisher(Float64MultiArray, "forward_position_controller/commands", 10)
     ended("second-commander", None, robot, started)
     node.destroy_publisher(publisher)
 
-    robot = Robot()
+    robot = Robot("--patient")
     started = start("compliant-x")
     wait_for_commands(node)
     publisher = node.create_publisher(JointState, "joint_states", 10)
@@ -173,7 +173,7 @@ def faults_have_names():
     ended("second-state-publisher", None, robot, started)
     node.destroy_publisher(publisher)
 
-    robot = Robot()
+    robot = Robot("--patient")
     started = start("compliant-x")
     wait_for_commands(node)
     robot.process.kill()
@@ -293,13 +293,13 @@ def targets_are_followed():
     store = get_typestore(Stores.ROS2_JAZZY)
     bag = Writer(FOLDER / "outputs", version=9, storage_plugin=StoragePlugin.MCAP)
     bag.open()
-    for kind, topic in ((PoseStamped, "/opspace/flange/state"), (WrenchStamped, "/opspace/wrist/wrench"), (DiagnosticArray, "/diagnostics"), (Float64MultiArray, "/forward_position_controller/commands")):
+    for kind, topic in ((PoseStamped, "/opspace/flange/state"), (WrenchStamped, "/opspace/wrist/wrench"), (DiagnosticArray, "/diagnostics")):
         connection = bag.add_connection(topic, f"{kind.__module__.split('.')[0]}/msg/{kind.__name__}", typestore=store)
         node.create_subscription(kind, topic, lambda raw, connection=connection: bag.write(connection, time.time_ns(), raw), 10, raw=True)
 
     frame = subprocess.Popen([sys.executable, str(TESTS / "cyclone_robot.py"), "--frame"], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     assert frame.stdout.readline().strip() == "ready"
-    robot = Robot()
+    robot = Robot("--patient")
     started = start("streamed")
     began = time.monotonic()
     while "state" not in seen and time.monotonic() - began < 20.0:
@@ -419,6 +419,8 @@ def targets_are_followed():
     code, said, out = end(started)
     counts = robot.end()
     check(code == 130, f"services: the run is interrupted (exit code {code})")
+    if code != 130:
+        print(said)
     check(counts["speed_at_end_rad_per_s"] < 0.02, f"services: the arm holds ({counts['speed_at_end_rad_per_s']:.2g} rad/s)")
     replayed = subprocess.run([args.program, "replay", str(out)], capture_output=True, text=True, check=False)
     check(replayed.returncode == 0, "targets: the log is replayed bit for bit")
@@ -433,7 +435,7 @@ def targets_are_followed():
         for connection, _, raw in reader.messages():
             reader.deserialize(raw, connection.msgtype)
             counted[connection.topic] = counted.get(connection.topic, 0) + 1
-    check(counted.get("/opspace/flange/state", 0) > 300 and len(counted) == 4, f"rosbags reads the bytes of a recording in MCAP: {counted}")
+    check(counted.get("/opspace/flange/state", 0) > 300 and len(counted) == 3, f"rosbags reads the bytes of a recording in MCAP: {counted}")
 
 
 # ---- programs of others ----

@@ -38,8 +38,11 @@ impl Companion for Vec<Box<dyn Companion + '_>> {
     }
 
     fn before_cycle(&mut self, robot: usize, time_s: f64, run: &mut Run<'_>) -> bool {
-        // Not `all`, which would leave out those after the first that ends the run.
-        self.iter_mut().fold(true, |goes_on, companion| companion.before_cycle(robot, time_s, run) && goes_on)
+        let mut goes_on = true;
+        for companion in self {
+            goes_on &= companion.before_cycle(robot, time_s, run);
+        }
+        goes_on
     }
 }
 
