@@ -86,7 +86,9 @@ fn open_robot(
     let place = NodePlace::from_settings(&settings)?;
     let model = experiment.robot().model.clone();
     let tasks = cartesian_tasks(experiment);
-    let topics = tasks.iter().map(|(name, _, is_streamed)| TaskTopics { name: name.clone(), is_streamed: *is_streamed });
+    let topics = tasks
+        .iter()
+        .map(|(name, _, is_streamed)| TaskTopics { name: name.clone(), is_streamed: *is_streamed });
     let plan = InterfacePlan {
         place: place.clone(),
         config: config.clone(),
@@ -122,7 +124,16 @@ fn open_robot(
     };
     let tasks = tasks.into_iter().filter_map(input).collect();
     let (data, dq) = (Data::new(&model), vec![0.0; model.n()]);
-    Ok(Some(RobotInputs { inputs, interface, outputs: Some(outputs), tasks, model, data, dq, has_begun: false }))
+    Ok(Some(RobotInputs {
+        inputs,
+        interface,
+        outputs: Some(outputs),
+        tasks,
+        model,
+        data,
+        dq,
+        has_begun: false,
+    }))
 }
 
 /// Settings of `[driver]` of a robot behind topics.
@@ -158,7 +169,8 @@ fn mistake(experiment: &Experiment, error: &DriverError) -> RunError {
 
 impl Companion for RosCompanion {
     fn receivers(&mut self, robot: usize) -> Vec<Box<dyn ViewerReceiver>> {
-        let outputs = self.robots.get_mut(robot).and_then(Option::as_mut).and_then(|robot| robot.outputs.take());
+        let outputs =
+            self.robots.get_mut(robot).and_then(Option::as_mut).and_then(|robot| robot.outputs.take());
         outputs.into_iter().map(|outputs| Box::new(outputs) as Box<dyn ViewerReceiver>).collect()
     }
 

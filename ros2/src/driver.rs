@@ -5,7 +5,7 @@ use crate::config::{DRIVER, NodePlace, RosConfig};
 use crate::link::Link;
 use crate::messages::{Float64MultiArray, JointState, JointTrajectory, Text, WrenchStamped};
 use crate::node::RobotTopics;
-use crate::Program;
+use crate::program::Program;
 use crate::start;
 use opspace_backend::{Backend, CommandKind, Driver, DriverError, FoundDevice, Settings};
 use std::time::{Duration, Instant};

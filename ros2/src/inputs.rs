@@ -1,9 +1,7 @@
 //! Inputs of a running task, as they come from messages. No input and no output.
 
 use crate::frames::{FrameRef, Frames, placement};
-use crate::messages::{
-    Float64MultiArray, Header, PoseStamped, Stamp, Text, TwistStamped, WrenchStamped,
-};
+use crate::messages::{Float64MultiArray, Header, PoseStamped, Stamp, Text, TwistStamped, WrenchStamped};
 use opspace_control::{AXIS_NAMES, AxisMode};
 use opspace_model::Placement;
 
@@ -32,7 +30,13 @@ pub enum Input {
 ///
 /// # Errors
 /// An unknown frame, a message that is too old, or numbers that are no pose, in words.
-pub fn pose(task: usize, message: &PoseStamped, frames: &Frames, now: Stamp, oldest_s: f64) -> Result<Input, String> {
+pub fn pose(
+    task: usize,
+    message: &PoseStamped,
+    frames: &Frames,
+    now: Stamp,
+    oldest_s: f64,
+) -> Result<Input, String> {
     check_age(&message.header, now, oldest_s)?;
     let frame = frames.find(&message.header.frame_id)?;
     let pose = placement(message.pose.position, message.pose.orientation)
@@ -44,7 +48,13 @@ pub fn pose(task: usize, message: &PoseStamped, frames: &Frames, now: Stamp, old
 ///
 /// # Errors
 /// An unknown frame, a message that is too old, or numbers that are not finite, in words.
-pub fn twist(task: usize, message: &TwistStamped, frames: &Frames, now: Stamp, oldest_s: f64) -> Result<Input, String> {
+pub fn twist(
+    task: usize,
+    message: &TwistStamped,
+    frames: &Frames,
+    now: Stamp,
+    oldest_s: f64,
+) -> Result<Input, String> {
     check_age(&message.header, now, oldest_s)?;
     let frame = frames.find(&message.header.frame_id)?;
     let twist = six(message.twist.linear.into(), message.twist.angular.into())?;
@@ -86,10 +96,12 @@ pub fn modes(task: usize, message: &Text) -> Result<Input, String> {
     for part in message.data.split_whitespace() {
         let (axis, mode) = part.split_once('=').ok_or_else(|| format!("'{part}' is no AXIS=MODE"))?;
         let number = AXIS_NAMES.iter().position(|known| *known == axis);
-        let number = number.ok_or_else(|| format!("unknown axis '{axis}'; the axes are {}", AXIS_NAMES.join(", ")))?;
+        let number =
+            number.ok_or_else(|| format!("unknown axis '{axis}'; the axes are {}", AXIS_NAMES.join(", ")))?;
         let known = AxisMode::IN_TASK.into_iter().find(|known| known.name() == mode);
         let all: Vec<&str> = AxisMode::IN_TASK.into_iter().map(AxisMode::name).collect();
-        modes[number] = Some(known.ok_or_else(|| format!("unknown mode '{mode}'; the modes are {}", all.join(", ")))?);
+        modes[number] =
+            Some(known.ok_or_else(|| format!("unknown mode '{mode}'; the modes are {}", all.join(", ")))?);
     }
     Ok(Input::Modes(task, modes))
 }

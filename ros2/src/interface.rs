@@ -12,7 +12,9 @@ use crate::tare::Tare;
 use crate::wake::{Wake, Wakes};
 use futures::stream::{LocalBoxStream, StreamExt, select_all};
 use opspace_backend::DriverError;
-use ros2_client::{MessageInfo, Name, ReadError, RmwRequestId, Server, ServiceMapping, ServiceTypeName, Subscription};
+use ros2_client::{
+    MessageInfo, Name, ReadError, RmwRequestId, Server, ServiceMapping, ServiceTypeName, Subscription,
+};
 use rtrb::Producer;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -146,8 +148,11 @@ impl Interface {
         inputs: Producer<Input>,
     ) -> Result<Self, DriverError> {
         let mut node = participants.node(&plan.place, "")?;
-        let subscriptions: Vec<TaskSubscriptions> =
-            plan.tasks.iter().map(|task| subscribe(&mut node, &plan.place, task)).collect::<Result<_, _>>()?;
+        let subscriptions: Vec<TaskSubscriptions> = plan
+            .tasks
+            .iter()
+            .map(|task| subscribe(&mut node, &plan.place, task))
+            .collect::<Result<_, _>>()?;
         let static_frames = node.subscribe::<TfMessage>("/tf_static", &latched(100))?;
         let sets = (0..plan.task_sets).filter(|_| plan.task_sets > 1).map(Service::TaskSet);
         let services: Vec<Service> =
@@ -169,7 +174,8 @@ impl Interface {
         let thread = Builder::new()
             .name("opspace-ros2-targets".to_owned())
             .spawn(move || thread.run(&node, &subscriptions, &static_frames, &servers));
-        let thread = thread.map_err(|error| DriverError::new(format!("no thread can be started: {error}")))?;
+        let thread =
+            thread.map_err(|error| DriverError::new(format!("no thread can be started: {error}")))?;
         Ok(Self { counts, wake, is_closed, thread: Some(thread) })
     }
 }
@@ -185,7 +191,11 @@ impl Drop for Interface {
     }
 }
 
-fn subscribe(node: &mut RosNode, place: &NodePlace, task: &TaskTopics) -> Result<TaskSubscriptions, DriverError> {
+fn subscribe(
+    node: &mut RosNode,
+    place: &NodePlace,
+    task: &TaskTopics,
+) -> Result<TaskSubscriptions, DriverError> {
     let topic = |name: &str| task_topic(place, &task.name, name);
     // Commands of a clutch and of settings are not lost; of poses only the newest counts.
     let (newest, every) = (profile(false, 1), profile(true, 10));
@@ -205,8 +215,7 @@ fn server(
     service: Service,
 ) -> Result<Server<TriggerRequest, TriggerResponse>, DriverError> {
     let whole = plan.place.whole_name(&format!("{}/{}", plan.place.node, service.name()));
-    let failed =
-        |error: String| DriverError::new(format!("the service {whole} cannot be created: {error}"));
+    let failed = |error: String| DriverError::new(format!("the service {whole} cannot be created: {error}"));
     let name = Name::parse(&whole).map_err(|error| failed(format!("{error:?}")))?;
     let mapping =
         if plan.config.cyclone_services { ServiceMapping::Cyclone } else { ServiceMapping::Enhanced };
@@ -240,11 +249,15 @@ impl Thread {
         for (task, subscription) in subscriptions.iter().enumerate() {
             let find = Arc::clone(&frames);
             streams.extend(subscription.pose.as_ref().map(|topic| {
-                read(topic, "pose", move |message| inputs::pose(task, message, &locked(&find), Stamp::now(), oldest_s))
+                read(topic, "pose", move |message| {
+                    inputs::pose(task, message, &locked(&find), Stamp::now(), oldest_s)
+                })
             }));
             let find = Arc::clone(&frames);
             streams.extend(subscription.twist.as_ref().map(|topic| {
-                read(topic, "twist", move |message| inputs::twist(task, message, &locked(&find), Stamp::now(), oldest_s))
+                read(topic, "twist", move |message| {
+                    inputs::twist(task, message, &locked(&find), Stamp::now(), oldest_s)
+                })
             }));
             streams.extend(subscription.clutch.as_ref().map(|topic| {
                 read(topic, "clutch", move |message: &Flag| Ok(Input::Clutch(task, message.data)))
@@ -321,7 +334,9 @@ impl Thread {
                 Service::Start => "control goes on",
                 _ => "the task set is chosen",
             }),
-            Err(_) => TriggerResponse { success: false, message: "the control loop is not running".to_owned() },
+            Err(_) => {
+                TriggerResponse { success: false, message: "the control loop is not running".to_owned() }
+            }
         }
     }
 }

@@ -1,4 +1,19 @@
 //! Robots behind ROS 2 topics, without a ROS installation.
+//!
+//! [`Ros2Driver`] is the driver `ros2` of `[driver]` in robot.toml; the README lists its keys, faults, topics and services.
+//! [`RosArm`] is the robot as a [`Backend`](opspace_backend::Backend). [`states`], [`wrenches`], [`commands`], [`inputs`],
+//! [`frames`] and [`clutch`] say what messages mean, without input and output; [`node`] has the client of DDS, and [`link`] the
+//! threads and rings between it and the control loop. [`companion`] enters targets into a run, and [`outputs`] publishes its rows.
+//!
+//! No real arm has been run with this crate.
+//!
+//! ```no_run
+//! use opspace_cli::{Extensions, main_with};
+//! use opspace_ros2::{Program, extend};
+//!
+//! let program = Program::default();
+//! let exit = main_with(extend(Extensions::default(), &program));
+//! ```
 
 #![forbid(unsafe_code)]
 
@@ -19,6 +34,7 @@ pub mod messages;
 pub mod node;
 pub mod outputs;
 pub mod pace;
+pub mod program;
 pub mod reports;
 pub mod start;
 pub mod states;
@@ -30,29 +46,13 @@ pub use arm::RosArm;
 pub use config::RosConfig;
 pub use driver::Ros2Driver;
 pub use fault::RosFault;
+pub use program::Program;
 
-use node::Participants;
 use opspace_experiment::Extensions;
-use reports::Reports;
-use tare::Tare;
 
-/// What the driver and the nodes of tasks share.
-#[derive(Clone, Default)]
-pub struct Program {
-    /// Participants of the nodes.
-    pub participants: Participants,
-    /// Sentences about the runs.
-    pub reports: Reports,
-    /// Tare of the force sensors.
-    pub tare: Tare,
-}
-
-impl Program {
-    /// Adds the driver, the targets, outputs and services of its runs, and the commands of this program.
-    #[must_use]
-    pub fn extend(&self, extensions: Extensions) -> Extensions {
-        extensions
-            .with_driver(Ros2Driver::new(self.clone()))
-            .with(companion::entry(self.participants.clone(), self.tare.clone()))
-    }
+/// Adds the driver, and the targets, outputs and services of its runs.
+#[must_use]
+pub fn extend(extensions: Extensions, program: &Program) -> Extensions {
+    let companion = companion::entry(program.participants.clone(), program.tare.clone());
+    extensions.with_driver(Ros2Driver::new(program.clone())).with(companion)
 }

@@ -4,7 +4,7 @@ use opspace_backend::{CommandKind, DriverError, Setting, Settings};
 use opspace_cli::clap::{self, Arg, ArgMatches};
 use opspace_cli::{Command, Extensions, main_with};
 use opspace_ros2::config::NodePlace;
-use opspace_ros2::{Program, description};
+use opspace_ros2::{Program, description, extend};
 use std::process::ExitCode;
 use std::time::Duration;
 
@@ -14,7 +14,7 @@ const LONGEST: Duration = Duration::from_secs(10);
 #[expect(clippy::print_stderr, reason = "a program says how its runs were")]
 fn main() -> ExitCode {
     let program = Program::default();
-    let exit = main_with(program.extend(Extensions::default()).with(description_command(&program)));
+    let exit = main_with(extend(Extensions::default(), &program).with(description_command(&program)));
     for text in program.reports.take() {
         eprintln!("ros2: {text}");
     }
@@ -54,7 +54,8 @@ fn write_description(program: &Program, matches: &ArgMatches) -> Result<(), Driv
         return Err(DriverError::new("a file and a topic are needed"));
     };
     let urdf = description::receive(&program.participants, &place, topic, LONGEST)?;
-    let mut created = std::fs::File::create_new(file).map_err(|error| DriverError::new(format!("{file}: {error}")))?;
+    let mut created =
+        std::fs::File::create_new(file).map_err(|error| DriverError::new(format!("{file}: {error}")))?;
     std::io::Write::write_all(&mut created, urdf.as_bytes())
         .map_err(|error| DriverError::new(format!("{file}: {error}")))
 }

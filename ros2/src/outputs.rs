@@ -150,7 +150,9 @@ impl Outputs {
         let values = |columns: &Option<Range<usize>>| columns.clone().and_then(|range| row.get(range));
         let mut transforms = Vec::new();
         for TaskOutput { name, state, velocity, reference, error, columns } in &self.tasks {
-            if let (Some(position), Some(orientation)) = (values(&columns.position), values(&columns.orientation)) {
+            if let (Some(position), Some(orientation)) =
+                (values(&columns.position), values(&columns.orientation))
+            {
                 let pose = pose(position, orientation);
                 let _ = state.publish(PoseStamped { header: header(WORLD), pose });
                 transforms.push(TransformStamped {
@@ -175,7 +177,8 @@ impl Outputs {
                 });
             }
             if let Some(values) = values(&columns.error) {
-                let message = Float64MultiArray { layout: MultiArrayLayout::default(), data: values.to_vec() };
+                let message =
+                    Float64MultiArray { layout: MultiArrayLayout::default(), data: values.to_vec() };
                 let _ = error.publish(message);
             }
         }
@@ -269,8 +272,11 @@ impl ViewerReceiver for Outputs {
             self.pace.add(1e-6 * row[status.start]);
         }
         // Before control the tasks have no values.
-        let is_controlled = self.columns.phase.as_ref().is_some_and(|phase| row[phase.start] != Phase::Rest.code());
-        if is_controlled && time_s - self.last_s >= 1.0 / self.plan.config.output_hz - 0.5 * self.plan.period_s {
+        let is_controlled =
+            self.columns.phase.as_ref().is_some_and(|phase| row[phase.start] != Phase::Rest.code());
+        if is_controlled
+            && time_s - self.last_s >= 1.0 / self.plan.config.output_hz - 0.5 * self.plan.period_s
+        {
             self.last_s = time_s;
             self.publish(row);
         }

@@ -37,10 +37,18 @@ fn wrong_keys_are_named_with_what_is_allowed() {
         ("node", text("1st"), "are no namespace and name of a node of ROS 2"),
         ("states", text("joint states"), "'joint states' is no name of a topic of ROS 2"),
         ("clock", text("steady"), "'clock' must be \"stamp\" or \"arrival\", not \"steady\""),
-        ("states_qos", text("sensor"), "'states_qos' must be \"reliable\" or \"best-effort\", not \"sensor\""),
+        (
+            "states_qos",
+            text("sensor"),
+            "'states_qos' must be \"reliable\" or \"best-effort\", not \"sensor\"",
+        ),
         ("command_joints", text("elbow"), "joint 'wrist' is missing"),
         ("command_joints", text("elbow, hand"), "unknown joint 'hand'; the joints are: elbow, wrist"),
-        ("wrenches", text("a, b"), "'wrenches' has 2 topics separated by commas, robot.toml has 1 force sensors: tip"),
+        (
+            "wrenches",
+            text("a, b"),
+            "'wrenches' has 2 topics separated by commas, robot.toml has 1 force sensors: tip",
+        ),
         ("trajectory_s", number(0.1), "'trajectory_s' is for command_type = \"joint-trajectory\""),
         ("silence_s", number(0.0), "'silence_s' must be above 0, not 0"),
         ("not_following_rad", number(-1.0), "'not_following_rad' must be above 0, or 0 for never"),
@@ -70,7 +78,8 @@ fn an_arm_that_would_fall_is_refused() {
 #[test]
 fn a_sensor_needs_its_topic() {
     let sensor = vec![ForceSensor { name: "tip".to_owned(), frame: "tool".to_owned() }];
-    let settings = Settings::new(CommandKind::Position, vec!["elbow".to_owned()], 0.01).with_force_sensors(sensor);
+    let settings =
+        Settings::new(CommandKind::Position, vec!["elbow".to_owned()], 0.01).with_force_sensors(sensor);
     let error = RosConfig::from_settings(&settings).expect_err("no topic");
     assert!(error.words.contains("has 0 topics"), "{}", error.words);
 }

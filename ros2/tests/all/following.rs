@@ -6,7 +6,9 @@ use opspace_ros2::following::FollowWatch;
 fn only_a_setpoint_that_moves_away_from_joints_at_rest_is_told() {
     let run = |q: &dyn Fn(f64) -> f64, setpoint: &dyn Fn(f64) -> f64| {
         let mut watch = FollowWatch::new(1, 0.1);
-        (0..400).map(|cycle| 0.01 * f64::from(cycle)).find(|t| watch.is_left_behind(*t, &[q(*t)], &[setpoint(*t)]))
+        (0..400)
+            .map(|cycle| 0.01 * f64::from(cycle))
+            .find(|t| watch.is_left_behind(*t, &[q(*t)], &[setpoint(*t)]))
     };
     let told = run(&|_| 0.3, &|t| 0.3 + 0.1 * t);
     assert!(told.is_some_and(|t| (1.0..1.1).contains(&t)), "{told:?}");

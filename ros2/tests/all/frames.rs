@@ -16,7 +16,10 @@ fn fixed(parent: &str, child: &str, x: f64) -> TransformStamped {
     TransformStamped {
         header: Header { frame_id: parent.to_owned(), ..Header::default() },
         child_frame_id: child.to_owned(),
-        transform: Transform { translation: Components { x, y: 0.0, z: 0.0 }, rotation: Quaternion::default() },
+        transform: Transform {
+            translation: Components { x, y: 0.0, z: 0.0 },
+            rotation: Quaternion::default(),
+        },
     }
 }
 

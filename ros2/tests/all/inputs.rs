@@ -5,7 +5,8 @@ use opspace_model::Model;
 use opspace_ros2::frames::Frames;
 use opspace_ros2::inputs::{Input, gains, modes, pose, twist, wrench};
 use opspace_ros2::messages::{
-    Float64MultiArray, Header, MultiArrayLayout, PoseStamped, Stamp, Text, TwistStamped, Vector3, WrenchStamped,
+    Float64MultiArray, Header, MultiArrayLayout, PoseStamped, Stamp, Text, TwistStamped, Vector3,
+    WrenchStamped,
 };
 
 fn frames() -> Frames {
@@ -59,7 +60,9 @@ fn gains_and_modes_are_read() {
     let mut wanted = [None; 6];
     (wanted[0], wanted[2]) = (Some(AxisMode::Compliant), Some(AxisMode::Force));
     assert_eq!(modes(1, &text("x=compliant  z=force")), Ok(Input::Modes(1, wanted)));
-    for (wrong, words) in [("x", "AXIS=MODE"), ("w=force", "unknown axis 'w'"), ("x=soft", "unknown mode 'soft'")] {
+    for (wrong, words) in
+        [("x", "AXIS=MODE"), ("w=force", "unknown axis 'w'"), ("x=soft", "unknown mode 'soft'")]
+    {
         assert!(modes(1, &text(wrong)).is_err_and(|said| said.contains(words)), "{wrong}");
     }
 }

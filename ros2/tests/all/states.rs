@@ -7,11 +7,17 @@ use opspace_ros2::states::{Failure, RobotState, StateReader};
 use opspace_ros2::{RosConfig, RosFault};
 use proptest::prelude::*;
 
+/// Change of a message.
+type Change = fn(&mut JointState);
+
 const OWN: [u8; 16] = [1; 16];
 const OTHER: [u8; 16] = [2; 16];
 
 /// Reads messages of a publisher that arrive when their stamps say, or later by the third number (s).
-fn read_all(reader: &mut StateReader, messages: &[(JointState, [u8; 16], f64)]) -> Result<Vec<RobotState>, Failure> {
+fn read_all(
+    reader: &mut StateReader,
+    messages: &[(JointState, [u8; 16], f64)],
+) -> Result<Vec<RobotState>, Failure> {
     let mut states = Vec::new();
     for (message, publisher, arrival_s) in messages {
         let mut state = RobotState::default();
@@ -89,7 +95,7 @@ fn a_second_publisher_is_told_from_a_restarted_one_by_the_silence_before() {
 
 #[test]
 fn lengths_and_numbers_that_are_wrong_are_faults() {
-    let broken: [(&str, fn(&mut JointState)); 3] = [
+    let broken: [(&str, Change); 3] = [
         ("3 names and 2 positions", |message| message.position.truncate(2)),
         ("joint 'elbow' has positions that are not finite", |message| message.position[2] = f64::NAN),
         ("3 names and 0 velocities", |message| message.velocity.clear()),

@@ -12,7 +12,7 @@ const CLAUSES: [&str; 6] = ["Of", "What", "Whether", "How", "Where", "The same"]
 fn no_doc_block_begins_with_a_clause() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
     let mut files = Vec::new();
-    for folder in ["crates", "python", "tests", "benches", "examples"] {
+    for folder in ["crates", "python", "ros2", "tests", "benches", "examples"] {
         collect(&root.join(folder), &mut files);
     }
     let (mut blocks, mut clauses) = (0, Vec::new());

@@ -48,7 +48,7 @@ fn licences_of_the_crates_are_those_of_the_project() {
     let mut crates = 0;
     let folders = fs::read_dir(root().join("crates")).expect("a folder");
     let folders = folders.map(|entry| entry.expect("a crate").path());
-    for folder in folders.chain([root().join("python")]) {
+    for folder in folders.chain(["python", "ros2"].map(|folder| root().join(folder))) {
         if folder.ends_with("opspace-testing") {
             continue;
         }
