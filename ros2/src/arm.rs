@@ -1,6 +1,6 @@
 //! A robot behind topics, as a robot of opspace.
 
-use crate::config::{EffortMeaning, RosConfig};
+use crate::config::{CommandType, EffortMeaning, RosConfig};
 use crate::fault::RosFault;
 use crate::following::FollowWatch;
 use crate::link::{Link, RowLayout};
@@ -159,7 +159,13 @@ fn capabilities(config: &RosConfig) -> Capabilities {
         Some(EffortMeaning::JointTorque) => measured.push(Measured::JointTorque),
         None => {}
     }
+    let setpoints = match config.command_type {
+        CommandType::Float64MultiArray => Setpoints::Held,
+        // The controller moves to the point of a trajectory.
+        CommandType::JointTrajectory(_) => Setpoints::Interpolated,
+    };
     Capabilities::new(config.joints.clone(), config.command, config.period_s)
+        .with_setpoints(setpoints)
         .measuring(&measured)
         .with_force_sensors(config.force_sensors.clone())
         .with_status()

@@ -30,7 +30,7 @@ STEP_S = 2e-4
 class Arm:
     """The arm: joints of a URDF with position actuators, a push, a board, and a force sensor at the flange."""
 
-    def __init__(self, urdf, push_n, board_z):
+    def __init__(self, urdf, push_n, board_z, interpolates):
         text = open(urdf).read().replace("</robot>", '<mujoco><compiler fusestatic="false" discardvisual="false"/></mujoco></robot>')
         spec = mujoco.MjSpec.from_string(text)
         for joint in spec.joints:
@@ -53,7 +53,9 @@ class Arm:
         stiffness = np.array([GAINS[name][0] for name in JOINTS])
         # At rest the servos carry the weight.
         self.command = np.array(START) + self.data.qfrc_bias[self.v] / stiffness
+        self.data.ctrl[:] = self.command
         self.torque = self.data.qfrc_bias[self.v].copy()
+        self.interpolates = interpolates
         self.push_n, self.board_z = np.array(push_n), board_z
         self.wrench = np.zeros(6)
         self.force = np.zeros(3)
@@ -76,10 +78,12 @@ class Arm:
 
     def go_on(self, period_s):
         """Lets the physics go on for a period."""
-        self.data.ctrl[:] = self.command
+        before = self.data.ctrl.copy() if self.interpolates else self.command
+        self.data.ctrl[:] = before
         total = np.zeros(len(JOINTS))
         steps = round(period_s / STEP_S)
-        for _ in range(steps):
+        for step in range(steps):
+            self.data.ctrl[:] = before + (self.command - before) * (step + 1) / steps
             self.force = self.applied()
             self.data.qfrc_applied[:] = 0.0
             mujoco.mj_applyFT(self.model, self.data, self.force, np.zeros(3), self.data.xpos[self.flange], self.flange, self.data.qfrc_applied)
@@ -111,12 +115,14 @@ def main():
     parser.add_argument("--inactive-after-s", type=float, help="ignore commands then")
     parser.add_argument("--restart-after-s", type=float, help="destroy the publisher then, and create another one after 30 ms")
     parser.add_argument("--no-stamps", action="store_true")
+    parser.add_argument("--trajectories", action="store_true", help="take trajectories of one point, and move to it within a cycle")
     args = parser.parse_args()
 
     import rclpy
     from geometry_msgs.msg import WrenchStamped
     from sensor_msgs.msg import JointState
     from std_msgs.msg import Float64MultiArray, String
+    from trajectory_msgs.msg import JointTrajectory
     from rclpy.qos import DurabilityPolicy, QoSProfile
 
     rclpy.init(args=[])
@@ -125,7 +131,7 @@ def main():
     wrench_publisher = node.create_publisher(WrenchStamped, "wrist/wrench", 10)
     description = node.create_publisher(String, "robot_description", QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL))
     description.publish(String(data=open(args.urdf).read()))
-    arm = Arm(args.urdf, args.push_n, args.board_z)
+    arm = Arm(args.urdf, args.push_n, args.board_z, args.trajectories)
     arrived = threading.Condition()
     counts = {"states": 0, "commands": 0, "late_cycles": 0, "wrong_commands": 0}
     latest = {"command": None, "published_s": None}
@@ -144,7 +150,16 @@ def main():
             counts["commands"] += 1
             arrived.notify()
 
-    node.create_subscription(Float64MultiArray, "forward_position_controller/commands", take, 10)
+    def take_trajectory(message):
+        point = dict(zip(message.joint_names, message.points[0].positions, strict=True))
+        within_s = message.points[0].time_from_start.sec + 1e-9 * message.points[0].time_from_start.nanosec
+        assert len(message.points) == 1 and abs(within_s - 1.0 / args.hz) < 1e-6
+        take(Float64MultiArray(data=[point[name] for name in JOINTS]))
+
+    if args.trajectories:
+        node.create_subscription(JointTrajectory, "joint_trajectory_controller/joint_trajectory", take_trajectory, 10)
+    else:
+        node.create_subscription(Float64MultiArray, "forward_position_controller/commands", take, 10)
     threading.Thread(target=rclpy.spin, args=(node,), daemon=True).start()
 
     stop = threading.Event()

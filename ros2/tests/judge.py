@@ -86,10 +86,10 @@ def rows(out, *columns):
     return np.array([[float(row[name] or "nan") for name in columns] for row in reader])
 
 
-def directly(task):
+def directly(task, *options):
     """Motion of the flange of the same arm, simulated with the same rate and delay: displacement in x, rms errors of y and z."""
     plant = ["--plant", "mujoco"] if subprocess.run([sys.executable, "-c", "import mujoco"], check=False).returncode == 0 else []
-    code, said, out = end(start(task, "--simulate", *plant))
+    code, said, out = end(start(task, "--simulate", *plant, *options))
     assert code == 0, said
     logged = rows(out, "phase", "flange.position.x_m", "flange.position.y_m", "flange.position.z_m")
     # While the controller commands.
@@ -107,17 +107,21 @@ def figures(position):
 
 def control_is_as_direct():
     """Compliant-x, press and hold: x yields as directly, y and z err at most twice as much."""
-    for task, options in {
-        "compliant-x": ["--push-n", 2, 0, 0],
-        "hold": ["--push-n", 0, 10, 0],
-        "press": ["--board-z", 0.4679],
-    }.items():
-        direct = directly(task)
+    trajectories = ["--set", 'robot.interface.setpoints="interpolated"']
+    over_trajectories = [*trajectories, "--set", 'robot.driver.command_type="joint-trajectory"', "--set", 'robot.driver.commands="joint_trajectory_controller/joint_trajectory"']
+    for task, options, settings, of_topics in (
+        ("compliant-x", ["--push-n", 2, 0, 0], [], []),
+        ("hold", ["--push-n", 0, 10, 0], [], []),
+        ("press", ["--board-z", 0.4679], [], []),
+        ("hold", ["--push-n", 0, 10, 0, "--trajectories"], trajectories, over_trajectories),
+    ):
+        direct = directly(task, *settings)
         robot = Robot("--patient", *options)
-        code, said, out = end(start(task))
+        code, said, out = end(start(task, *of_topics))
+        task = f"{task} by trajectories" if settings else task
         counts = robot.end()
         motion = robot.motion()
-        during = motion[motion[:, 0] <= (4.0 if task == "hold" else 6.0)]
+        during = motion[motion[:, 0] <= (4.0 if task.startswith("hold") else 6.0)]
         topics = figures(during[:, 1:4])
         mm = lambda values: ", ".join(f"{1e3 * value:.3f}" for value in values)
         check(code == 0, f"{task}: the run is complete (exit code {code})")
@@ -216,6 +220,14 @@ def refused(text, *options):
 def starts_are_refused():
     """What is wrong before the start is an error with what is there."""
     refused("no state comes on /joint_states", "--set", "robot.driver.discovery_s=2")
+    checked = subprocess.run([args.program, "check", str(TESTS / "tasks/hold.toml")], capture_output=True, text=True, check=False)
+    check(checked.returncode == 0, "the task is checked")
+    started = start("hold")
+    time.sleep(3.0)
+    robot = Robot("--patient")
+    code, said, _ = end(started)
+    check(code == 0, f"a robot that comes later is waited for (exit code {code})")
+    robot.end()
     robot = Robot("--hz", 125)
     refused("comes every 8.", "--set", "robot.driver.discovery_s=4")
     robot.end()

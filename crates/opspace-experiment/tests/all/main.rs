@@ -2,6 +2,7 @@
 
 mod codes;
 mod collisions;
+mod companions;
 mod coupled_clutch;
 mod coupled_common;
 mod coupled_energy;
