@@ -52,6 +52,14 @@ pub struct RowLayout {
     pub wrenches: usize,
 }
 
+/// End of the rings in the thread of the messages.
+pub struct NodeEnd {
+    states: Producer<f64>,
+    commands: Consumer<f64>,
+    layout: RowLayout,
+    shared: Arc<Shared>,
+}
+
 struct Shared {
     /// First fault.
     fault: OnceLock<DeviceFault>,
@@ -88,15 +96,12 @@ impl RowLayout {
 }
 
 impl Link {
-    /// Starts the threads of a robot that was found.
-    ///
-    /// # Errors
-    /// A thread that cannot be started.
-    pub fn start(topics: RobotTopics, found: FoundRobot, config: &RosConfig) -> Result<Self, DriverError> {
-        let FoundRobot { reader, wrenches, began, .. } = found;
+    /// Returns both ends of the rings, without threads.
+    #[must_use]
+    pub fn rings(config: &RosConfig) -> (Self, NodeEnd) {
         let layout = RowLayout::of(config);
         let (states_in, states) = RingBuffer::new(ROWS * layout.width());
-        let (commands, commands_out) = RingBuffer::new(ROWS * config.joints.len());
+        let (commands, commands_out) = RingBuffer::new(ROWS * layout.joints);
         let shared = Arc::new(Shared {
             fault: OnceLock::new(),
             control: OnceLock::new(),
@@ -106,37 +111,41 @@ impl Link {
             refused: AtomicU64::new(0),
             overflowed: AtomicU64::new(0),
         });
+        let end = NodeEnd { states: states_in, commands: commands_out, layout, shared: Arc::clone(&shared) };
+        (Self { shared, states, commands, layout, threads: Vec::new() }, end)
+    }
+
+    /// Starts the threads of a robot that was found.
+    ///
+    /// # Errors
+    /// A thread that cannot be started.
+    pub fn start(topics: RobotTopics, found: FoundRobot, config: &RosConfig) -> Result<Self, DriverError> {
+        let (mut link, end) = Self::rings(config);
+        let FoundRobot { reader, wrenches, began, .. } = found;
         let watch = GraphWatch {
             graph: topics.node.graph(),
             commands: config.whole_name(&config.commands),
             states: config.whole_name(&config.states),
             source: reader.publisher(),
-            shared: Arc::clone(&shared),
+            shared: Arc::clone(&link.shared),
         };
         let messages = Messages {
             reader,
             wrenches,
             state: RobotState::default(),
-            states: states_in,
-            commands: commands_out,
             row: vec![0.0; config.joints.len()],
-            layout,
             refused: 0,
             config: config.clone(),
-            shared: Arc::clone(&shared),
             began,
+            end,
         };
         let not_started =
             |error: std::io::Error| DriverError::new(format!("no thread can be started: {error}"));
         let messages = Builder::new().name("opspace-ros2".to_owned()).spawn(move || messages.run(&topics));
+        link.threads.push(messages.map_err(not_started)?);
         let watch = Builder::new().name("opspace-ros2-graph".to_owned()).spawn(move || watch.run());
-        Ok(Self {
-            shared,
-            states,
-            commands,
-            layout,
-            threads: vec![messages.map_err(not_started)?, watch.map_err(not_started)?],
-        })
+        link.threads.push(watch.map_err(not_started)?);
+        Ok(link)
     }
 
     /// Fault of the robot, once there is one.
@@ -212,6 +221,38 @@ impl Shared {
     }
 }
 
+impl NodeEnd {
+    /// Hands a state and the wrenches over to the control loop.
+    pub fn push(&mut self, state: &RobotState, wrenches: &[[f64; 6]]) {
+        let Ok(chunk) = self.states.write_chunk_uninit(self.layout.width()) else {
+            self.shared.overflowed.fetch_add(1, Ordering::Relaxed);
+            return;
+        };
+        let values = [state.time_s, state.interval_s]
+            .into_iter()
+            .chain(state.q.iter().copied())
+            .chain(state.dq.iter().copied())
+            .chain(state.effort.iter().copied())
+            .chain(wrenches.iter().flatten().copied());
+        chunk.fill_from_iter(values);
+        self.shared.wake_control();
+    }
+
+    /// Copies the next command of the control loop; returns false if there is none.
+    pub fn next_command(&mut self, values: &mut [f64]) -> bool {
+        let Ok(chunk) = self.commands.read_chunk(values.len()) else { return false };
+        for (slot, value) in values.iter_mut().zip(chunk) {
+            *slot = value;
+        }
+        true
+    }
+
+    /// Records a fault unless there is one already, and wakes the control loop.
+    pub fn fail(&self, fault: RosFault, details: &str) {
+        self.shared.fail(fault, details);
+    }
+}
+
 /// Something that the thread of the messages waits for.
 enum Event {
     State(Received<crate::messages::JointState>),
@@ -226,14 +267,11 @@ struct Messages {
     reader: StateReader,
     wrenches: WrenchReader,
     state: RobotState,
-    states: Producer<f64>,
-    commands: Consumer<f64>,
     row: Vec<f64>,
-    layout: RowLayout,
     refused: u32,
     config: RosConfig,
-    shared: Arc<Shared>,
     began: Instant,
+    end: NodeEnd,
 }
 
 impl Messages {
@@ -248,13 +286,13 @@ impl Messages {
             };
             streams.push(wrenches.map(event).boxed_local());
         }
-        streams.push(Wakes(self.shared.wake.clone()).map(|()| Event::Command).boxed_local());
+        streams.push(Wakes(self.end.shared.wake.clone()).map(|()| Event::Command).boxed_local());
         let mut events = select_all(streams);
         futures::executor::block_on(async {
-            while !self.shared.is_closed.load(Ordering::Acquire) {
+            while !self.end.shared.is_closed.load(Ordering::Acquire) {
                 let Some(event) = events.next().await else { return };
                 if let Err((fault, details)) = self.handle(event, &topics.commander) {
-                    self.shared.fail(fault, &details);
+                    self.end.fail(fault, &details);
                 }
             }
         });
@@ -271,42 +309,21 @@ impl Messages {
                     return Ok(());
                 }
                 self.wrenches.check_silence(arrival_s)?;
-                self.push();
+                self.end.push(&self.state, self.wrenches.values());
                 Ok(())
             }
         }
     }
 
-    /// Hands the state over to the control loop.
-    fn push(&mut self) {
-        let Ok(chunk) = self.states.write_chunk_uninit(self.layout.width()) else {
-            self.shared.overflowed.fetch_add(1, Ordering::Relaxed);
-            return;
-        };
-        let state = &self.state;
-        let values = [state.time_s, state.interval_s]
-            .into_iter()
-            .chain(state.q.iter().copied())
-            .chain(state.dq.iter().copied())
-            .chain(state.effort.iter().copied())
-            .chain(self.wrenches.values().iter().flatten().copied());
-        chunk.fill_from_iter(values);
-        self.shared.wake_control();
-    }
-
     /// Publishes the commands that the control loop has written.
     fn publish(&mut self, commander: &Commander) -> Result<(), Failure> {
-        let n = self.row.len();
-        while let Ok(chunk) = self.commands.read_chunk(n) {
-            for (slot, value) in self.row.iter_mut().zip(chunk) {
-                *slot = value;
-            }
+        while self.end.next_command(&mut self.row) {
             if commander.publish(command_message(&self.config, &self.row)) {
                 self.refused = 0;
                 continue;
             }
             self.refused += 1;
-            self.shared.refused.fetch_add(1, Ordering::Relaxed);
+            self.end.shared.refused.fetch_add(1, Ordering::Relaxed);
             if self.refused >= REFUSED_COMMANDS {
                 let details = format!("it did not take {REFUSED_COMMANDS} commands in a row");
                 return Err((RosFault::ClientFailed, details));

@@ -115,6 +115,7 @@ def main():
     parser.add_argument("--inactive-after-s", type=float, help="ignore commands then")
     parser.add_argument("--restart-after-s", type=float, help="destroy the publisher then, and create another one after 30 ms")
     parser.add_argument("--no-stamps", action="store_true")
+    parser.add_argument("--namespace", default="")
     parser.add_argument("--trajectories", action="store_true", help="take trajectories of one point, and move to it within a cycle")
     args = parser.parse_args()
 
@@ -126,7 +127,7 @@ def main():
     from rclpy.qos import DurabilityPolicy, QoSProfile
 
     rclpy.init(args=[])
-    node = rclpy.create_node("foreign_robot")
+    node = rclpy.create_node("foreign_robot", namespace=args.namespace)
     publisher = node.create_publisher(JointState, "joint_states", 10)
     wrench_publisher = node.create_publisher(WrenchStamped, "wrist/wrench", 10)
     description = node.create_publisher(String, "robot_description", QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL))

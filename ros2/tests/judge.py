@@ -45,10 +45,11 @@ def check(is_good, text):
 class Robot:
     """The foreign robot, in a process of its own."""
 
-    def __init__(self, *options):
+    def __init__(self, *options, domain=0):
         self.record = FOLDER / f"robot-{time.monotonic_ns()}.csv"
         command = [sys.executable, TESTS / "foreign_robot.py", args.project / "robots/ur5e/ur5e.urdf", "--record", self.record]
-        self.process = subprocess.Popen([*map(str, command), *map(str, options)], stdout=subprocess.PIPE, text=True)
+        environment = os.environ | {"ROS_DOMAIN_ID": str(domain)}
+        self.process = subprocess.Popen([*map(str, command), *map(str, options)], stdout=subprocess.PIPE, text=True, env=environment)
         assert self.process.stdout.readline().strip() == "ready"
 
     def end(self):
@@ -228,6 +229,12 @@ def starts_are_refused():
     code, said, _ = end(started)
     check(code == 0, f"a robot that comes later is waited for (exit code {code})")
     robot.end()
+    robot = Robot("--patient", "--namespace", "left/arm", domain=7)
+    place = ["--set", "robot.driver.domain=7", "--set", 'robot.driver.namespace="left/arm"']
+    code, said, _ = end(start("hold", *place))
+    check(code == 0, f"domain and namespace are honoured (exit code {code})")
+    refused("no state comes on /left/arm/joint_states", *place[2:], "--set", "robot.driver.discovery_s=2")
+    robot.end()
     robot = Robot("--hz", 125)
     refused("comes every 8.", "--set", "robot.driver.discovery_s=4")
     robot.end()
@@ -253,9 +260,11 @@ def starts_are_refused():
     same = urdf.exists() and urdf.read_text() == (args.project / "robots/ur5e/ur5e.urdf").read_text()
     check(written.returncode == 0 and same, "the description of the robot is written to a file")
     robot.end()
-    robot = Robot("--no-stamps")
-    refused("states have no stamps")
-    code, said, _ = end(start("hold", "--set", 'robot.driver.clock="arrival"'))
+    # At 50 Hz, as this robot does not wait for its commands.
+    slow = [part for key in ("servo_ticks_per_cycle", "delay_servo_ticks") for part in ("--set", f"robot.profile.topics-250hz.{key}=100")]
+    robot = Robot("--no-stamps", "--hz", 50)
+    refused("states have no stamps", *slow)
+    code, said, _ = end(start("hold", *slow, "--controller", "ik", "--set", 'robot.driver.clock="arrival"', "--set", "robot.driver.silence_s=0.3"))
     check(code == 0, f"states without stamps: the clock of their arrival (exit code {code})")
     if code != 0:
         print(said)
@@ -329,6 +338,8 @@ def targets_are_followed():
         pose = seen["state"][-1].pose
         return np.array([pose.position.x, pose.position.y, pose.position.z]), pose.orientation
 
+    names = set(node.get_node_names())
+    check({"opspace", "opspace_driver", "opspace_outputs"} <= names, f"targets: the nodes are in the graph of rclpy: {sorted(names)}")
     home, orientation = state()
 
     def send(position, frame="", stamped=True):
