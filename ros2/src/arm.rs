@@ -5,7 +5,9 @@ use crate::fault::RosFault;
 use crate::following::FollowWatch;
 use crate::link::{Link, RowLayout};
 use crate::pace::Pace;
-use opspace_backend::{Backend, Capabilities, Command, CommandKind, DeviceFault, Measured, Sample, Status};
+use opspace_backend::{
+    Backend, Capabilities, Command, CommandKind, DeviceFault, Measured, Sample, Setpoints, Status,
+};
 use std::time::{Duration, Instant};
 
 /// A robot behind topics.

@@ -115,8 +115,7 @@ fn a_hold_that_a_companion_asks_for_lasts() {
     let calls = Calls::default();
     let mut holding = Noting { number: 0, calls, hold_s: 0.6, end_s: f64::INFINITY };
     let log = run(&mut holding);
-    let phases: Vec<f64> =
-        log.tick().unwrap().signal("phase").unwrap().rows().map(|row| row[0]).collect();
+    let phases: Vec<f64> = log.tick().unwrap().signal("phase").unwrap().rows().map(|row| row[0]).collect();
     // Cycles of 1 ms.
     assert!(phases[300..600].iter().all(|phase| *phase == Phase::Control.code()));
     assert!(phases[601..1100].iter().all(|phase| *phase == Phase::Held.code()));
@@ -137,7 +136,10 @@ fn the_status_of_a_robot_is_logged_and_replayed() {
     let (words, limited) = (column("status"), column("device_limited"));
     assert!(words.len() > 1000);
     for (cycle, (word, limited)) in (1_u32..).zip(words.iter().zip(&limited)) {
-        assert_eq!((*word, *limited), (f64::from(1000 + cycle), f64::from(u8::from(cycle.is_multiple_of(7)))));
+        assert_eq!(
+            (*word, *limited),
+            (f64::from(1000 + cycle), f64::from(u8::from(cycle.is_multiple_of(7))))
+        );
     }
     let report = replay(&own, &log).unwrap();
     assert_eq!((report.differing, report.unmatched.len()), (0, 0));
