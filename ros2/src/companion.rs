@@ -27,7 +27,7 @@ const NAME: &str = "name";
 
 /// Companion of a run with robots behind topics.
 pub struct RosCompanion {
-    /// Of each robot; `None` for those without topics.
+    /// Inputs of each robot; `None` for those without topics.
     robots: Vec<Option<RobotInputs>>,
 }
 

@@ -119,7 +119,7 @@ impl Service {
     }
 }
 
-/// What has arrived.
+/// Message that has arrived.
 enum Arrived {
     Input(&'static str, Result<Input, String>),
     Frames(Result<(TfMessage, MessageInfo), ReadError>),

@@ -336,6 +336,6 @@ pub struct TriggerRequest {
 pub struct TriggerResponse {
     /// True if it was done.
     pub success: bool,
-    /// What was done, or why not.
+    /// Result in words, or the reason why it was not done.
     pub message: String,
 }

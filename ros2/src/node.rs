@@ -176,9 +176,9 @@ impl Graph {
 
 /// Publisher of commands.
 pub enum Commander {
-    /// Of arrays.
+    /// Publisher of arrays.
     Array(Publisher<Float64MultiArray>),
-    /// Of trajectories.
+    /// Publisher of trajectories.
     Trajectory(Publisher<JointTrajectory>),
 }
 

@@ -1,10 +1,10 @@
-//! What the driver and the nodes of tasks of a program share.
+//! Parts that the driver and the nodes of tasks of a program share.
 
 use crate::node::Participants;
 use crate::reports::Reports;
 use crate::tare::Tare;
 
-/// What the driver and the nodes of tasks share.
+/// Parts that the driver and the nodes of tasks share.
 #[derive(Clone, Default)]
 pub struct Program {
     /// Participants of the nodes.

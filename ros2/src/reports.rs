@@ -1,4 +1,4 @@
-//! What the program says at its end about the topics of its runs.
+//! Sentences at the end of the program, about the topics of its runs.
 
 use std::sync::{Arc, Mutex, PoisonError};
 

@@ -3,6 +3,7 @@
 mod capabilities;
 pub mod collision;
 pub mod companion;
+pub mod companion_entry;
 mod comparisons;
 pub mod compliance;
 pub(crate) mod coupling_expectations;
