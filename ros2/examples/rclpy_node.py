@@ -17,7 +17,7 @@ class Controller(Node):
     def __init__(self, task, log):
         super().__init__("opspace")
         experiment = opspace.Experiment(task)
-        self.run, self.joints, self.wrench = experiment.start(log), experiment.joints, [[0.0] * 6]
+        self.run, self.joints, self.wrench = experiment.start(log), experiment.joints, [0.0] * 6
         self.commands = self.create_publisher(Float64MultiArray, "forward_position_controller/commands", 1)
         self.create_subscription(JointState, "joint_states", self.cycle, 1)
         self.create_subscription(WrenchStamped, "wrist/wrench", self.feel, 1)
@@ -25,7 +25,7 @@ class Controller(Node):
 
     def feel(self, message):
         force, torque = message.wrench.force, message.wrench.torque
-        self.wrench = [[force.x, force.y, force.z, torque.x, torque.y, torque.z]]
+        self.wrench = [force.x, force.y, force.z, torque.x, torque.y, torque.z]
 
     def aim(self, message):
         p, q = message.pose.position, message.pose.orientation
@@ -39,7 +39,8 @@ class Controller(Node):
         if kind == "position":
             self.commands.publish(Float64MultiArray(data=values))
         if self.run.over:
-            raise SystemExit(str(self.run.finish().outcome))
+            print(self.run.finish().outcome)
+            raise SystemExit
 
 
 rclpy.init()
