@@ -1,6 +1,6 @@
 //! Configuration of a robot behind topics: the keys of `[driver]` in robot.toml.
 
-use opspace_backend::{CommandKind, DriverError, ForceSensor, Settings};
+use opspace_backend::{CommandKind, DriverError, ForceSensor, Measured, Settings};
 use ros2_client::qos::{Durability, History, Reliability, WhenFull};
 use ros2_client::{Name, NodeName, QosProfile};
 use std::time::Duration;
@@ -9,14 +9,13 @@ use std::time::Duration;
 pub const DRIVER: &str = "ros2";
 
 /// Keys of `[driver]`.
-pub const KEYS: [&str; 24] = [
+pub const KEYS: [&str; 23] = [
     "domain",
     "namespace",
     "node",
     "states",
     "states_qos",
     "clock",
-    "velocity",
     "effort",
     "commands",
     "commands_qos",
@@ -181,7 +180,7 @@ impl RosConfig {
                 &[("stamp", ClockSource::Stamp), ("arrival", ClockSource::Arrival)],
             )?
             .unwrap_or(ClockSource::Stamp),
-            measures_velocity: settings.flag("velocity")?,
+            measures_velocity: settings.measured.contains(&Measured::Velocity),
             effort: choice(
                 settings,
                 "effort",
@@ -322,8 +321,8 @@ fn default_commands(command: CommandKind, command_type: CommandType) -> &'static
 
 fn command_order(settings: &Settings) -> Result<Vec<usize>, DriverError> {
     let joints = &settings.joints;
-    let Some(names) = list(settings, "command_joints")? else { return Ok((0..joints.len()).collect()) };
-    let find = |name: &String| {
+    let Some(names) = settings.texts("command_joints")? else { return Ok((0..joints.len()).collect()) };
+    let find = |name: &&str| {
         joints.iter().position(|joint| joint == name).ok_or_else(|| {
             let words = format!("unknown joint '{name}'; the joints are: {}", joints.join(", "));
             DriverError::at("command_joints", words)
@@ -344,16 +343,16 @@ fn command_order(settings: &Settings) -> Result<Vec<usize>, DriverError> {
 
 fn wrenches(settings: &Settings) -> Result<Vec<String>, DriverError> {
     let sensors = &settings.force_sensors;
-    let topics = list(settings, "wrenches")?.unwrap_or_default();
+    let topics = settings.texts("wrenches")?.unwrap_or_default();
     for topic in &topics {
         check_name("wrenches", topic)?;
     }
     if topics.len() == sensors.len() {
-        return Ok(topics);
+        return Ok(topics.into_iter().map(str::to_owned).collect());
     }
     let names: Vec<&str> = sensors.iter().map(|sensor| sensor.name.as_str()).collect();
     let words = format!(
-        "'wrenches' has {} topics separated by commas, robot.toml has {} force sensors: {}",
+        "'wrenches' has {} topics, robot.toml has {} force sensors: {}",
         topics.len(),
         sensors.len(),
         if names.is_empty() { "none".to_owned() } else { names.join(", ") }
@@ -415,13 +414,4 @@ fn seconds(settings: &Settings, key: &str, default_s: f64) -> Result<Duration, D
         return Err(DriverError::at(key, format!("'{key}' must be at most 3600 s, not {number}")));
     }
     Ok(Duration::from_secs_f64(number))
-}
-
-/// Returns the parts of a text that are separated by commas, if the key exists.
-fn list(settings: &Settings, key: &str) -> Result<Option<Vec<String>>, DriverError> {
-    if !settings.contains(key) {
-        return Ok(None);
-    }
-    let text = settings.text(key)?;
-    Ok(Some(text.split(',').map(|part| part.trim().to_owned()).collect()))
 }

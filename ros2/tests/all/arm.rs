@@ -1,7 +1,7 @@
 //! The robot as a backend, on rings without a node.
 
 use crate::common::{config, settings};
-use opspace_backend::{Backend, Command, CommandKind, Sample, Setting, Settings};
+use opspace_backend::{Backend, Command, CommandKind, Measured, Sample, Setting, Settings};
 use opspace_ros2::link::{Link, NodeEnd};
 use opspace_ros2::states::RobotState;
 use opspace_ros2::{RosArm, RosConfig, RosFault};
@@ -114,7 +114,7 @@ fn a_robot_that_does_not_follow_is_told() {
 /// Compared: the counts of the allocator before and after cycles; it counts this thread.
 #[test]
 fn reads_and_writes_allocate_nothing() {
-    let settings = settings().with("velocity", Setting::Flag(true));
+    let settings = settings().measuring(&[Measured::Position, Measured::Velocity]);
     let (mut arm, mut end, mut sample) = arm(&RosConfig::from_settings(&settings).unwrap());
     let mut states: Vec<RobotState> = (0..100)
         .map(|cycle| RobotState { dq: vec![0.0; 2], ..state(0.01 * f64::from(cycle), [0.1, 0.2]) })

@@ -1,6 +1,6 @@
 //! Commands as messages.
 
-use crate::common::{config, settings, text};
+use crate::common::{config, settings, text, texts};
 use opspace_backend::Setting;
 use opspace_ros2::RosConfig;
 use opspace_ros2::commands::{CommandMessage, command_message};
@@ -10,7 +10,8 @@ use opspace_ros2::messages::Stamp;
 fn arrays_have_the_order_of_the_controller() {
     let CommandMessage::Array(message) = command_message(&config(), &[0.1, 0.2]) else { panic!("an array") };
     assert_eq!(message.data, [0.1, 0.2]);
-    let turned = RosConfig::from_settings(&settings().with("command_joints", text("wrist, elbow"))).unwrap();
+    let turned =
+        RosConfig::from_settings(&settings().with("command_joints", texts(&["wrist", "elbow"]))).unwrap();
     let CommandMessage::Array(message) = command_message(&turned, &[0.1, 0.2]) else { panic!("an array") };
     assert_eq!(message.data, [0.2, 0.1]);
 }
@@ -20,7 +21,7 @@ fn trajectories_have_one_point_that_is_reached_after_the_stated_time() {
     let settings = settings()
         .with("command_type", text("joint-trajectory"))
         .with("trajectory_s", Setting::Number(0.02))
-        .with("command_joints", text("wrist, elbow"));
+        .with("command_joints", texts(&["wrist", "elbow"]));
     let config = RosConfig::from_settings(&settings).unwrap();
     assert_eq!(config.commands, "joint_trajectory_controller/joint_trajectory");
     let CommandMessage::Trajectory(message) = command_message(&config, &[0.1, 0.2]) else {

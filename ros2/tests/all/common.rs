@@ -9,11 +9,15 @@ pub fn settings() -> Settings {
     let joints = vec!["elbow".to_owned(), "wrist".to_owned()];
     Settings::new(CommandKind::Position, joints, 0.01)
         .with_force_sensors(vec![ForceSensor { name: "tip".to_owned(), frame: "tool".to_owned() }])
-        .with("wrenches", text("tip/wrench"))
+        .with("wrenches", texts(&["tip/wrench"]))
 }
 
 pub fn text(value: &str) -> Setting {
     Setting::Text(value.to_owned())
+}
+
+pub fn texts(values: &[&str]) -> Setting {
+    Setting::List(values.iter().map(|value| text(value)).collect())
 }
 
 pub fn config() -> RosConfig {

@@ -1,6 +1,6 @@
 //! Keys of `[driver]`.
 
-use crate::common::{settings, text};
+use crate::common::{settings, text, texts};
 use opspace_backend::{CommandKind, ForceSensor, Setting, Settings};
 use opspace_ros2::RosConfig;
 use opspace_ros2::config::{ClockSource, CommandType, KEYS};
@@ -42,13 +42,9 @@ fn wrong_keys_are_named_with_what_is_allowed() {
             text("sensor"),
             "'states_qos' must be \"reliable\" or \"best-effort\", not \"sensor\"",
         ),
-        ("command_joints", text("elbow"), "joint 'wrist' is missing"),
-        ("command_joints", text("elbow, hand"), "unknown joint 'hand'; the joints are: elbow, wrist"),
-        (
-            "wrenches",
-            text("a, b"),
-            "'wrenches' has 2 topics separated by commas, robot.toml has 1 force sensors: tip",
-        ),
+        ("command_joints", texts(&["elbow"]), "joint 'wrist' is missing"),
+        ("command_joints", texts(&["elbow", "hand"]), "unknown joint 'hand'; the joints are: elbow, wrist"),
+        ("wrenches", texts(&["a", "b"]), "'wrenches' has 2 topics, robot.toml has 1 force sensors: tip"),
         ("trajectory_s", number(0.1), "'trajectory_s' is for command_type = \"joint-trajectory\""),
         ("silence_s", number(0.0), "'silence_s' must be above 0, not 0"),
         ("not_following_rad", number(-1.0), "'not_following_rad' must be above 0, or 0 for never"),

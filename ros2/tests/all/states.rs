@@ -1,7 +1,7 @@
 //! Joint states: order, publishers, clock and numbers.
 
 use crate::common::{config, message, settings, text};
-use opspace_backend::Setting;
+use opspace_backend::Measured;
 use opspace_ros2::messages::JointState;
 use opspace_ros2::states::{Failure, RobotState, StateReader};
 use opspace_ros2::{RosConfig, RosFault};
@@ -101,7 +101,9 @@ fn lengths_and_numbers_that_are_wrong_are_faults() {
         ("3 names and 0 velocities", |message| message.velocity.clear()),
     ];
     for (words, break_it) in broken {
-        let velocities = RosConfig::from_settings(&settings().with("velocity", Setting::Flag(true))).unwrap();
+        let velocities =
+            RosConfig::from_settings(&settings().measuring(&[Measured::Position, Measured::Velocity]))
+                .unwrap();
         let mut reader = StateReader::new(&velocities);
         let mut wrong = message(5.0, 0.1, 0.2);
         break_it(&mut wrong);
