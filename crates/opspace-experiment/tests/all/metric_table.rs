@@ -45,7 +45,7 @@ fn meaning(metric: &Metric) -> String {
 /// Compared: the tables of docs/reference/metrics.md, and those of the rows in the code. `OPSPACE_WRITE_DOCS=1` writes them.
 #[test]
 fn page_has_the_rows_of_the_table() {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/metrics.md");
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/reference/metrics.md");
     let writes = std::env::var_os("OPSPACE_WRITE_DOCS").is_some();
     let mut page = std::fs::read_to_string(&path).unwrap();
     for (place, text) in generated() {
