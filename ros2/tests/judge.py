@@ -240,7 +240,7 @@ def starts_are_refused():
     robot.end()
     robot = Robot()
     refused("nothing subscribes to /arm_controller/commands", "--set", "robot.driver.discovery_s=2", "--set", 'robot.driver.commands="arm_controller/commands"')
-    refused("no wrench comes on /other/wrench", "--set", "robot.driver.discovery_s=2", "--set", 'robot.driver.wrenches="other/wrench"')
+    refused("no wrench comes on /other/wrench", "--set", "robot.driver.discovery_s=2", "--set", 'robot.driver.wrenches=["other/wrench"]')
     refused("has type std_msgs::msg::dds_::Float64MultiArray_", "--set", 'robot.driver.command_type="joint-trajectory"', "--set", 'robot.driver.commands="forward_position_controller/commands"')
     refused("must be \"stamp\" or \"arrival\"", "--set", 'robot.driver.clock="stamps"')
     refused("unknown key 'topic'", "--set", 'robot.driver.topic="x"')
