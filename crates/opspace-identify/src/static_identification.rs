@@ -10,7 +10,7 @@
 //! The joint [sweeps](sweep) its range in both directions, at several speeds, so that each of some 20 postures is passed from
 //! both sides. The mean of both offsets over g(q) has the slope 1/K; half of their difference is friction. Offsets are means
 //! over many counts of the encoder and many steps of the setpoint, whose rounding cancels; nothing depends on how a joint comes
-//! to rest, or on the friction that it has there. A [plan] chooses posture and range beforehand. The [fit](fit) has, in
+//! to rest, or on the friction that it has there. A [plan] chooses posture and range beforehand. The [fit] has, in
 //! addition, errors of the posture: encoders whose zero is wrong, and backlash, which displaces a link towards its load.
 //!
 //! With gravity alone, stiffness and masses are identified up to a common factor: the masses are those of the URDF. A second
