@@ -13,6 +13,7 @@ use opspace_feetech::{ArmConfig, BusFault, FeetechArm};
 use opspace_log::Recording;
 use opspace_loop::RunOutcome;
 use opspace_mujoco::Mujoco;
+use opspace_setup::identify::{IdentificationJob, Request};
 use std::path::Path;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
@@ -393,4 +394,29 @@ fn flag(bus: &mut SimulatedBus, flags: ErrorFlags) {
     if let Some(servo) = bus.servo_mut(3) {
         servo.flags = flags;
     }
+}
+
+/// Compared: the stiffness that is identified over the bus from the weight of the arm, and that of the simulated servo at P = 16,
+/// 8.9 Nm/rad; and its friction, 0.052 Nm.
+#[test]
+fn servo_is_identified_over_the_bus() {
+    let experiment = experiment("press", RunOptions::default(), &["environment={}"]);
+    let truth = Arc::new(Mutex::new(Truth::default()));
+    let (bus, config) = bus(&experiment, &truth, &[("latency_ms", 1.0)]);
+    let mut arm = FeetechArm::start(SimulatedTransport::new(bus), config).unwrap();
+    let names = experiment.robot().model.joints().iter().map(|joint| joint.name.clone());
+    let start_rad = names.zip(experiment.start().unwrap()).collect();
+    let joint = Some("shoulder_lift".to_owned());
+    let request = Request { joint, start_rad, ..Request::default() };
+    let job =
+        IdentificationJob::new(experiment.robot().clone(), request).unwrap_or_else(|error| panic!("{error}"));
+    let results = job.run(&mut arm, &Progress::default(), |_| {}).unwrap();
+    let found = &results.joints[0].found;
+    assert!(found.refused.is_none(), "{:?}", found.refused);
+    let servo = found.static_servo.as_ref().unwrap();
+    println!("{:.3} Nm/rad, {:?}; {:.4} Nm", servo.stiffness, servo.stiffness_interval, servo.coulomb);
+    assert!((servo.stiffness / 8.9 - 1.0).abs() < 0.02, "{}", servo.stiffness);
+    let interval = servo.stiffness_interval;
+    assert!((interval.lower..interval.upper).contains(&8.9), "{interval:?}");
+    assert!((servo.coulomb / 0.052 - 1.0).abs() < 0.1, "{}", servo.coulomb);
 }
