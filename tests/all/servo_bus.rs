@@ -4,6 +4,7 @@
 //! pseudo-terminal.
 #![expect(clippy::unwrap_used, clippy::print_stdout, reason = "a test that prints a table")]
 
+use crate::cli_common::{opspace, project, read_json, scratch};
 use opspace_backend::{Backend, Capabilities, Command, DeviceFault, Sample, Setting, Settings, TruthRow};
 use opspace_experiment::run::replay::replay;
 use opspace_experiment::{ControllerKind, Experiment, Files, Progress, RunOptions};
@@ -419,4 +420,38 @@ fn servo_is_identified_over_the_bus() {
     let interval = servo.stiffness_interval;
     assert!((interval.lower..interval.upper).contains(&8.9), "{interval:?}");
     assert!((servo.coulomb / 0.052 - 1.0).abs() < 0.1, "{}", servo.coulomb);
+}
+
+/// Compared: what a simulated run of a real robot says that a person would feel, and separate runs of the same robot, of a torque robot,
+/// and without friction compensation. Not said of a robot without a driver.
+#[test]
+fn simulated_run_says_what_a_person_would_feel() {
+    let folder = scratch();
+    let task = project("examples/so101/gravity-compensation.toml");
+    let run = |name: &str, options: &[&str]| {
+        let arguments = [&["run", &task, "--simulate", "--duration-s", "4", "--out", name], options].concat();
+        let ran = opspace(folder.path(), &arguments).exits(0);
+        let summary = read_json(&folder.path().join(name).join("summary.json"));
+        (ran.stderr, summary["metrics"]["hand_force_rms_n"].as_f64().unwrap())
+    };
+    let (said, force_n) = run("position", &[]);
+    let said_n = |begin: &str| {
+        let line = said
+            .lines()
+            .find(|line| line.trim().starts_with(begin))
+            .unwrap_or_else(|| panic!("{begin}: {said}"));
+        let number = line.split(" rms with ").nth(1).and_then(|rest| rest.split(" N").next());
+        number.unwrap_or_else(|| panic!("{line}")).parse::<f64>().unwrap()
+    };
+    let (_, torque_n) = run("torque", &["--backend", "torque"]);
+    let (_, friction_n) = run("friction", &["--set", "friction_compensation.gain=0.0"]);
+    for (begin, expected_n) in
+        [("by hand:", force_n), ("torque robot:", torque_n), ("without friction compensation:", friction_n)]
+    {
+        let of_note = said_n(begin);
+        assert!((of_note / expected_n - 1.0).abs() < 0.01, "{begin} {of_note} and {expected_n}");
+    }
+    assert!(friction_n > 1.2 * force_n, "{friction_n} {force_n}");
+    let arguments = ["run", &project("tasks/compliant-x.toml"), "--duration-s", "2", "--out", "other"];
+    assert!(!opspace(folder.path(), &arguments).exits(0).stderr.contains("by hand:"));
 }
