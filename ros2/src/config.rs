@@ -193,9 +193,9 @@ impl RosConfig {
             wrenches: wrenches(settings)?,
             force_sensors: settings.force_sensors.clone(),
             wrenches_inverted: settings.flag("wrenches_inverted")?,
-            discovery: seconds(settings, "discovery_s", 10.0)?,
-            silence: seconds(settings, "silence_s", 0.1)?,
-            clock_jump_s: seconds(settings, "clock_jump_s", 0.2)?.as_secs_f64(),
+            discovery: settings.seconds("discovery_s", 10.0)?,
+            silence: settings.seconds("silence_s", 0.1)?,
+            clock_jump_s: settings.seconds("clock_jump_s", 0.2)?.as_secs_f64(),
             not_following_rad,
         })
     }
@@ -267,8 +267,8 @@ impl InterfaceConfig {
     /// # Errors
     /// A wrong key.
     pub fn from_settings(settings: &Settings) -> Result<Option<Self>, DriverError> {
-        let output_hz = optional(settings, "output_hz")?.unwrap_or(50.0);
-        let target_age_s = optional(settings, "target_age_s")?.unwrap_or(0.5);
+        let output_hz = settings.positive("output_hz")?.unwrap_or(50.0);
+        let target_age_s = settings.positive("target_age_s")?.unwrap_or(0.5);
         let mappings = [("enhanced", false), ("cyclone", true)];
         let cyclone_services = choice(settings, "service_mapping", &mappings)?.unwrap_or(false);
         let is_on = !settings.contains("targets") || settings.flag("targets")?;
@@ -297,7 +297,7 @@ fn command_type(settings: &Settings) -> Result<CommandType, DriverError> {
     let named =
         choice(settings, "command_type", &[("float64-multi-array", false), ("joint-trajectory", true)])?;
     if named == Some(true) {
-        let time = seconds(settings, "trajectory_s", settings.period_s)?;
+        let time = settings.seconds("trajectory_s", settings.period_s)?;
         return Ok(CommandType::JointTrajectory(time));
     }
     if settings.contains("trajectory_s") {
@@ -394,24 +394,4 @@ fn choice<T: Copy>(settings: &Settings, key: &str, choices: &[(&str, T)]) -> Res
         let known: Vec<String> = choices.iter().map(|(known, _)| format!("\"{known}\"")).collect();
         DriverError::at(key, format!("'{key}' must be {}, not \"{name}\"", known.join(" or ")))
     })
-}
-
-/// Returns a number above zero, if the key exists.
-fn optional(settings: &Settings, key: &str) -> Result<Option<f64>, DriverError> {
-    if !settings.contains(key) {
-        return Ok(None);
-    }
-    let number = settings.number(key)?;
-    if number.is_finite() && number > 0.0 {
-        return Ok(Some(number));
-    }
-    Err(DriverError::at(key, format!("'{key}' must be above 0, not {number}")))
-}
-
-fn seconds(settings: &Settings, key: &str, default_s: f64) -> Result<Duration, DriverError> {
-    let number = optional(settings, key)?.unwrap_or(default_s);
-    if number > 3600.0 {
-        return Err(DriverError::at(key, format!("'{key}' must be at most 3600 s, not {number}")));
-    }
-    Ok(Duration::from_secs_f64(number))
 }

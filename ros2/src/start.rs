@@ -37,8 +37,8 @@ pub struct FoundRobot {
 /// Waits until the robot is there: its states, a subscriber of its commands, and its force sensors.
 ///
 /// # Errors
-/// What is missing when the time is over, and what is there in its place; a fault of the states; another program that publishes
-/// commands; states at another rate than the profile's.
+/// Topics that are missing when the time is over, with those that are there in their place; a fault of the states; another program
+/// that publishes commands; states at another rate than the profile's.
 pub fn find(topics: &RobotTopics, config: &RosConfig, tare: &Tare) -> Result<FoundRobot, DriverError> {
     let began = Instant::now();
     let mut search = Search::new(config, began, tare);

@@ -26,7 +26,6 @@ parser = argparse.ArgumentParser()
 parser.add_argument("program")
 parser.add_argument("project", type=Path)
 parser.add_argument("--only", default="", help="part of the names of the scenarios")
-parser.add_argument("--short", action="store_true", help="without refusals at the start, which wait for their time-outs, and latencies")
 args = parser.parse_args()
 
 # The library of MuJoCo is that of this Python.
@@ -506,10 +505,7 @@ try:
     import rclpy
 
     rclpy.init(args=[])
-    parts = [control_is_as_direct, faults_have_names, targets_are_followed, cyclone_and_rosbags_agree]
-    if not args.short:
-        parts += [starts_are_refused, latencies]
-    for part in parts:
+    for part in (control_is_as_direct, faults_have_names, starts_are_refused, targets_are_followed, cyclone_and_rosbags_agree, latencies):
         if args.only not in part.__name__:
             continue
         # On a machine that is busy for a moment, a robot that waits for nobody goes on without its controller.

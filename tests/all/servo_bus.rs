@@ -5,17 +5,27 @@
 #![expect(clippy::unwrap_used, clippy::print_stdout, reason = "a test that prints a table")]
 
 use crate::cli_common::{opspace, project, read_json, scratch};
-use opspace_backend::{Backend, Capabilities, Command, DeviceFault, Sample, Setting, Settings, TruthRow};
+use opspace_backend::{
+    Backend, Capabilities, Command, DeviceFault, Driver, DriverError, Sample, Setting, Settings, TruthRow,
+};
 use opspace_experiment::run::replay::replay;
-use opspace_experiment::{ControllerKind, Experiment, Files, Progress, RunOptions};
+use opspace_experiment::{
+    ControllerKind, Experiment, Extensions, Files, Progress, RunError, RunOptions, Summary,
+};
+use opspace_feetech::driver::with_transport;
 use opspace_feetech::protocol::ErrorFlags;
 use opspace_feetech::simulated::{SimulatedBus, SimulatedTransport, bus_with_arm};
+use opspace_feetech::transport::Transport;
 use opspace_feetech::{ArmConfig, BusFault, FeetechArm};
 use opspace_log::Recording;
 use opspace_loop::RunOutcome;
 use opspace_mujoco::Mujoco;
+use opspace_report::move_to_start;
 use opspace_setup::identify::{IdentificationJob, Request};
+use std::cell::RefCell;
+use std::io;
 use std::path::Path;
+use std::rc::Rc;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
@@ -433,7 +443,7 @@ fn simulated_run_says_what_a_person_would_feel() {
     let run = |name: &str, options: &[&str]| {
         let arguments = [&["run", &task, "--simulate", "--duration-s", "4", "--out", name], options].concat();
         let ran = opspace(folder.path(), &arguments).exits(0);
-        let summary = read_json(&folder.path().join(name).join("summary.json"));
+        let summary = read_json(folder.path().join(name).join("summary.json"));
         (ran.stderr, summary["metrics"]["hand_force_rms_n"].as_f64().unwrap())
     };
     let (said, force_n) = run("position", &[]);
@@ -456,4 +466,79 @@ fn simulated_run_says_what_a_person_would_feel() {
     assert!(friction_n > 1.2 * force_n, "{friction_n} {force_n}");
     let arguments = ["run", &project("tasks/compliant-x.toml"), "--duration-s", "2", "--out", "other"];
     assert!(!opspace(folder.path(), &arguments).exits(0).stderr.contains("by hand:"));
+}
+
+/// Connection to a simulated bus that is opened several times.
+struct Reopened(Rc<RefCell<SimulatedTransport>>);
+
+impl Transport for Reopened {
+    fn now(&self) -> Duration {
+        self.0.borrow().now()
+    }
+
+    fn wait_until(&mut self, time: Duration) {
+        self.0.borrow_mut().wait_until(time);
+    }
+
+    fn send(&mut self, bytes: &[u8]) -> io::Result<()> {
+        self.0.borrow_mut().send(bytes)
+    }
+
+    fn receive(&mut self, buffer: &mut [u8], deadline: Duration) -> io::Result<usize> {
+        self.0.borrow_mut().receive(buffer, deadline)
+    }
+}
+
+/// Driver of the bus in simulated time, in place of the one of the program.
+struct InSimulatedTime(Rc<RefCell<SimulatedTransport>>);
+
+impl Driver for InSimulatedTime {
+    fn name(&self) -> &str {
+        "feetech"
+    }
+
+    fn with(&self, settings: &Settings, run: &mut dyn FnMut(&mut dyn Backend)) -> Result<(), DriverError> {
+        with_transport(Reopened(Rc::clone(&self.0)), ArmConfig::from_settings(settings)?, run)
+    }
+}
+
+/// Moves the arm of one task to the start of another one, 0.3 rad away; returns the outcome and the bus.
+fn moved(
+    from: &str,
+    settings: &[&str],
+) -> (Result<Option<Summary>, RunError>, Rc<RefCell<SimulatedTransport>>) {
+    let folder = tempfile::tempdir().unwrap();
+    let calibration =
+        format!("robot.driver.calibration={:?}", folder.path().join("so101.json").display().to_string());
+    let settings = [settings, &[&calibration, "start_rad.shoulder_pan=0.3"]].concat();
+    let task = experiment("hold-and-yield", RunOptions::default(), &settings);
+    let devices = experiment(from, RunOptions::default(), &[]).simulated_devices().unwrap();
+    let bus = bus_with_arm(&task.driver_settings(), devices).unwrap_or_else(|error| panic!("{error}"));
+    let bus = Rc::new(RefCell::new(SimulatedTransport::new(bus)));
+    let extensions = Extensions::default().with_driver(InSimulatedTime(Rc::clone(&bus)));
+    let results = folder.path().join("moved");
+    (move_to_start(&task, &extensions, &results, &Progress::default(), &|_| {}), bus)
+}
+
+/// An arm that is lowered after runs is held between the motion to the start and the task.
+#[test]
+fn arm_is_held_between_motion_and_task() {
+    let (moved, bus) = moved("press", &["robot.driver.at_end=\"lower\""]);
+    assert_eq!(moved.unwrap().unwrap().faulted, None);
+    let bus = &bus.borrow().bus;
+    assert!(bus.servos().iter().all(|servo| servo.is_torque_on()));
+    assert!((bus.joints().q()[0] - 0.3).abs() < 0.02, "{:?}", bus.joints().q());
+    assert!(bus.joints().q()[1].abs() < 0.4, "{:?}", bus.joints().q());
+}
+
+/// A person who pulls the arm away from the start is named as a possible cause, not the option that was given.
+#[test]
+fn start_that_is_not_reached_is_said() {
+    let (moved, _) = moved("compliant-x", &[]);
+    let words = moved.map(|_| ()).unwrap_err().to_string();
+    assert!(
+        words.contains("joint 'shoulder_pan'") && words.contains("something holds or pulls it"),
+        "{words}"
+    );
+    assert!(!words.contains("--move-to-start"), "{words}");
 }

@@ -8,6 +8,10 @@ use std::collections::BTreeMap;
 use std::error::Error;
 use std::fmt;
 use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+/// Longest duration that a setting states, s.
+const LONGEST_S: f64 = 3600.0;
 
 /// Interface of a driver, which opens a robot, passes it to a function that runs it, and closes it.
 ///
@@ -102,6 +106,8 @@ pub struct Settings {
     pub measured: Vec<Measured>,
     /// Folder of robot.toml, to which relative paths refer; empty for the working folder.
     pub folder: PathBuf,
+    /// True if another run follows at once: a robot that is let go of after a run is held in between.
+    pub is_followed: bool,
     values: BTreeMap<String, Setting>,
 }
 
@@ -130,6 +136,7 @@ impl Settings {
             force_sensors: Vec::new(),
             measured: vec![Measured::Position],
             folder: PathBuf::new(),
+            is_followed: false,
             values: BTreeMap::new(),
         }
     }
@@ -224,6 +231,33 @@ impl Settings {
         match self.value(key)? {
             Setting::Number(number) => Ok(*number),
             other => Err(wrong(key, "a number", other)),
+        }
+    }
+
+    /// Returns a finite number above zero; `None` if the key is missing.
+    ///
+    /// # Errors
+    /// If the value is not such a number.
+    pub fn positive(&self, key: &str) -> Result<Option<f64>, DriverError> {
+        if !self.contains(key) {
+            return Ok(None);
+        }
+        match self.number(key)? {
+            number if number.is_finite() && number > 0.0 => Ok(Some(number)),
+            number => Err(DriverError::at(key, format!("'{key}' must be above 0, not {number}"))),
+        }
+    }
+
+    /// Returns a duration above zero and of at most an hour, which the key states in seconds; `default_s` if the key is missing.
+    ///
+    /// # Errors
+    /// If the value is not such a number.
+    pub fn seconds(&self, key: &str, default_s: f64) -> Result<Duration, DriverError> {
+        match self.positive(key)?.unwrap_or(default_s) {
+            number if number <= LONGEST_S => Ok(Duration::from_secs_f64(number)),
+            number => {
+                Err(DriverError::at(key, format!("'{key}' must be at most {LONGEST_S} s, not {number}")))
+            }
         }
     }
 

@@ -124,11 +124,11 @@ impl ArmConfig {
             servos: servos(settings, &calibration, &path)?,
             period_s: settings.period_s,
             gains: Gains { p: gain(settings, "p")?, i: gain(settings, "i")?, d: gain(settings, "d")? },
-            goal_speed_rad_per_s: optional(settings, "goal_speed_rad_per_s")?,
-            acceleration_rad_per_s2: optional(settings, "acceleration_rad_per_s2")?,
+            goal_speed_rad_per_s: settings.positive("goal_speed_rad_per_s")?,
+            acceleration_rad_per_s2: settings.positive("acceleration_rad_per_s2")?,
             measures_velocity: settings.measured.contains(&Measured::Velocity),
             motor_torque: torque_source(settings)?,
-            silence: seconds(settings, "silence_s", 0.2)?,
+            silence: settings.seconds("silence_s", 0.2)?,
             at_end: at_end(settings)?,
         })
     }
@@ -144,7 +144,7 @@ fn torque_source(settings: &Settings) -> Result<Option<TorqueSource>, DriverErro
         ));
     }
     let is_measured = settings.measured.contains(&Measured::MotorCurrent);
-    match (optional(settings, CURRENT)?, optional(settings, LOAD)?) {
+    match (settings.positive(CURRENT)?, settings.positive(LOAD)?) {
         (Some(_), Some(_)) => {
             let words = "motor torques come from the current or from the load: state one of both constants";
             Err(DriverError::at(LOAD, words))
@@ -239,10 +239,11 @@ fn servos(
 }
 
 fn at_end(settings: &Settings) -> Result<AtEnd, DriverError> {
-    let speed = optional(settings, "lowering_speed_rad_per_s")?;
-    let duration = seconds(settings, "lowering_s", 20.0)?;
+    let speed = settings.positive("lowering_speed_rad_per_s")?;
+    let duration = settings.seconds("lowering_s", 20.0)?;
     match optional_text(settings, "at_end")?.unwrap_or("hold") {
         "hold" => Ok(AtEnd::Hold),
+        "lower" if settings.is_followed => Ok(AtEnd::Hold),
         "lower" => Ok(AtEnd::Lower { speed_rad_per_s: speed.unwrap_or(0.3), duration }),
         other => {
             Err(DriverError::at("at_end", format!("'at_end' must be \"hold\" or \"lower\", not \"{other}\"")))
@@ -259,26 +260,6 @@ fn gain(settings: &Settings, key: &str) -> Result<u8, DriverError> {
         key,
         format!("'{key}' is the content of a register, a whole number of 0 to 255, not {number}"),
     ))
-}
-
-/// Returns a number above zero, if the key exists.
-fn optional(settings: &Settings, key: &str) -> Result<Option<f64>, DriverError> {
-    if !settings.contains(key) {
-        return Ok(None);
-    }
-    let number = settings.number(key)?;
-    if number.is_finite() && number > 0.0 {
-        return Ok(Some(number));
-    }
-    Err(DriverError::at(key, format!("'{key}' must be above 0, not {number}")))
-}
-
-fn seconds(settings: &Settings, key: &str, default_s: f64) -> Result<Duration, DriverError> {
-    let number = optional(settings, key)?.unwrap_or(default_s);
-    if number > 3600.0 {
-        return Err(DriverError::at(key, format!("'{key}' must be at most 3600 s, not {number}")));
-    }
-    Ok(Duration::from_secs_f64(number))
 }
 
 fn optional_text<'a>(settings: &'a Settings, key: &str) -> Result<Option<&'a str>, DriverError> {

@@ -13,10 +13,10 @@ use std::path::Path;
 
 /// Opens the robot of `[driver]` and moves it slowly to the start position of the task
 /// ([`Experiment::motion_to_start`]). Writes log, summary and report of the motion to `folder`. `None`
-/// if the robot is already there. The robot is watched as in [`run_on_drivers`](crate::run_on_drivers).
+/// if the robot is already there. The robot is held until the run that follows. It is watched as in [`run_on_drivers`](crate::run_on_drivers).
 ///
 /// # Errors
-/// As [`Experiment::run_on_driver`].
+/// As [`Experiment::run_on_driver`]; a robot that does not arrive.
 pub fn move_to_start(
     experiment: &Experiment,
     extensions: &Extensions,
@@ -24,12 +24,22 @@ pub fn move_to_start(
     progress: &Progress,
     left_behind: LeftBehind<'_>,
 ) -> Result<Option<Summary>, RunError> {
-    experiment.with_driver(extensions, |backend| {
+    experiment.with_driver_before_run(extensions, |backend| {
         let Some(motion) = experiment.motion_to_start(&positions(backend)?)? else { return Ok(None) };
         motion.check_robot(backend)?;
         let folder = ResultFolder::open(folder)?;
-        let summary =
-            run_robots(&Scenario::from(motion), &mut [backend], &folder, progress, (&mut (), left_behind))?;
-        Ok(summary.robots.into_values().next())
+        let summary = run_robots(
+            &Scenario::from(motion),
+            &mut [&mut *backend],
+            &folder,
+            progress,
+            (&mut (), left_behind),
+        )?;
+        let summary = summary.robots.into_values().next();
+        // A motion that was stopped says so itself.
+        if summary.as_ref().is_some_and(|summary| summary.faulted.is_none() && !summary.interrupted) {
+            experiment.check_start_reached(backend)?;
+        }
+        Ok(summary)
     })
 }

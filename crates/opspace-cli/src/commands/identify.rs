@@ -61,6 +61,8 @@ fn identify_simulated_robot(
     let identifying = IdentificationJob::new(robot, Request { start_rad, ..request(args) })?;
     let mut arm = identifying.simulated_arm()?;
     let mut with_weight = identifying.simulated_arm_with_weight()?;
+    let reason = if args.simulate { "--simulate asks for it" } else { "robot.toml has no [driver]" };
+    console.note(&format!("the robot is simulated: {reason}"));
     say_plan(&identifying, console);
     let watch = interrupt::watch();
     let identified = with_progress(&identifying, console, |begun| {

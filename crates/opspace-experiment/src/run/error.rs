@@ -73,6 +73,20 @@ pub enum RunError {
         /// `start_rad` of the task, rad or m.
         start_rad: f64,
     },
+    /// The real robot is not at the start position of the task, although it was moved there.
+    #[error(
+        "joint '{joint}' is at {q_rad:.3} rad (m) after the motion to the start, which is at {start_rad:.3}: something holds or pulls \
+         it, or the gains or zeros of the servos are wrong [{}]",
+        Code::AwayFromStart
+    )]
+    StartNotReached {
+        /// Name of the first joint, counted from the base, that is not at its start position.
+        joint: String,
+        /// Position of the joint, rad or m.
+        q_rad: f64,
+        /// `start_rad` of the task, rad or m.
+        start_rad: f64,
+    },
     /// A folder of results to which another process writes.
     #[error(
         "{}: another opspace is writing its results here; wait for it, or choose another folder with --out",

@@ -48,6 +48,21 @@ impl Experiment {
         self.robot.with_driver(extensions, &self.driver_settings(), body)
     }
 
+    /// Opens the robot like [`with_driver`](Self::with_driver), for a motion that a run follows: the robot is held in between.
+    ///
+    /// # Errors
+    /// As [`with_driver`](Self::with_driver).
+    pub fn with_driver_before_run<T>(
+        &self,
+        extensions: &Extensions,
+        body: impl FnOnce(&mut dyn Backend) -> Result<T, RunError>,
+    ) -> Result<T, RunError> {
+        self.refuse_comparison_options()?;
+        let mut settings = self.driver_settings();
+        settings.is_followed = true;
+        self.robot.with_driver(extensions, &settings, body)
+    }
+
     /// Settings with which a driver opens the robot of the experiment.
     #[must_use]
     pub fn driver_settings(&self) -> Settings {
@@ -101,7 +116,8 @@ impl RobotDefinition {
         let source = &self.source;
         let Some(keys) = &self.file.driver else {
             let message = "this robot has no [driver], so it can only be simulated";
-            let help = "a simulated robot needs no --move-to-start; a real robot needs a [driver]".to_owned();
+            let help = "append [driver] with the `name` of a driver (`opspace driver list`) and its settings"
+                .to_owned();
             return Err(FileError::of_file(source.name(), message, Some(help)).refused(Code::MissingDriver));
         };
         let Some(Setting::Text(name)) = keys.get(NAME) else {

@@ -60,15 +60,32 @@ impl Experiment {
 
     /// Checks that a real robot is at the start position of the task, so that its setpoints do not jump.
     pub(crate) fn check_start(&self, backend: &mut dyn Backend) -> Result<(), RunError> {
+        match self.joint_away_from_start(backend)? {
+            None => Ok(()),
+            Some((joint, q_rad, start_rad)) => Err(RunError::AwayFromStart { joint, q_rad, start_rad }),
+        }
+    }
+
+    /// Checks that a motion to the start position of the task has led there.
+    ///
+    /// # Errors
+    /// The first joint that is elsewhere.
+    pub fn check_start_reached(&self, backend: &mut dyn Backend) -> Result<(), RunError> {
+        match self.joint_away_from_start(backend)? {
+            None => Ok(()),
+            Some((joint, q_rad, start_rad)) => Err(RunError::StartNotReached { joint, q_rad, start_rad }),
+        }
+    }
+
+    /// First joint that is not at its start position, with its position and start (rad or m).
+    fn joint_away_from_start(
+        &self,
+        backend: &mut dyn Backend,
+    ) -> Result<Option<(String, f64, f64)>, RunError> {
         let q = positions(backend)?;
         let joints = self.robot.model.joints().iter();
         let away = joints.zip(self.start()?).zip(q).find(|((_, start), q)| !is_at(*q, *start));
-        match away {
-            None => Ok(()),
-            Some(((joint, start_rad), q_rad)) => {
-                Err(RunError::AwayFromStart { joint: joint.name.clone(), q_rad, start_rad })
-            }
-        }
+        Ok(away.map(|((joint, start_rad), q_rad)| (joint.name.clone(), q_rad, start_rad)))
     }
 
     /// Returns an experiment that moves the robot from `q` (n; rad or m) to the start position of this experiment:

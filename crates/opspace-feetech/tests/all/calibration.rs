@@ -2,6 +2,7 @@
 
 use crate::common::{CALIBRATION, JOINTS, config, file, settings};
 use opspace_backend::{CommandKind, ForceSensor, Measured, Setting, Settings};
+use opspace_feetech::arm_config::AtEnd;
 use opspace_feetech::calibration::Calibration;
 use opspace_feetech::{ArmConfig, TorqueSource};
 use std::f64::consts::TAU;
@@ -106,6 +107,17 @@ fn measured_motor_torques_need_one_constant() {
     assert!(words.contains("lacks \"motor-current\""), "{words}");
     let (_, words) = refused(|settings| settings.measuring(&[Measured::Position, Measured::JointTorque]));
     assert!(words.contains("measure no joint torques"), "{words}");
+}
+
+#[test]
+fn arm_is_held_before_the_next_run() {
+    let lowered = config(|settings| settings.with("at_end", text("lower")));
+    assert!(matches!(lowered.at_end, AtEnd::Lower { .. }));
+    let followed = config(|mut settings| {
+        settings.is_followed = true;
+        settings.with("at_end", text("lower"))
+    });
+    assert_eq!(followed.at_end, AtEnd::Hold);
 }
 
 /// The calibration is beside robot.toml, wherever the program is started.
