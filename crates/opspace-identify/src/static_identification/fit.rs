@@ -287,7 +287,9 @@ mod tests {
             })
             .collect();
         let found = fit(&level, &known(), Stiffness::Given(STIFFNESS)).expect("a fit");
-        assert!((found.stiffness / STIFFNESS - 1.0).abs() < 1e-6, "{found:?}");
+        // The prior of a given stiffness is narrow, not a constraint.
+        const GIVEN: f64 = 0.01 * NARROW;
+        assert!((found.stiffness / STIFFNESS - 1.0).abs() < GIVEN, "{found:?}");
         assert!((found.coulomb / COULOMB - 1.0).abs() < TOLERANCE, "{found:?}");
         assert!(fit(&level[..3], &known(), Stiffness::Given(STIFFNESS)).is_none());
     }
