@@ -9,6 +9,7 @@ The last line of the output has counts as JSON.
 """
 
 import argparse
+import collections
 import json
 import os
 import signal
@@ -108,6 +109,7 @@ def main():
     parser.add_argument("--push-n", type=float, nargs=3, default=[0.0, 0.0, 0.0])
     parser.add_argument("--board-z", type=float)
     parser.add_argument("--patient", action="store_true", help="go slowly until the first command, and then wait for the command that answers a state, as a simulator may do")
+    parser.add_argument("--late-cycles", type=int, default=0, help="let each command act this number of cycles later")
     parser.add_argument("--record")
     parser.add_argument("--rename-after-s", type=float, help="publish other names of the joints then")
     parser.add_argument("--clock-jump-after-s", type=float, help="let the stamps jump by an hour then")
@@ -172,6 +174,7 @@ def main():
     period_s = 1.0 / args.hz
     began, wall = time.time(), time.perf_counter()
     cycle, first_cycle, first_count, driven_s, waited = 0, None, 0, None, 0
+    waiting = collections.deque()
     print("ready", flush=True)
     while not stop.is_set() and arm.data.time < args.duration_s:
         since = None if driven_s is None else arm.data.time - driven_s
@@ -211,6 +214,8 @@ def main():
             if command is not None and first_cycle is None:
                 first_cycle, first_count, driven_s = cycle, counts["commands"], arm.data.time
                 arm.driven_since = driven_s
+        waiting.append(command)
+        command = waiting.popleft() if len(waiting) > args.late_cycles else None
         if command is not None and not happens(args.inactive_after_s):
             arm.command = command
         arm.go_on(period_s)

@@ -140,6 +140,52 @@ def control_is_as_direct():
         check(replayed.returncode == 0, f"{task}: the log is replayed bit for bit")
 
 
+def delays_of_several_cycles():
+    """A robot whose commands act three cycles after their states: declared, tasks are as directly; not declared, run refuses or errs."""
+    late = ["--set", "robot.profile.topics-250hz.delay_servo_ticks=60"]
+    for task, options in (("compliant-x", ["--push-n", 2, 0, 0]), ("hold", ["--push-n", 0, 10, 0]), ("press", ["--board-z", 0.4679])):
+        direct = directly(task, *late)
+        robot = Robot("--patient", "--late-cycles", 2, *options)
+        code, said, out = end(start(task, *late))
+        counts = robot.end()
+        motion = robot.motion()
+        during = motion[motion[:, 0] <= (4.0 if task == "hold" else 6.0)]
+        topics = figures(during[:, 1:4])
+        mm = lambda values: ", ".join(f"{1e3 * value:.3f}" for value in values)
+        check(code == 0, f"{task}, late: the run is complete (exit code {code})")
+        if code != 0:
+            print(said)
+        print(f"        x, y, z over topics {mm(topics)} mm, directly {mm(direct)} mm; {counts}")
+        if task == "compliant-x":
+            check(abs(topics[0] / direct[0] - 1.0) < 0.1, f"{task}, late: x yields by {1e3 * topics[0]:.1f} mm, directly by {1e3 * direct[0]:.1f} mm")
+        for axis, name in ((1, "y"), (2, "z")):
+            check(topics[axis] <= 2.0 * direct[axis] + 2e-5, f"{task}, late: the error of {name} is at most twice the direct one")
+        if task == "press":
+            force = during[during[:, 0] > 5.0][:, 6].mean()
+            check(abs(force - 20.0) < 0.5, f"press, late: the board is pressed with {force:.2f} N")
+        check(counts["speed_at_end_rad_per_s"] < 0.02, f"{task}, late: the arm holds after the end")
+    # A stiff task at this delay: refused before the first command.
+    code, said, _ = end(start("hold", *late, "--set", "task.flange.cartesian.gains.frequency_rad_per_s=80"))
+    check(code == 2 and "gains-too-high" in said and "would be unstable" in said, f"a task that cannot be stable at this delay is refused (exit code {code})")
+    if code != 2:
+        print(said)
+
+
+def servos_are_identified():
+    """A joint is identified over topics, with the delay of the robot."""
+    for late in (0, 2):
+        robot = Robot("--patient", "--late-cycles", late, "--duration-s", 600)
+        out = FOLDER / f"identified-{late}"
+        command = [args.program, "identify", TESTS / "robot/robot.toml", "--joint", "wrist_3", "--out", out, "--json", FOLDER / f"identified-{late}.json"]
+        done = subprocess.run([str(part) for part in command], capture_output=True, text=True, check=False)
+        robot.end()
+        check(done.returncode in (0, 1), f"identification, {late} cycles late: it comes to its end (exit code {done.returncode})")
+        written = out / "servo.toml"
+        text = written.read_text() if written.exists() else ""
+        print("        " + "\n        ".join((done.stdout + done.stderr).splitlines()[-12:]))
+        check(f"delay_servo_ticks = {20 * (late + 1)}" in text, f"identification: the delay is {20 * (late + 1)} servo ticks")
+
+
 # ---- faults ----
 
 
@@ -505,7 +551,7 @@ try:
     import rclpy
 
     rclpy.init(args=[])
-    for part in (control_is_as_direct, faults_have_names, starts_are_refused, targets_are_followed, cyclone_and_rosbags_agree, latencies):
+    for part in (control_is_as_direct, delays_of_several_cycles, servos_are_identified, faults_have_names, starts_are_refused, targets_are_followed, cyclone_and_rosbags_agree, latencies):
         if args.only not in part.__name__:
             continue
         # On a machine that is busy for a moment, a robot that waits for nobody goes on without its controller.

@@ -158,8 +158,8 @@ refused! {
     repeated_key_is_refused: "task.toml", "seed = 1" => "seed = 1\nseed = 2", Some("seed = 2"), ["seed"];
     zero_servo_ticks_per_cycle_is_refused: "robot.toml", "servo_ticks_per_cycle = 5" => "servo_ticks_per_cycle = 0", Some("servo_ticks_per_cycle = 0"), ["above 0"];
     fractional_servo_ticks_per_cycle_is_refused: "robot.toml", "servo_ticks_per_cycle = 5" => "servo_ticks_per_cycle = 2.5", Some("servo_ticks_per_cycle = 2.5"), ["2.5"];
-    delay_longer_than_period_is_refused: "robot.toml", "delay_servo_ticks = 0" => "delay_servo_ticks = 6",
-        Some("delay_servo_ticks = 6"), ["6 servo ticks", "5"];
+    delay_of_more_than_32_cycles_is_refused: "robot.toml", "delay_servo_ticks = 0" => "delay_servo_ticks = 161",
+        Some("delay_servo_ticks = 161"), ["161 servo ticks", "32 interface periods, 160 servo ticks"];
     non_multiple_physics_rate_is_refused: "robot.toml", "physics_hz = 20000.0" => "physics_hz = 12000.0", Some("physics_hz"),
         ["multiple", "5000"];
     unknown_profile_is_refused: "robot.toml", "default_profile = \"a-med\"" => "default_profile = \"a-mad\"",
@@ -212,7 +212,7 @@ fn setting_errors_match_file_errors() {
     set("task.hand.gains.damping_ratio=abc", &["--set", "abc"]);
     set("task.hand.frame=fist", &["--set", "no frame 'fist'"]);
     set("robot.profile.a-med.servo_ticks_per_cycle=0", &["--set robot.profile", "above 0"]);
-    set("robot.profile.a-med.delay_servo_ticks=9", &["--set", "9 servo ticks"]);
+    set("robot.profile.a-med.delay_servo_ticks=199", &["--set", "199 servo ticks"]);
     set("robot.simulated.true_over_nominal.kq=1", &["--set", "kq", "kp"]);
     set("robot.simulated.physics_hz=12000", &["--set", "multiple"]);
     set("damping_ratio", &["a setting needs an `=`"]);

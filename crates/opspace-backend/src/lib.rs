@@ -53,6 +53,7 @@
 pub mod backend;
 pub mod capabilities;
 pub mod command;
+pub mod command_delay;
 pub mod driver;
 pub mod fault;
 pub mod ground_truth;
@@ -69,6 +70,7 @@ pub use capabilities::{
     StopMethod, World,
 };
 pub use command::{Command, CommandKind};
+pub use command_delay::{CommandDelay, CommandsInForce, MAX_DELAY_CYCLES};
 pub use driver::{Driver, DriverError, FoundDevice, Setting, Settings, SimulatedDevices};
 pub use fault::DeviceFault;
 pub use ground_truth::{GroundTruth, TruthLayouts, TruthRow};

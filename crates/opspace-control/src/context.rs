@@ -13,7 +13,7 @@ const SHORT_S: f64 = 0.5 * HORIZON_S;
 pub struct ControlContext {
     /// Control period: time between two updates, s.
     pub period_s: f64,
-    /// Time from a measurement until the command that is computed from it acts, at most a period, s; 0 if it is unknown.
+    /// Time from a measurement until the command that is computed from it acts, s; 0 if it is unknown.
     /// If it exceeds 10 ms, torques are computed for the state predicted for that time.
     pub command_delay_s: f64,
     /// Force sensors in the order of [`Measurement::wrenches`](crate::Measurement): name and frame.

@@ -173,6 +173,9 @@ impl OperationalSpaceController {
         for (i, commanded) in self.commanded.iter_mut().enumerate() {
             *commanded = if self.context.gravity_by_robot { 0.0 } else { data.gravity[i] };
         }
+        if let Some(prediction) = &mut self.prediction {
+            prediction.restart();
+        }
         if let Some(limiter) = &mut self.limiter {
             limiter.start();
         }

@@ -118,7 +118,7 @@ codes! {
     UnknownContact "unknown-contact" Effect::Reported,
     UnknownSensorLoad "unknown-sensor-load" Effect::Reported,
     // Stability.
-    GainsTooHigh "gains-too-high" Effect::Reported,
+    GainsTooHigh "gains-too-high" Effect::RefusedOnRealRobot,
     UnknownGains "unknown-gains" Effect::Reported,
     SmallGainMargin "small-gain-margin" Effect::RefusedOnRealRobot,
     UnstableSimulation "unstable-simulation" Effect::Reported,

@@ -27,9 +27,10 @@ use crate::response::Point;
 use crate::transfer_function::MAX_ITERATIONS;
 use crate::transfer_function::relative;
 use nalgebra::{Complex, DMatrix, DVector};
-use opspace_backend::Setpoints;
+use opspace_backend::{MAX_DELAY_CYCLES, Setpoints};
 use serde::Serialize;
 use std::f64::consts::TAU;
+use std::ops::RangeInclusive;
 
 /// Relative error of the model assumed in the weights, in addition to noise.
 const MODEL_ERROR: f64 = 0.01;
@@ -64,6 +65,9 @@ const TRIED: f64 = 1.2;
 
 /// Ratio of the costs of a delay and of the best one, after one turn, up to which a delay is fitted in all turns.
 const REFINED: f64 = 4.0;
+
+/// Number of whole cycles beyond the best delay after which no longer one is tried.
+const WORSE_CYCLES: u32 = 2;
 
 /// Smallest fraction of fed-forward velocity that is reported.
 const LEAST_FEED_FORWARD: f64 = 0.03;
@@ -246,14 +250,15 @@ impl Candidate {
 pub fn fit(levels: &[AmplitudeLevel], rates: Rates, lag: Lag, viscous: f64) -> Option<Gains> {
     let mut responses = Measurement { levels, lag, viscous, weights: None };
     let least = |all: &[Candidate]| all.iter().map(Candidate::cost).fold(f64::INFINITY, f64::min);
-    let all_delays = |responses: &Measurement<'_>, path: SetpointPath, start: Option<&Candidate>| {
-        let delays = 0..=rates.servo_ticks_per_cycle;
-        delays
-            .filter_map(|delay| responses.candidate(path, Rates { delay, ..rates }, start))
-            .collect::<Vec<Candidate>>()
+    let ratio = rates.servo_ticks_per_cycle;
+    let with_delay = |path: SetpointPath, delay: u32, start: Option<&Candidate>| {
+        Measurement::candidate(&responses, path, Rates { delay, ..rates }, start)
     };
+    let cycles = whole_cycles(|cycles| with_delay(SetpointPath::Direct, cycles * ratio, None))?;
+    let mut direct: Vec<Candidate> = within_a_cycle(cycles * ratio, ratio)
+        .filter_map(|delay| with_delay(SetpointPath::Direct, delay, None))
+        .collect();
     let best_of = |all: &[Candidate]| all.iter().min_by(|a, b| a.cost().total_cmp(&b.cost())).cloned();
-    let mut direct = all_delays(&responses, SetpointPath::Direct, None);
     let mut first = best_of(&direct)?;
     if responses.measures_torque() {
         // The motion within an interval depends on the inertia, which the first fit gives.
@@ -271,10 +276,15 @@ pub fn fit(levels: &[AmplitudeLevel], rates: Rates, lag: Lag, viscous: f64) -> O
     // Without torque, errors of the model of friction look like other paths.
     let others = if responses.measures_torque() { &SetpointPath::ALL[1..] } else { &[] };
     for &path in others {
-        let trial = responses.candidate(path, first.rates, Some(&first));
-        if trial.is_some_and(|trial| TRIED * trial.cost() < first.cost()) {
-            let fitted = all_delays(&responses, path, Some(&first));
-            paths.push(fitted.into_iter().filter(Candidate::is_plausible).collect());
+        // The lag of a filter looks like a longer delay.
+        let delays = (0..first.rates.delay / ratio).map(|cycles| cycles * ratio).chain([first.rates.delay]);
+        let trials: Vec<Candidate> =
+            delays.filter_map(|delay| with_delay(path, delay, Some(&first))).collect();
+        let Some(trial) = best_of(&trials) else { continue };
+        if TRIED * trial.cost() < first.cost() {
+            let delays = within_a_cycle(trial.rates.delay, ratio);
+            let fitted = delays.filter_map(|delay| with_delay(path, delay, Some(&first)));
+            paths.push(fitted.filter(Candidate::is_plausible).collect());
         }
     }
     paths.retain(|fitted| !fitted.is_empty());
@@ -300,6 +310,28 @@ pub fn fit(levels: &[AmplitudeLevel], rates: Rates, lag: Lag, viscous: f64) -> O
     let mut gains = responses.gains(&selected)?;
     gains.comparisons = comparisons;
     Some(gains)
+}
+
+/// Returns the delay in whole interface cycles with the least cost: they are tried from none on, until longer ones fit worse.
+fn whole_cycles(fitted: impl Fn(u32) -> Option<Candidate>) -> Option<u32> {
+    let mut best: Option<(u32, f64)> = None;
+    for cycles in 0..=MAX_DELAY_CYCLES {
+        let cost = fitted(cycles).map_or(f64::INFINITY, |candidate| candidate.cost());
+        match best {
+            Some((least, lowest)) if cost >= lowest => {
+                if cycles - least >= WORSE_CYCLES {
+                    break;
+                }
+            }
+            _ => best = cost.is_finite().then_some((cycles, cost)).or(best),
+        }
+    }
+    Some(best?.0)
+}
+
+/// Delays up to one interface cycle of `ratio` servo ticks about a delay, in servo ticks; all of the first cycle.
+fn within_a_cycle(delay: u32, ratio: u32) -> RangeInclusive<u32> {
+    delay.saturating_sub(ratio)..=ratio.max(delay + ratio - 1).min(MAX_DELAY_CYCLES * ratio)
 }
 
 /// Measurements to which a servo is fitted.
@@ -509,7 +541,8 @@ impl Measurement<'_> {
         from: Option<&Candidate>,
     ) -> Option<Candidate> {
         let Self { levels, lag, viscous, .. } = *self;
-        let corner = corner_hz(&levels.first()?.position)?;
+        let ticks_beyond = rates.delay.saturating_sub(rates.servo_ticks_per_cycle);
+        let corner = corner_hz(&levels.first()?.position, f64::from(ticks_beyond) * rates.servo_period_s)?;
         let drive_of = |x: &[f64]| {
             let direct = Drive {
                 kp: x[0].exp(),
@@ -590,10 +623,12 @@ fn model_error(weights: &[Weight], errors: &[[f64; 2]]) -> f64 {
     high.exp()
 }
 
-/// Frequency at which the phase reaches −45°, near the corner of the position loop, Hz.
+/// Frequency at which the phase reaches −45°, near the corner of the position loop, Hz. The phase does not count that of a
+/// delay beyond one interface cycle (`beyond_s`, s).
 #[must_use]
-pub fn corner_hz(position: &[Point]) -> Option<f64> {
-    Some(position.iter().find(|p| p.value.arg() < -TAU / 8.0).or(position.last())?.hz)
+fn corner_hz(position: &[Point], beyond_s: f64) -> Option<f64> {
+    let phase = |p: &&Point| (p.value * Complex::from_polar(1.0, TAU * p.hz * beyond_s)).arg();
+    Some(position.iter().find(|p| phase(p) < -TAU / 8.0).or(position.last())?.hz)
 }
 
 /// Residual of a prior on a logarithm: its distance from the logarithm of the `likely` value, divided by the logarithm

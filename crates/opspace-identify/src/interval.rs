@@ -21,7 +21,7 @@
 //! gravity, other joints. I then affects only the motion within the interval.
 
 use nalgebra::{Complex, Matrix2, SMatrix, SVector, Vector2};
-use opspace_backend::Setpoints;
+use opspace_backend::{CommandDelay, Setpoints};
 use serde::Serialize;
 use std::f64::consts::TAU;
 
@@ -32,7 +32,7 @@ pub struct Rates {
     pub servo_period_s: f64,
     /// Servo ticks per interface cycle.
     pub servo_ticks_per_cycle: u32,
-    /// Delay until a setpoint acts, in servo ticks; at most `servo_ticks_per_cycle`.
+    /// Delay until a setpoint acts, in servo ticks.
     pub delay: u32,
     /// Behaviour of the drive between two setpoints: hold or interpolate.
     pub setpoints: Setpoints,
@@ -43,6 +43,13 @@ impl Rates {
     #[must_use]
     pub fn period_s(&self) -> f64 {
         f64::from(self.servo_ticks_per_cycle) * self.servo_period_s
+    }
+
+    /// Whole interface cycles of the delay, and these rates with the rest of it, at most one cycle.
+    fn split(self) -> (u32, Self) {
+        let ratio = self.servo_ticks_per_cycle;
+        let waiting_cycles = CommandDelay::of_ticks(self.delay, ratio).waiting_cycles;
+        (waiting_cycles, Self { delay: self.delay - waiting_cycles * ratio, ..self })
     }
 }
 
@@ -184,6 +191,8 @@ impl Responses {
 #[derive(Clone, Debug)]
 pub struct Interval {
     rates: Rates,
+    /// Whole interface cycles during which a setpoint waits.
+    waiting_cycles: u32,
     /// Maps from the state to the next state, and to the mean torque.
     memory: SMatrix<f64, MEMORY, MEMORY>,
     memory_torque: Memory,
@@ -201,6 +210,7 @@ impl Interval {
     #[must_use]
     pub fn new(drive: &Drive, rates: Rates) -> Self {
         let tick = Tick::new(drive, rates.servo_period_s);
+        let (waiting_cycles, rates) = rates.split();
         let mut memory = SMatrix::<f64, MEMORY, MEMORY>::zeros();
         let mut memory_torque = Memory::zeros();
         for i in 0..MEMORY {
@@ -225,7 +235,7 @@ impl Interval {
             .map(|j| tick.roll(Memory::zeros(), &rates, [0.0; 2], [0.0; 3], Some(j)))
             .map(|end| (end.memory, end.torque))
             .collect();
-        Self { rates, memory, memory_torque, inputs, inputs_torque, path, force }
+        Self { rates, waiting_cycles, memory, memory_torque, inputs, inputs_torque, path, force }
     }
 
     /// Returns the responses at the frequency `hz` (Hz); `None` if the map has a pole there.
@@ -268,7 +278,8 @@ impl Interval {
     /// Filtered setpoint, its rate and the three setpoints per unit of setpoint, for z = exp(jωT).
     fn inputs_at(&self, z: Complex<f64>) -> Option<[Complex<f64>; 5]> {
         let back = z.conj();
-        let setpoints = [Complex::new(1.0, 0.0), back, back * back];
+        let latest = back.powu(self.waiting_cycles);
+        let setpoints = [latest, latest * back, latest * back * back];
         let of = |row: usize| (0..3).map(|i| setpoints[i] * self.path[(row, 2 + i)]).sum::<Complex<f64>>();
         let pencil = Matrix2::new(
             z - self.path[(0, 0)],
@@ -324,7 +335,7 @@ impl Tick {
     }
 
     /// Simulates an interval from the state `memory` and `path`, with its setpoint and the two before it, and a force of 1
-    /// during the servo period `pushed`.
+    /// during the servo period `pushed`. The delay is at most one interval.
     fn roll(
         &self,
         memory: Memory,

@@ -1,7 +1,7 @@
 //! Known torques on the joints since the last sample, the input of the observers of external torques.
 
 use nalgebra::DVector;
-use opspace_backend::{Capabilities, GravityCompensation};
+use opspace_backend::{Capabilities, CommandDelay, CommandsInForce, GravityCompensation};
 use opspace_control::Measurement;
 use opspace_model::Data;
 
@@ -9,11 +9,9 @@ use opspace_model::Data;
 /// commanded.
 #[derive(Clone, Debug)]
 pub(crate) struct DrivingTorque {
-    /// Fraction of a period during which the command before the last one still acts.
-    delay: f64,
     compensates_gravity: bool,
-    /// Torques of the command before the last one (n; Nm, N); NaN if there was none.
-    commanded: DVector<f64>,
+    /// Torques of the commands that act (n; Nm, N).
+    commanded: CommandsInForce,
     /// Cᵀ q̇ − g at the last sample (n; Nm, N).
     rates: DVector<f64>,
     /// Mean torques of the motors since the last sample (n; Nm, N).
@@ -26,9 +24,8 @@ impl DrivingTorque {
     pub(crate) fn new(n: usize, capabilities: &Capabilities, command_delay_s: f64) -> Self {
         let zero = DVector::zeros(n);
         Self {
-            delay: (command_delay_s / capabilities.period_s).clamp(0.0, 1.0),
             compensates_gravity: capabilities.gravity_compensated_by == GravityCompensation::Controller,
-            commanded: DVector::from_element(n, f64::NAN),
+            commanded: CommandsInForce::new(n, CommandDelay::of_time(command_delay_s, capabilities.period_s)),
             rates: zero.clone(),
             motor: zero.clone(),
             mean: zero,
@@ -38,18 +35,21 @@ impl DrivingTorque {
     /// Computes the mean since the last sample; `commanded` are the torques of the last command (n; Nm, N). After a hold the
     /// first mean has no meaning: there was no command.
     pub(crate) fn update(&mut self, data: &Data, measurement: &Measurement, commanded: &DVector<f64>) {
-        for (i, &last) in commanded.iter().enumerate() {
-            let before = if self.commanded[i].is_finite() { self.commanded[i] } else { last };
+        if commanded.iter().all(|torque| torque.is_finite()) {
+            self.commanded.push(commanded.as_slice());
+        } else {
+            self.commanded.clear();
+        }
+        for i in 0..commanded.len() {
             self.motor[i] = match &measurement.motor_torque {
                 Some(measured) => measured[i],
-                None => last + self.delay * (before - last),
+                None => self.commanded.mean(i),
             };
             let gravity = if self.compensates_gravity { data.gravity[i] } else { 0.0 };
             let rate = data.kinetic_energy_gradient[i] - gravity;
             self.mean[i] = self.motor[i] + 0.5 * (self.rates[i] + rate);
             self.rates[i] = rate;
         }
-        self.commanded.copy_from(commanded);
     }
 
     /// Mean since the last sample (n; Nm, N).

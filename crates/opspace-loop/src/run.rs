@@ -8,8 +8,9 @@ use crate::phase::Phase;
 use crate::target_stream::TargetReceiver;
 use opspace_backend::signal_names::{TIMING_CHANNEL, TORQUE_DESIRED};
 use opspace_backend::{
-    Command, DEVICE_FAILED, DeviceFault, EXTERNAL, GroundTruth, Layout, SERVO, STOP_REQUESTED, Sample,
-    Signal, SignalRecorder, Sink, TICK, TICK_TIME, TIMING, TRUTH, TruthLayouts, TruthRow,
+    Command, DEVICE_FAILED, DeviceFault, EXTERNAL, GroundTruth, Layout, MAX_DELAY_CYCLES, SERVO,
+    STOP_REQUESTED, Sample, Signal, SignalRecorder, Sink, TICK, TICK_TIME, TIMING, TRUTH, TruthLayouts,
+    TruthRow,
 };
 use opspace_control::Targets;
 use std::borrow::Borrow;
@@ -363,20 +364,20 @@ fn record_servo(
     out.block(signals, row);
 }
 
-/// Desired torques of the last commands, for the servo rows: a command may act up to one interface period after it was
-/// written.
+/// Desired torques of the last commands, for the servo rows.
 struct History {
     commands: u64,
-    torques: [Vec<f64>; History::DEPTH],
+    torques: Vec<Vec<f64>>,
     none: Vec<f64>,
 }
 
 impl History {
-    const DEPTH: usize = 4;
+    /// A command acts after the longest delay and less than a cycle of jitter, and until the next one does.
+    const DEPTH: usize = MAX_DELAY_CYCLES as usize + 3;
 
     fn new(n: usize) -> Self {
         let none = vec![f64::NAN; n];
-        Self { commands: 0, torques: std::array::from_fn(|_| none.clone()), none }
+        Self { commands: 0, torques: vec![none.clone(); Self::DEPTH], none }
     }
 
     fn push(&mut self, torque: &[f64]) {
@@ -384,9 +385,10 @@ impl History {
         self.torques[Self::slot(self.commands)].copy_from_slice(torque);
     }
 
-    /// Desired torque of the command with that number; NaN for `None`.
+    /// Desired torque of the command with that number; NaN for `None`, and for an older one than the last [`DEPTH`](Self::DEPTH).
     fn get(&self, command: Option<u64>) -> &[f64] {
-        command.map_or(&self.none, |number| &self.torques[Self::slot(number)])
+        let kept = command.filter(|number| number + Self::DEPTH as u64 > self.commands);
+        kept.map_or(&self.none, |number| &self.torques[Self::slot(number)])
     }
 
     fn slot(command: u64) -> usize {

@@ -70,6 +70,7 @@ use opspace_transformer::Gears;
 pub use refusal::{LEAST_EXCESS, checked_for_real_robot, checked_for_real_robots, refusals};
 pub use reserves::{Reserve, ReserveOf};
 pub use servo_gain::{GainMargin, ServoLoop, gain_margin};
+pub use stability::{LoopMargin, loop_margin};
 pub use times::PathDuration;
 pub use torque_floor::{JointFloor, TORQUE_HZ, floors};
 pub use variation::Variation;

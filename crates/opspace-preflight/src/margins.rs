@@ -7,7 +7,7 @@ use super::diagnostic::{at_least, at_most, short};
 use super::gears::{GearMargin, examine};
 use super::nudge::{Nudge, NudgedArm};
 use super::variation::{Variation, delayed};
-use opspace_backend::{CommandKind, Setpoints};
+use opspace_backend::{CommandKind, MAX_DELAY_CYCLES, Setpoints};
 use opspace_experiment::codes::Code;
 use opspace_experiment::finding::Finding;
 use opspace_experiment::run::experiment::Experiment;
@@ -250,8 +250,10 @@ fn delay_range(nudged: &NudgedArm) -> Option<StableRange> {
         }
         Some(RangeEnd { value: f64::from(last), joint: None })
     };
-    let least = end(&mut (0..nominal).rev())?;
-    let most = end(&mut (nominal + 1..=profile.servo_ticks_per_cycle.get()))?;
+    // A cycle to both sides.
+    let ratio = profile.servo_ticks_per_cycle.get();
+    let least = end(&mut (nominal.saturating_sub(ratio)..nominal).rev())?;
+    let most = end(&mut (nominal + 1..=(nominal + ratio).min(MAX_DELAY_CYCLES * ratio)))?;
     Some(StableRange { quantity: Quantity::Delay, ends: [least, most] })
 }
 

@@ -8,12 +8,18 @@
 //! * The arm does not oscillate on elastic gears, unless they are declared rigid: of half and twice the declared
 //!   stiffness, or, where none is declared, of antiresonances from 20 to 120 Hz.
 //!
+//! A task whose gains are unstable at the rate, the delay and the servo of the robot is refused too, by the phase margin of its
+//! loop.
+//!
 //! Velocity feed-forward with held setpoints is refused if its impulses exceed a torque limit.
 
+use super::case::PreflightCase;
 use super::gears::first_oscillation;
 use super::nudge::{Nudge, NudgedArm};
 use super::servo_gain::{ServoLoop, gain_margin};
+use super::stability::unstable_gains;
 use super::torque_floor::feed_forward_impulses;
+use opspace_experiment::files::controller_kind::ControllerKind;
 use opspace_experiment::files::source::FileError;
 use opspace_experiment::finding::Finding;
 use opspace_experiment::run::experiment::Experiment;
@@ -23,12 +29,17 @@ use opspace_transformer::Gears;
 /// Excess of the servos' gains over their nominal values at which a real robot must be stable.
 pub const LEAST_EXCESS: f64 = 0.01;
 
-/// Returns the reasons why an experiment should not run on a real robot: margins that are too small. Empty if there is none, or
-/// if commands pass without a transformer.
+/// Returns the reasons why an experiment should not run on a real robot: margins that are too small. Empty if there is none.
 #[must_use]
 pub fn refusals(experiment: &Experiment) -> Vec<Finding> {
     let found = [feed_forward_impulses(experiment), small_gain_margin(experiment), oscillation(experiment)];
-    found.into_iter().flatten().collect()
+    unstable_tasks(experiment).into_iter().chain(found.into_iter().flatten()).collect()
+}
+
+fn unstable_tasks(experiment: &Experiment) -> Vec<Finding> {
+    let has_tasks = experiment.options().controller == ControllerKind::Osc;
+    let case = has_tasks.then(|| PreflightCase::new(experiment)).flatten();
+    case.map_or_else(Vec::new, |case| unstable_gains(&case))
 }
 
 /// Returns an experiment that may run on a real robot.

@@ -32,6 +32,7 @@
 //! slope of a compensation at rest, Fc/v₀, is a negative damping while the joint moves only in presliding.
 
 use super::boundary::boundary;
+use super::diagnostic::short;
 use super::gain_remedies;
 use super::nudge::{Nudge, NudgedArm};
 use super::variation::Variation;
@@ -131,6 +132,20 @@ fn at_most(excess: f64, word: &str) -> String {
     }
 }
 
+/// Describes the delay of setpoints, as part of a sentence; empty without one.
+fn delay_of_setpoints(experiment: &Experiment) -> String {
+    let profile = experiment.profile().1;
+    let cycles = f64::from(profile.delay()) / f64::from(profile.servo_ticks_per_cycle.get());
+    if cycles == 0.0 {
+        return String::new();
+    }
+    format!(
+        " and a delay of {} interface cycles ({} ms)",
+        short(cycles),
+        short(1e3 * cycles * profile.period_s())
+    )
+}
+
 impl fmt::Display for GainMargin {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let loops = self.servo_loop.name();
@@ -157,13 +172,23 @@ impl GainMargin {
         let least = left.map_or(LEAST_EXCESS, |left| left.interval.half_width - RESOLUTION).min(LEAST_EXCESS);
         let excess = self.excess.filter(|excess| *excess < least)?;
         let joint = self.joint.as_ref()?;
-        let message = format!(
-            "{} tolerate {} more gain than nominal, with transformer '{}': beyond that the run is unstable, joint \
-             '{joint}' first",
-            self.servo_loop.name(),
-            at_most(excess, "only"),
-            self.transformer,
-        );
+        let delay = delay_of_setpoints(experiment);
+        let message = if excess == 0.0 {
+            format!(
+                "the run is unstable with the nominal gains of the {}, with transformer '{}'{delay}: joint '{joint}' oscillates \
+                 first",
+                self.servo_loop.name(),
+                self.transformer,
+            )
+        } else {
+            format!(
+                "{} tolerate {} more gain than nominal, with transformer '{}'{delay}: beyond that the run is unstable, joint \
+                 '{joint}' first",
+                self.servo_loop.name(),
+                at_most(excess, "only"),
+                self.transformer,
+            )
+        };
         let profile = experiment.profile().0;
         let helps = |changed: &Experiment| is_stable(changed, self.servo_loop, least).unwrap_or(false);
         let missing = LEAST_EXCESS - excess;

@@ -61,11 +61,14 @@ use opspace_control::{
     AXIS_NAMES, AxisMode, BuildTask, ImpedanceParameters, JointTask, PerAxis, RowGains, Task, TaskParameters,
 };
 use opspace_experiment::codes::Code;
+use opspace_experiment::files::controller_kind::ControllerKind;
 use opspace_experiment::finding::Finding;
+use opspace_experiment::run::experiment::Experiment;
 use opspace_transformer::impulse_response::ImpulseResponse;
 use opspace_transformer::moving_joint::MovingJoint;
 use opspace_transformer::{ProfileParameters, ServoGains, ServoLaw, ServoParameters, VelocityEstimator};
 use std::f64::consts::TAU;
+use std::fmt;
 
 /// Phase margin below which a loop is reported, degrees: it oscillates, and an error of a few per cent in inertia or
 /// delay makes it unstable.
@@ -80,13 +83,85 @@ const IDEAL_FILTER_HZ: f64 = 1e6;
 /// Damping ratio of an impedance whose file states neither a ratio nor a damping.
 const IMPEDANCE_DAMPING_RATIO: f64 = 0.7;
 
+/// Smallest phase margin of the control loops of an experiment, and the delay on which it depends.
+#[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
+pub struct LoopMargin {
+    /// Task with this margin, and its joint.
+    pub task: String,
+    /// Joint that moves it.
+    pub joint: String,
+    /// Phase margin, degrees; negative if the loop is unstable.
+    pub degrees: f64,
+    /// Frequency at which the loop has the gain 1, Hz.
+    pub crossover_hz: f64,
+    /// Declared delay from a sample until its command acts, interface cycles and s.
+    pub delay_cycles: f64,
+    /// Delay, s.
+    pub delay_s: f64,
+}
+
+impl fmt::Display for LoopMargin {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { task, joint, degrees, crossover_hz, delay_cycles, delay_s } = self;
+        write!(
+            f,
+            "commands act {} interface cycles ({} ms) after their samples: the least phase margin is {degrees:.0}° at {} Hz \
+             (task '{task}', joint '{joint}')",
+            short(*delay_cycles),
+            short(1e3 * delay_s),
+            short(*crossover_hz),
+        )
+    }
+}
+
+/// Returns the smallest phase margin over all task sets at the declared delay. `None` without a loop whose gains are known, and
+/// for inverse kinematics.
+#[must_use]
+pub fn loop_margin(experiment: &Experiment) -> Option<LoopMargin> {
+    let is_torque = experiment.options().controller == ControllerKind::Osc;
+    let case = is_torque.then(|| PreflightCase::new(experiment)).flatten()?;
+    let responses = responses(&case);
+    let mut least: Option<LoopMargin> = None;
+    let profile = experiment.profile().1;
+    let delay_s = f64::from(profile.delay()) * profile.servo_period_s();
+    for stack in 0..case.task_sets.len() {
+        for name in case.task_sets[stack].priority {
+            for follower in followers(&case, &responses, stack, name) {
+                let Some(margin) = follower.plant.least_margin(&follower.law) else { continue };
+                if least.as_ref().is_none_or(|least| margin.degrees < least.degrees) {
+                    least = Some(LoopMargin {
+                        task: name.clone(),
+                        joint: follower.joint.to_owned(),
+                        degrees: margin.degrees,
+                        crossover_hz: margin.crossover_rad_per_s / TAU,
+                        delay_cycles: delay_s / profile.period_s(),
+                        delay_s,
+                    });
+                }
+            }
+        }
+    }
+    least
+}
+
 /// Finds gains that are too high: for each task the worst axis or joint over all task sets.
 pub(crate) fn stiff_gains(case: &PreflightCase<'_>) -> Vec<Finding> {
+    gains_below(case, LEAST_MARGIN_DEG)
+}
+
+/// Finds gains with which a loop is unstable, like [`stiff_gains`].
+pub(crate) fn unstable_gains(case: &PreflightCase<'_>) -> Vec<Finding> {
+    gains_below(case, 0.0)
+}
+
+/// Finds gains with a phase margin below `least_deg`, for each task the worst axis or joint over all task sets.
+fn gains_below(case: &PreflightCase<'_>, least_deg: f64) -> Vec<Finding> {
     let mut found: Vec<Finding> = Vec::new();
     let responses = responses(case);
     for stack in 0..case.task_sets.len() {
         for name in case.task_sets[stack].priority {
-            let finding = stiff_task(case, &responses, stack, name);
+            let finding = stiff_task(case, &responses, stack, name, least_deg);
             found.extend(finding.filter(|new| !found.iter().any(|old| old.place == new.place)));
         }
     }
@@ -115,12 +190,18 @@ fn responses(case: &PreflightCase<'_>) -> Vec<Vec<f64>> {
     responses
 }
 
-fn stiff_task(case: &PreflightCase<'_>, responses: &[Vec<f64>], stack: usize, name: &str) -> Option<Finding> {
+fn stiff_task(
+    case: &PreflightCase<'_>,
+    responses: &[Vec<f64>],
+    stack: usize,
+    name: &str,
+    least_deg: f64,
+) -> Option<Finding> {
     let worst = followers(case, responses, stack, name).into_iter().filter_map(|follower| {
         let margin = follower.plant.least_margin(&follower.law)?;
         // If less than half of the margin of the ideal loop remains, the cause is delay and not low damping.
         let ideal = Plant::ideal().margin(&follower.law).map_or(90.0, |ideal| ideal.degrees);
-        (margin.degrees < LEAST_MARGIN_DEG.min(0.5 * ideal)).then_some((follower, margin))
+        (margin.degrees < least_deg.min(0.5 * ideal)).then_some((follower, margin))
     });
     let (follower, margin) = worst.min_by(|a, b| a.1.degrees.total_cmp(&b.1.degrees))?;
     let AxisLoop { law, plant, of, joint, key, quantity, value, .. } = &follower;

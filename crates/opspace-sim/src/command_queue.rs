@@ -4,7 +4,7 @@ use nalgebra::DVector;
 
 /// Commands that were received, and those of them that do not act yet.
 pub(crate) struct CommandQueue {
-    pending: [Pending; 2],
+    pending: Vec<Pending>,
     /// Number of the last command.
     number: u64,
     /// Values of the last command with values (n).
@@ -22,10 +22,10 @@ struct Pending {
 }
 
 impl CommandQueue {
-    /// Returns the queue of an arm of `n` joints.
-    pub fn new(n: usize) -> Self {
+    /// Returns the queue of an arm of `n` joints, with space for `most` commands that do not act yet.
+    pub fn new(n: usize, most: usize) -> Self {
         let pending = Pending { acts_at: None, number: 0, values: DVector::zeros(n) };
-        Self { pending: [pending.clone(), pending], number: 0, last: DVector::zeros(n), has_values: false }
+        Self { pending: vec![pending; most], number: 0, last: DVector::zeros(n), has_values: false }
     }
 
     /// Accepts a command with values, which acts at the servo tick `acts_at`.
@@ -68,7 +68,6 @@ impl CommandQueue {
 
     /// Queues the last values as a command that acts at `acts_at`.
     fn send(&mut self, acts_at: u64) {
-        // The delay is at most one interface period and the jitter less than one, so at most two commands are pending.
         let free = self.pending.iter().position(|pending| pending.acts_at.is_none());
         let pending = &mut self.pending[free.unwrap_or(0)];
         pending.acts_at = Some(acts_at);

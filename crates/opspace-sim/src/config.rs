@@ -17,7 +17,7 @@ use crate::stiffness::{LinkElements, explicit_gear_hz, link_steps};
 use crate::timing::{Clock, Timing};
 use nalgebra::{DVector, Vector3};
 use opspace_backend::quantity::{NonNegative, Positive};
-use opspace_backend::{Capabilities, CommandKind, GravityCompensation};
+use opspace_backend::{Capabilities, CommandKind, GravityCompensation, MAX_DELAY_CYCLES};
 use opspace_model::collision::LinkCapsule;
 use opspace_model::{Data, FrameId, Inertia, Model, Placement, crba, frame_placement, kinematics};
 use opspace_transformer::{
@@ -184,8 +184,9 @@ impl ArmConfig {
         let ratio = self.profile.servo_ticks_per_cycle.get();
         let nominal = self.profile.delay();
         let delay = self.simulated.delay_servo_ticks.unwrap_or(nominal);
-        if delay > ratio {
-            return Err(SimulationError::Delay { delay, ratio, truth: delay != nominal });
+        let most = MAX_DELAY_CYCLES * ratio;
+        if delay > most {
+            return Err(SimulationError::Delay { delay, most, truth: delay != nominal });
         }
         self.check_bus(ratio)?;
         let servo_hz = self.profile.servo_hz.get();

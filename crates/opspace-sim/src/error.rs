@@ -2,7 +2,7 @@
 
 use crate::environment::Mistake;
 use crate::plant::PlantError;
-use opspace_backend::CommandKind;
+use opspace_backend::{CommandKind, MAX_DELAY_CYCLES};
 use opspace_model::{UnknownFrame, UnknownJoint};
 use opspace_transformer::ServoError;
 use thiserror::Error;
@@ -11,13 +11,15 @@ use thiserror::Error;
 #[derive(Clone, Debug, PartialEq, Error)]
 #[non_exhaustive]
 pub enum SimulationError {
-    /// Delay longer than an interface period: a command would act after the next one.
-    #[error("a delay of {delay} servo ticks is longer than an interface period of {ratio} servo ticks")]
+    /// Delay longer than [`MAX_DELAY_CYCLES`] interface periods.
+    #[error(
+        "a delay of {delay} servo ticks is longer than {MAX_DELAY_CYCLES} interface periods, {most} servo ticks"
+    )]
     Delay {
         /// Delay, `delay_servo_ticks`.
         delay: u32,
-        /// Servo ticks per interface cycle, `servo_ticks_per_cycle`.
-        ratio: u32,
+        /// Longest delay possible, servo ticks.
+        most: u32,
         /// True if the true delay is too long, false if the nominal delay is.
         truth: bool,
     },

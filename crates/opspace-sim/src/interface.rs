@@ -1,6 +1,7 @@
 //! Interface of one arm of a simulation: clock, bus, drives, sensors, and rows of its true state.
 
 use crate::bus::Bus;
+use crate::command_queue::CommandQueue;
 use crate::config::ArmConfig;
 use crate::drives::Drives;
 use crate::engine::Plant;
@@ -82,9 +83,13 @@ impl ArmInterface {
         let mut motors = Motors::new(drivetrains, config.torque_limits(), q).compensating(own_gravity);
         let check = SetpointCheck::new(config);
         let has_setpoint_limits = check.is_some();
+        let most_pending = timing.most_pending(config.simulated.bus.jitter_servo_ticks);
+        let queue = CommandQueue::new(model.n(), most_pending);
         let drives = match command {
-            CommandKind::Torque if has_brakes => Drives::Torque(TorqueDrives::with_brakes(&mut motors, q)),
-            CommandKind::Torque => Drives::Torque(TorqueDrives::with_servos(&motors, laws, &holding)),
+            CommandKind::Torque if has_brakes => {
+                Drives::Torque(TorqueDrives::with_brakes(&mut motors, q, queue))
+            }
+            CommandKind::Torque => Drives::Torque(TorqueDrives::with_servos(&motors, laws, &holding, queue)),
             CommandKind::Position | CommandKind::Velocity => {
                 let servo_ticks_per_cycle = timing.servo_ticks_per_cycle;
                 let holding = holding.clone();
@@ -97,6 +102,7 @@ impl ArmInterface {
                     holding,
                     check,
                     steps: config.setpoint_steps(),
+                    queue,
                 };
                 Drives::Servo(ServoDrives::new(config, &mut motors, q))
             }

@@ -80,7 +80,7 @@ pub struct SimulatedParameters {
     /// Encoders that drives and interface read.
     #[serde(default)]
     pub encoder: EncoderParameters,
-    /// True delay of setpoints in servo ticks, at most `servo_ticks_per_cycle`.
+    /// True delay of setpoints in servo ticks, at most 32 interface cycles.
     #[cfg_attr(feature = "schema", schemars(extend("x-default" = "the nominal one")))]
     pub delay_servo_ticks: Option<u32>,
 }

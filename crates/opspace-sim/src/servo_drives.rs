@@ -83,6 +83,8 @@ pub(crate) struct ServoDrivesConfig {
     pub check: Option<SetpointCheck>,
     /// Steps of the setpoints (n; rad, m), 0 for exact ones; empty if all are exact.
     pub steps: Vec<f64>,
+    /// Commands that do not act yet; none at first.
+    pub queue: CommandQueue,
 }
 
 impl ServoDrives {
@@ -114,7 +116,7 @@ impl ServoDrives {
                 age: config.servo_ticks_per_cycle,
                 setpoints: config.setpoints,
             },
-            queue: CommandQueue::new(n),
+            queue: config.queue,
             check: config.check,
             rounded: vec![0.0; config.steps.len()],
             steps: config.steps,

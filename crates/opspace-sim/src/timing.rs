@@ -26,6 +26,12 @@ pub(crate) struct Timing {
 }
 
 impl Timing {
+    /// Largest number of commands that do not act yet, if each acts up to `jitter` servo ticks later than the delay, less than a
+    /// cycle.
+    pub fn most_pending(&self, jitter: u32) -> usize {
+        ((self.delay + jitter) / self.servo_ticks_per_cycle + 1) as usize
+    }
+
     /// Time of a servo tick on the robot's clock, s; the controller starts at 0.
     pub fn time_s(&self, servo_tick: u64) -> f64 {
         (servo_tick as f64 - self.rest_ticks) * self.servo_period_s

@@ -30,21 +30,25 @@ enum Hold {
 
 impl TorqueDrives {
     /// Returns drives whose brakes hold an arm at rest at `q` (n; rad, m).
-    pub fn with_brakes(motors: &mut Motors, q: &[f64]) -> Self {
+    pub fn with_brakes(motors: &mut Motors, q: &[f64], queue: CommandQueue) -> Self {
         motors.engage_brakes(q);
-        Self::held_by(Hold::Brakes, q.len())
+        Self::held_by(Hold::Brakes, q.len(), queue)
     }
 
     /// Returns drives whose position servos hold an arm at rest with the torques `holding` (n; Nm, N).
-    pub fn with_servos(motors: &Motors, laws: Vec<ServoLaw>, holding: &DVector<f64>) -> Self {
+    pub fn with_servos(
+        motors: &Motors,
+        laws: Vec<ServoLaw>,
+        holding: &DVector<f64>,
+        queue: CommandQueue,
+    ) -> Self {
         let rest = |(i, law)| JointServo::at_rest(law, motors.position()[i], holding[i]);
         let (servos, setpoints) = laws.into_iter().enumerate().map(rest).unzip();
-        Self::held_by(Hold::Servos(servos, setpoints), holding.len())
+        Self::held_by(Hold::Servos(servos, setpoints), holding.len(), queue)
     }
 
-    fn held_by(hold: Hold, n: usize) -> Self {
-        let (torques, queue) = (DVector::zeros(n), CommandQueue::new(n));
-        Self { hold, is_held: true, active: None, torques, queue }
+    fn held_by(hold: Hold, n: usize, queue: CommandQueue) -> Self {
+        Self { hold, is_held: true, active: None, torques: DVector::zeros(n), queue }
     }
 
     /// Accepts torques (n; Nm, N), which act at the servo tick `acts_at`.

@@ -5,7 +5,7 @@
 
 use crate::transformer::Transformer;
 use nalgebra::DVector;
-use opspace_backend::{CommandKind, Sample};
+use opspace_backend::{CommandDelay, CommandKind, CommandsInForce, Sample};
 use opspace_model::Data;
 
 /// Filter gain of δ per interval: large enough to follow a wrong gain, small enough to reject the noise of the current.
@@ -55,19 +55,19 @@ impl CurrentObserver {
 }
 
 /// Transformer corrected by measured current, for methods that predict no torque between two cycles. The expected mean
-/// torque of an interval follows from the commands that act in it: two commands if setpoints are delayed by d of R
-/// servo ticks.
+/// torque of an interval follows from the commands that act in it. They are two if setpoints are delayed by m interface cycles
+/// and d of R servo ticks.
 ///
 /// ```text
-/// τ̄_k = ((R − d) (τ − δ)_k₋₁ + d (τ − δ)_k₋₂)/R
+/// τ̄_k = ((R − d) (τ − δ)_k₋₁₋ₘ + d (τ − δ)_k₋₂₋ₘ)/R
 /// ```
 pub struct CurrentFeedback {
     inner: Box<dyn Transformer>,
     observer: CurrentObserver,
-    /// Fraction of an interval during which the last command acts.
-    share: f64,
-    /// Desired torques minus δ of the last two commands, the latest first (n; Nm, N).
-    asked: [DVector<f64>; 2],
+    /// Desired torque minus δ of the command of the present cycle (n; Nm, N).
+    asked: DVector<f64>,
+    /// Those of the commands that act (n; Nm, N).
+    in_force: CommandsInForce,
     expected: DVector<f64>,
     given: DVector<f64>,
     /// Number of consecutive commands that were sent unchanged.
@@ -83,8 +83,8 @@ impl CurrentFeedback {
         Self {
             inner,
             observer: CurrentObserver::new(torque_limits),
-            share: f64::from(ratio - delay) / f64::from(ratio),
-            asked: [zero.clone(), zero.clone()],
+            asked: zero.clone(),
+            in_force: CommandsInForce::new(torque_limits.len(), CommandDelay::of_ticks(delay, ratio)),
             expected: zero.clone(),
             given: zero,
             known: 0,
@@ -99,9 +99,9 @@ impl Transformer for CurrentFeedback {
 
     fn observe(&mut self, sample: &Sample) -> Option<&[f64]> {
         // A changed or missing setpoint gives no information about the drives.
-        if let Some(measured) = sample.motor_torque.as_ref().filter(|_| self.known >= 2) {
+        if let Some(measured) = sample.motor_torque.as_ref().filter(|_| self.known >= self.in_force.kept()) {
             for (i, expected) in self.expected.iter_mut().enumerate() {
-                *expected = self.share * self.asked[0][i] + (1.0 - self.share) * self.asked[1][i];
+                *expected = self.in_force.mean(i);
             }
             self.observer.update(measured, &self.expected);
         }
@@ -121,11 +121,10 @@ impl Transformer for CurrentFeedback {
     }
 
     fn transform(&mut self, data: &Data, tau: &[f64], q_desired: &mut [f64]) {
-        self.asked.swap(0, 1);
-        let asked = &mut self.asked[0];
-        asked.copy_from_slice(tau);
-        *asked -= self.observer.torque_disturbance();
-        self.inner.transform(data, asked.as_slice(), q_desired);
+        self.asked.copy_from_slice(tau);
+        self.asked -= self.observer.torque_disturbance();
+        self.in_force.push(self.asked.as_slice());
+        self.inner.transform(data, self.asked.as_slice(), q_desired);
         self.given.copy_from_slice(q_desired);
     }
 

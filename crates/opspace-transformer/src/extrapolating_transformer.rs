@@ -65,7 +65,7 @@ use crate::setpoint_average::SetpointAverage;
 use crate::transformer::{Gears, Transformer};
 use nalgebra::DVector;
 use opspace_backend::low_pass::{self, LowPass};
-use opspace_backend::{CommandKind, GravityCompensation, Sample};
+use opspace_backend::{CommandDelay, CommandKind, CommandsInForce, GravityCompensation, Sample};
 use opspace_model::Data;
 
 /// Cut-off frequency of the correction by current with known gains, Hz: a quarter of the antiresonance of a soft gear.
@@ -189,6 +189,9 @@ pub struct ExtrapolatingTransformer {
     given: DVector<f64>,
     /// Number of consecutive setpoints that were sent unchanged.
     known: u32,
+    /// Desired torque minus δ of the setpoints of the present cycle, and those of the setpoints that act (n; Nm, N).
+    asked: DVector<f64>,
+    in_force: CommandsInForce,
 }
 
 /// One joint: its drive, and the correction.
@@ -224,8 +227,6 @@ struct Correction {
     /// Excess torque ε over that of the law at the measured positions, Nm (N), and its gain per interval.
     twist: f64,
     twist_gain: f64,
-    /// Desired torques minus δ of the last two setpoints, the latest first, Nm (N).
-    asked: [f64; 2],
     /// Gain of δ per interval, from settled to unsettled.
     gains: [f64; 2],
     estimation: Option<Estimation>,
@@ -300,22 +301,20 @@ impl Joint {
         self.current.as_ref().map_or(0.0, |current| current.twist)
     }
 
-    /// Corrects the joint with the `measured` mean torque of the last interval. `was_asked` is true if its setpoints were
-    /// those of this transformer; the torque of others is emulated.
-    fn correct(&mut self, ticks: DriveTiming, measured: f64, interval: Interval, was_asked: bool) {
+    /// Corrects the joint with the `measured` mean torque of the last interval. `asked` is the torque that was asked for, if
+    /// the setpoints were those of this transformer; the torque of others is emulated.
+    fn correct(&mut self, servo_period_s: f64, measured: f64, interval: Interval, asked: Option<f64>) {
         let Some(current) = &mut self.current else { return };
         // A drive at its torque limit shows no longer what it would produce: its law does.
         let is_saturated = measured * interval.clipped.signum() > SATURATED * self.torque_limit;
         let measured = if is_saturated { measured + interval.clipped } else { measured };
         let mut unsettled = 0.0;
         if let Some(estimation) = &mut current.estimation {
-            unsettled = estimation.update(&mut self.law, measured, interval, ticks.servo_period_s)
+            unsettled = estimation.update(&mut self.law, measured, interval, servo_period_s)
                 / (UNSETTLED * self.torque_limit);
             self.response = estimation.response();
         }
-        let share = f64::from(ticks.delay) / f64::from(ticks.servo_ticks_per_cycle);
-        let asked = (1.0 - share) * current.asked[0] + share * current.asked[1];
-        let expected = if was_asked { asked } else { interval.torque };
+        let expected = asked.unwrap_or(interval.torque);
         let [settled, fastest] = current.gains;
         let gain = settled + (fastest - settled) * unsettled / (1.0 + unsettled);
         let excess = current.excess + gain * (measured - expected - current.excess);
@@ -346,7 +345,6 @@ impl Correction {
                 Gears::Rigid => 0.0,
                 Gears::Elastic => low_pass::gain(period_s / (TWIST_PERIOD_S * TWIST_PERIOD_S), period_s),
             },
-            asked: [0.0; 2],
             gains: [SETTLED_HZ, UNSETTLED_HZ].map(|hz| low_pass::gain(hz.min(fastest_hz), period_s)),
             estimation,
         }
@@ -494,6 +492,11 @@ impl ExtrapolatingTransformer {
             filters_positions: setup.setpoint_noise.iter().any(Option::is_some),
             elapsed: 1,
             begun: false,
+            in_force: CommandsInForce::new(
+                n,
+                CommandDelay::of_ticks(ticks.delay, ticks.servo_ticks_per_cycle),
+            ),
+            asked: zero.clone(),
             given: zero,
             known: 0,
         })
@@ -507,7 +510,7 @@ impl ExtrapolatingTransformer {
         let intervals = self.elapsed.min(LONGEST_GAP);
         let all_ticks = intervals * ticks.servo_ticks_per_cycle;
         let share = 1.0 / f64::from(all_ticks);
-        let was_asked = self.known >= 2;
+        let was_asked = self.known >= self.in_force.kept();
         for (i, joint) in self.joints.iter_mut().enumerate() {
             let estimated = joint.motion.position;
             joint.motion.update(u64::from(self.elapsed), sample.q[i]);
@@ -530,7 +533,8 @@ impl ExtrapolatingTransformer {
             }
             mean.setpoint_velocity = (joint.setpoint - setpoint_before) * share / ticks.servo_period_s;
             if let Some(measured) = measured {
-                joint.correct(ticks, measured[i], mean, was_asked);
+                let asked = was_asked.then(|| self.in_force.mean(i));
+                joint.correct(ticks.servo_period_s, measured[i], mean, asked);
             }
         }
         for _ in 0..if self.begun { intervals } else { 0 } {
@@ -636,10 +640,9 @@ impl Transformer for ExtrapolatingTransformer {
                 rate += rate_change;
             }
             q_desired[i] = about + missing / joint.response;
-            if let Some(current) = &mut joint.current {
-                current.asked = [torque, current.asked[0]];
-            }
+            self.asked[i] = torque;
         }
+        self.in_force.push(self.asked.as_slice());
         self.given.copy_from_slice(q_desired);
     }
 

@@ -96,8 +96,8 @@ pub struct ProfileParameters {
     /// `servo_hz / servo_ticks_per_cycle`.
     #[cfg_attr(feature = "schema", schemars(extend("maximum" = 10_000)))]
     pub servo_ticks_per_cycle: Count,
-    /// Delay from the interface cycle at which a command is written until it acts, in servo ticks; at most
-    /// `servo_ticks_per_cycle`.
+    /// Delay from the interface cycle at which a command is written until it acts, in servo ticks; at most 32 interface
+    /// cycles. The age of measurements counts too: a controller cannot tell it from a delay of commands.
     #[cfg_attr(feature = "schema", schemars(extend("x-default" = "unknown")))]
     pub delay_servo_ticks: Option<u32>,
     /// Transformer that converts torques to positions or velocities.

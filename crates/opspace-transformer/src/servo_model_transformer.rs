@@ -100,6 +100,8 @@ pub struct EmulatingTransformer {
     reference_velocity: Vec<f64>,
     /// True after the first setpoint was sent; before, the robot holds itself.
     begun: bool,
+    /// Servo ticks until brakes that hold the robot are released, counted from the present interface cycle.
+    braked_ticks: u32,
     /// M⁻¹ (n × n), and the accelerations without motor torque (n; rad/s², m/s²).
     mass_inverse: DMatrix<f64>,
     free: DVector<f64>,
@@ -278,6 +280,7 @@ impl EmulatingTransformer {
             in_force: ActiveSetpoints::new(n, ticks),
             reference_velocity: vec![0.0; n],
             begun: false,
+            braked_ticks: 0,
             mass_inverse: matrix.clone(),
             free: zero.clone(),
             frozen: false,
@@ -353,9 +356,14 @@ impl EmulatingTransformer {
         self.in_force.hold(joint, setpoint);
     }
 
-    /// True if brakes hold the robot until the setpoints of the present interface cycle act.
-    fn is_braked(&self) -> bool {
-        self.has_brakes && !self.begun
+    /// Servo ticks, counted from the present interface cycle, at which brakes hold the robot: until the first setpoints act,
+    /// which are those of this cycle or are sent already.
+    fn braked_ticks(&self) -> u32 {
+        match (self.has_brakes, self.begun) {
+            (false, _) => 0,
+            (true, false) => self.ticks.delay,
+            (true, true) => self.braked_ticks,
+        }
     }
 
     /// Computes the drives' torques at one servo tick under the previous setpoint.
@@ -401,7 +409,8 @@ impl EmulatingTransformer {
     fn predict(&mut self, q_desired: Option<&[f64]>) {
         let ticks = self.ticks;
         let share = 1.0 / f64::from(ticks.servo_ticks_per_cycle);
-        let braked_ticks = if self.is_braked() { ticks.delay } else { 0 };
+        let braked_ticks = self.braked_ticks();
+        self.braked_ticks = braked_ticks.saturating_sub(ticks.servo_ticks_per_cycle);
         self.rollout.copy_from(&self.state);
         if self.intervals == 0.0 {
             self.mean_torque.fill(0.0);
@@ -478,8 +487,7 @@ impl Transformer for EmulatingTransformer {
         self.respond();
         let ticks = self.ticks;
         self.rollout.copy_from(&self.state);
-        let ticks_before = if self.is_braked() { 0 } else { ticks.delay };
-        for tick in 0..ticks_before {
+        for tick in self.braked_ticks()..ticks.delay {
             self.roll_old(tick);
             self.rollout.travel(&self.mass_inverse, &self.free, ticks.servo_period_s);
         }

@@ -15,7 +15,7 @@ use crate::friction::FrictionCompensation;
 use crate::observer::ObserverGain;
 use crate::transformer::Transformer;
 use nalgebra::{DMatrix, DVector};
-use opspace_backend::{CommandKind, GravityCompensation, Sample};
+use opspace_backend::{CommandDelay, CommandKind, CommandsInForce, GravityCompensation, Sample};
 use opspace_model::{Data, MassMatrixFactor, Model};
 
 /// Part of a joint's velocity that friction takes within a period, above which the prediction is implicit.
@@ -30,7 +30,7 @@ pub struct TorqueObserverSetup {
     pub resolution_rad: Vec<f64>,
     /// Time between two samples, s.
     pub period_s: f64,
-    /// Delay until a torque acts, s; at most one period.
+    /// Delay until a torque acts, s.
     pub delay_s: f64,
     /// Side that compensates gravity: the robot or the controller.
     pub gravity_compensated_by: GravityCompensation,
@@ -44,14 +44,14 @@ pub struct TorqueObserver {
     friction: FrictionCompensation,
     gravity_compensated_by: GravityCompensation,
     period_s: f64,
-    delay_s: f64,
+    delay: CommandDelay,
     q: DVector<f64>,
     dq: DVector<f64>,
     /// Unmodelled joint accelerations (n; rad/s², m/s²).
     disturbance: DVector<f64>,
-    /// Last torque sent (n; Nm, N).
-    torque: DVector<f64>,
-    /// Accelerations under the previous torque and under the last one (n; rad/s², m/s²).
+    /// Torques that act (n; Nm, N).
+    torques: CommandsInForce,
+    /// Accelerations under the torque that acts first in a period and under the next one (n; rad/s², m/s²).
     before: DVector<f64>,
     after: DVector<f64>,
     /// M + C T, and its factor.
@@ -69,16 +69,17 @@ impl TorqueObserver {
     pub fn new(setup: &TorqueObserverSetup, model: &Model) -> Self {
         let gain = |&resolution_rad: &f64| ObserverGain::of_torque_drive(resolution_rad, setup.period_s);
         let zero = DVector::zeros(setup.resolution_rad.len());
+        let delay = CommandDelay::of_time(setup.delay_s, setup.period_s);
         Self {
             gains: setup.resolution_rad.iter().map(gain).collect(),
             friction: setup.friction.clone(),
             gravity_compensated_by: setup.gravity_compensated_by,
             period_s: setup.period_s,
-            delay_s: setup.delay_s,
+            delay,
+            torques: CommandsInForce::new(zero.len(), delay),
             q: zero.clone(),
             dq: zero.clone(),
             disturbance: zero.clone(),
-            torque: zero.clone(),
             before: zero.clone(),
             after: zero,
             mass_matrix: DMatrix::zeros(model.n(), model.n()),
@@ -96,8 +97,10 @@ impl TorqueObserver {
         }
     }
 
-    /// Computes the accelerations under a torque in the present state.
-    fn accelerations(&mut self, data: &Data, torque: &[f64], ddq: &mut DVector<f64>) {
+    /// Computes the accelerations in the present state, under the torque that acts at the end of the period or, if not
+    /// `at_end`, at its beginning.
+    fn accelerations(&mut self, data: &Data, at_end: bool, ddq: &mut DVector<f64>) {
+        let torque = if at_end { self.torques.after() } else { self.torques.before() };
         for i in 0..torque.len() {
             let held = self.gravity_of_robot(data, i);
             ddq[i] = torque[i] + held - data.bias[i] - self.friction.torque(i, self.dq[i]);
@@ -173,32 +176,36 @@ impl Transformer for TorqueObserver {
 
     /// Predicts the state at the next sample.
     fn sent(&mut self, data: &Data, torque: &[f64]) {
+        let mut ddq = std::mem::take(&mut self.after);
         if !self.begun {
             // The robot held itself.
-            for i in 0..torque.len() {
-                self.torque[i] = data.gravity[i] - self.gravity_of_robot(data, i);
+            for (i, held) in ddq.iter_mut().enumerate() {
+                *held = data.gravity[i] - self.gravity_of_robot(data, i);
             }
+            self.torques.clear();
+            self.torques.push(ddq.as_slice());
         }
-        if self.delay_s > 0.0 {
-            let (mut ddq, before) = (std::mem::take(&mut self.before), std::mem::take(&mut self.torque));
-            self.accelerations(data, before.as_slice(), &mut ddq);
-            (self.before, self.torque) = (ddq, before);
+        self.torques.push(torque);
+        if self.delay.part > 0.0 {
+            let mut before = std::mem::take(&mut self.before);
+            self.accelerations(data, false, &mut before);
+            self.before = before;
         }
-        self.torque.copy_from_slice(torque);
-        let mut ddq = std::mem::take(&mut self.after);
-        self.accelerations(data, torque, &mut ddq);
+        self.accelerations(data, true, &mut ddq);
         self.after = ddq;
-        let Self { q, dq, before, after, delay_s, period_s, .. } = self;
-        Self::advance(q, dq, before, *delay_s);
-        Self::advance(q, dq, after, *period_s - *delay_s);
+        let Self { q, dq, before, after, delay, period_s, .. } = self;
+        let delayed_s = delay.part * *period_s;
+        Self::advance(q, dq, before, delayed_s);
+        Self::advance(q, dq, after, *period_s - delayed_s);
         (self.sent, self.begun) = (true, true);
     }
 
     /// Predicts further: the last torque stays in force.
     fn missed(&mut self, periods: u64) {
         if self.sent {
-            let Self { q, dq, after, period_s, .. } = self;
+            let Self { q, dq, after, period_s, torques, .. } = self;
             for _ in 0..periods {
+                torques.repeat();
                 Self::advance(q, dq, after, *period_s);
             }
         }

@@ -17,7 +17,7 @@ use crate::files::toml_path::{depth_of, dotted, keys_at, value_at};
 use crate::files::tool::{self, ToolFile};
 use crate::suggest::{choices, list};
 use opspace_backend::quantity::Positive;
-use opspace_backend::{Capabilities, CommandKind, Measured, Setting};
+use opspace_backend::{Capabilities, CommandKind, MAX_DELAY_CYCLES, Measured, Setting};
 use opspace_control::JointLimits;
 use opspace_loop::{
     CollisionDetectionParameters, CollisionReaction, EstimatedForceParameters, SafetyParameters,
@@ -243,10 +243,11 @@ impl RobotDefinition {
             }
             check_setpoint_limits(&source, &model, name, profile)?;
             let (delay, ratio) = (profile.delay(), profile.servo_ticks_per_cycle.get());
-            if delay > ratio {
+            let most = MAX_DELAY_CYCLES.saturating_mul(ratio);
+            if delay > most {
                 let key = ["profile", name, "delay_servo_ticks"];
                 let message = format!(
-                    "a delay of {delay} servo ticks is longer than an interface period of {ratio} servo ticks"
+                    "a delay of {delay} servo ticks is longer than {MAX_DELAY_CYCLES} interface periods, {most} servo ticks"
                 );
                 return Err(FileError::at_key(&source, key, message, None));
             }

@@ -15,6 +15,7 @@ mod coupled_robots;
 mod device_limits;
 mod drive_faults;
 mod drives;
+mod late_commands;
 mod limited_setpoints;
 mod limits_matrix;
 mod log_header;

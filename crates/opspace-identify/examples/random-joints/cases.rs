@@ -49,6 +49,8 @@ pub struct Kind {
     pub without_current: bool,
     /// Errors of the declaration.
     pub deceit: Deceit,
+    /// Longest delay of setpoints, interface cycles; 1 if `None`.
+    pub longest_delay_cycles: Option<u32>,
 }
 
 /// True parameters of a joint.
@@ -155,6 +157,9 @@ impl Case {
         }
         if let Some(limit) = kind.deceit.speed_limit {
             truth.speed_limit = limit;
+        }
+        if let Some(longest) = kind.longest_delay_cycles {
+            truth.delay = random.random_range(0..=longest * truth.ratio);
         }
         Self { truth, kind, seed: stream % 100_000 }
     }

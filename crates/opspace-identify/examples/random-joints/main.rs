@@ -5,7 +5,7 @@
 //! ```
 //!
 //! (the seed is drawn and printed if it is absent) prints a line per case and a line per quantity. KIND is `current`
-//! (default), `no-current`, or an error of the declaration: `torque-scale-high`, `torque-scale-low`, `inertia`,
+//! (default), `no-current`, `late` and `late-no-current` with delays of up to eight interface cycles, or an error of the declaration: `torque-scale-high`, `torque-scale-low`, `inertia`,
 //! `short-motion`; or a structure: `feed-forward`, `setpoint-filter`.
 
 #![expect(clippy::print_stdout, reason = "a program for the terminal")]
@@ -19,10 +19,19 @@ use std::thread;
 use std::time::{SystemTime, UNIX_EPOCH};
 use tally::{Outcome, summary};
 
+/// Longest delay of setpoints of the late kinds, interface cycles.
+const LONGEST_DELAY_CYCLES: u32 = 8;
+
 fn kind(name: &str) -> Kind {
     let of = |deceit: Deceit| Kind { deceit, ..Kind::default() };
     match name {
         "current" => Kind::default(),
+        "late" => Kind { longest_delay_cycles: Some(LONGEST_DELAY_CYCLES), ..Kind::default() },
+        "late-no-current" => Kind {
+            without_current: true,
+            longest_delay_cycles: Some(LONGEST_DELAY_CYCLES),
+            ..Kind::default()
+        },
         "no-current" => Kind { without_current: true, ..Kind::default() },
         "torque-scale-high" => of(Deceit { current_scale: Some(1.25), ..Deceit::default() }),
         "torque-scale-low" => of(Deceit { current_scale: Some(0.75), ..Deceit::default() }),

@@ -7,7 +7,7 @@ use opspace_backend::CommandKind;
 use opspace_experiment::{Code, Experiment, Files, Progress, RunOptions};
 use opspace_loop::RunOutcome;
 use opspace_preflight::{
-    Quantity, Variation, diagnostics, floors, gear_margin, impedances, margins_with, refusals,
+    Quantity, Variation, diagnostics, floors, gear_margin, impedances, loop_margin, margins_with, refusals,
 };
 use opspace_transformer::{ServoLaw, TransformerName};
 use std::io::Cursor;
@@ -277,4 +277,30 @@ fn limits_and_feed_forward_of_setpoints_are_stated() {
     assert_eq!(of_feed_forward(&found), 1, "{found:?}");
     let interpolated = [fed[0].clone(), "robot.interface.setpoints=\"interpolated\"".to_owned()];
     assert_eq!(of_feed_forward(&diagnostics(&position("extrapolation", &interpolated))), 0);
+}
+
+/// Compared: the smallest phase margin of a Cartesian task at several delays, with a textbook bound on what the delay takes; gains
+/// that are stable without delay and not with it are refused on a real robot.
+#[test]
+fn delay_takes_phase_margin_and_unstable_gains_are_refused() {
+    let late = |cycles: u32, frequency: f64| {
+        let settings = [
+            format!("robot.profile.b-soft.delay_servo_ticks={}", 5 * cycles),
+            format!("task.hand.cartesian.gains.frequency_rad_per_s={frequency:?}"),
+        ];
+        let options = RunOptions { profile: Some("b-soft".to_owned()), ..RunOptions::default() };
+        let path = Path::new("tasks/cartesian-tracking.toml");
+        Experiment::load(Files::Embedded, path, None, options, &settings).unwrap()
+    };
+    let [none, some] = [0, 3].map(|cycles| loop_margin(&late(cycles, 14.0)).unwrap());
+    assert_eq!([none.delay_cycles, none.delay_s], [0.0, 0.0]);
+    assert!((some.delay_cycles - 3.0).abs() < 1e-12 && (some.delay_s - 0.015).abs() < 1e-12, "{some}");
+    // A delay takes ω d at least at the crossover without it, or moves the crossover to where the loop has less.
+    let taken = 360.0 * none.crossover_hz * some.delay_s;
+    assert!(some.degrees < none.degrees - 0.5 * taken && some.degrees > 0.0, "{none}; {some}");
+    for (cycles, is_refused) in [(0, false), (8, true)] {
+        let experiment = late(cycles, 30.0);
+        let refused = refusals(&experiment).iter().any(|finding| finding.code == Code::GainsTooHigh);
+        assert_eq!(refused, is_refused, "{cycles} cycles: {}", loop_margin(&experiment).unwrap());
+    }
 }

@@ -100,7 +100,7 @@ fn dropout_blocks_samples_and_commands() {
 /// Compared: the servo tick at which each setpoint acts, and its delay plus up to `jitter` ticks.
 #[test]
 fn jittered_setpoints_act_in_order() {
-    for (delay, jitter) in [(0, 2), (3, 4), (5, 4)] {
+    for (delay, jitter) in [(0, 2), (3, 4), (5, 4), (13, 4)] {
         let mut setup = on_a_bus(&format!("jitter_servo_ticks = {jitter}"));
         setup.profile = parsed_profile(&setup, delay);
         let mut arm = arm(setup);

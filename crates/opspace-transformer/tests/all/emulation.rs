@@ -10,6 +10,7 @@ use opspace_transformer::{
     FrictionCompensationParameters, FrictionParameters, RemainingDamping, ServoParameters, TorqueObjective,
     Transformer,
 };
+use std::collections::VecDeque;
 use std::f64::consts::TAU;
 use std::ops::Range;
 
@@ -18,6 +19,9 @@ pub(super) const RATIO: u32 = 5;
 pub(super) const KP: [f64; 2] = [25.0, 20.0];
 pub(super) const KV: [f64; 2] = [40.0, 8.0];
 const FILTER_HZ: f64 = 200.0;
+
+/// Delays of setpoints, servo ticks: all up to a whole interval, and some of several intervals.
+pub(super) const DELAYS: [u32; 9] = [0, 1, 2, 3, 4, RATIO, RATIO + 2, 2 * RATIO, 3 * RATIO + 1];
 
 /// Rounding error of an observer without an initial error: relative for torques, in m/s for velocities.
 const EXACT: f64 = 1e-6;
@@ -245,7 +249,7 @@ pub(super) fn sample(takes: CommandKind, current: bool) -> Sample {
 }
 
 /// Runs a case; no setpoint is sent in the cycles `missed`.
-fn run(case: Case, missed: Range<i32>) -> Run {
+fn run(case: Case, missed: Range<u32>) -> Run {
     let matching = if case.setpoints == Setpoints::Held {
         TorqueObjective::IntervalMean
     } else {
@@ -254,7 +258,7 @@ fn run(case: Case, missed: Range<i32>) -> Run {
     run_matching(case, matching, missed)
 }
 
-fn run_matching(case: Case, matching: TorqueObjective, missed: Range<i32>) -> Run {
+fn run_matching(case: Case, matching: TorqueObjective, missed: Range<u32>) -> Run {
     let model = model(case.loaded);
     let mut data = Data::new(&model);
     let mut transformer = EmulatingTransformer::new(&EmulationSetup { matching, ..setup(case) }).unwrap();
@@ -266,31 +270,29 @@ fn run_matching(case: Case, matching: TorqueObjective, missed: Range<i32>) -> Ru
     let rest = if takes == CommandKind::Velocity { [0.0; 2] } else { drives.q };
     let (mut from, mut to, mut new) = (rest, rest, DVector::from_column_slice(&rest));
     let mut ramp = RATIO;
+    let mut waiting = VecDeque::new();
     let (mut asked, mut torques, mut off) = (Vec::new(), Vec::new(), 0.0_f64);
-    for k in 0..400 {
+    for k in 0..400_u32 {
         sample.q.copy_from_slice(&drives.q);
         let dq = transformer.observe(&sample).unwrap();
         off = off.max((dq[0] - drives.dq[0]).abs()).max((dq[1] - drives.dq[1]).abs());
         assert!(update(&model, &mut data, &sample.q, dq));
-        let t = f64::from(k) * SERVO_S * f64::from(RATIO);
+        let t = f64::from(k * RATIO) * SERVO_S;
         let load = if case.loaded { LOAD } else { [0.0; 2] };
         let tau = [load[0] + (TAU * 0.7 * t).sin(), load[1] + 0.4 * (TAU * 1.1 * t).sin()];
         let sent = !missed.contains(&k);
         if sent {
             transformer.transform(&data, &tau, new.as_mut_slice());
             transformer.sent(&data, new.as_slice());
+            waiting.push_back((k * RATIO + case.delay, [new[0], new[1]]));
         }
         asked.push(tau);
         let mut mean = DVector::zeros(2);
-        for tick in 0..=RATIO {
-            // With a delay of a whole interval the new setpoint takes effect at the first tick of the next interval.
-            if sent && tick == case.delay {
-                (from, to, ramp) = (to, [new[0], new[1]], 0);
+        for tick in k * RATIO..(k + 1) * RATIO {
+            if let Some((_, acting)) = waiting.pop_front_if(|(acts_at, _)| *acts_at == tick) {
+                (from, to, ramp) = (to, acting, 0);
             }
-            if tick == RATIO {
-                break;
-            }
-            if case.has_brakes && k == 0 && tick < case.delay {
+            if case.has_brakes && tick < case.delay {
                 torques.push([0.0; 2]);
                 continue;
             }
@@ -340,12 +342,12 @@ fn relative<'a>(pairs: impl Iterator<Item = (&'a [f64; 2], &'a [f64; 2])>) -> f6
     (off / size).sqrt()
 }
 
-/// Compared: mean torques of servos with nominal gains and the desired ones, for every delay up to a whole interval;
+/// Compared: mean torques of servos with nominal gains and the desired ones, for delays up to several intervals;
 /// and estimated velocity, from position readings 5 ms apart, and the true one.
 #[test]
 fn mean_torques_equal_desired_torques() {
     for servo in POSITION_SERVOS.into_iter().chain(VELOCITY_SERVOS) {
-        for delay in 0..=RATIO {
+        for delay in DELAYS {
             for current in [false, true] {
                 let case = Case { servo, delay, current, ..CASE };
                 let run = run(case, 0..0);
@@ -365,7 +367,7 @@ fn velocity_robot_starts_from_brakes_or_integral() {
         [(Servo::Velocity, true), (Servo::VelocityIntegral, true), (Servo::VelocityIntegral, false)]
     {
         for setpoints in [Setpoints::Held, Setpoints::Interpolated] {
-            for delay in 0..=RATIO {
+            for delay in DELAYS {
                 for current in [false, true] {
                     let case = Case { servo, has_brakes, setpoints, delay, current, loaded: true, ..CASE };
                     let run = run_matching(case, TorqueObjective::IntervalMean, 0..0);
@@ -383,7 +385,7 @@ fn velocity_robot_starts_from_brakes_or_integral() {
 #[test]
 fn interpolated_setpoints_give_torque_throughout_interval() {
     for servo in [Servo::Cascade, Servo::CascadeIntegral, Servo::Pid].into_iter().chain(VELOCITY_SERVOS) {
-        for delay in 0..=RATIO {
+        for delay in DELAYS {
             for current in [false, true] {
                 let case = Case { servo, delay, current, setpoints: Setpoints::Interpolated, ..CASE };
                 let (straight, held) =
@@ -401,7 +403,7 @@ fn interpolated_setpoints_give_torque_throughout_interval() {
 fn estimate_continues_through_missed_setpoints() {
     for servo in [Servo::Cascade].into_iter().chain(VELOCITY_SERVOS) {
         for setpoints in [Setpoints::Held, Setpoints::Interpolated] {
-            for delay in [0, 2, RATIO] {
+            for delay in [0, 2, RATIO, RATIO + 1, 3 * RATIO] {
                 let run = run(Case { servo, delay, setpoints, ..CASE }, 200..230);
                 assert!(run.off < EXACT, "{servo:?}, delay {delay}: {} m/s", run.off);
             }

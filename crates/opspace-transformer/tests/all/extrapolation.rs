@@ -13,6 +13,7 @@ use opspace_transformer::{
     EstimatorParameters, ExtrapolatingTransformer, ExtrapolationSetup, GainAdaptationParameters, Gears,
     RemainingDamping, ServoLaw, ServoParameters, SetpointNoise, Transformer,
 };
+use std::collections::VecDeque;
 use std::f64::consts::TAU;
 
 /// Relative rounding error of a torque.
@@ -56,6 +57,7 @@ fn error(case: Case, skipped: usize, swing: f64, motion: impl Fn(f64) -> f64) ->
     let rest = if takes == CommandKind::Velocity { [0.0; 2] } else { starts };
     let (mut from, mut to, mut new) = (rest, rest, DVector::from_column_slice(&rest));
     let mut ramp = RATIO;
+    let mut waiting = VecDeque::new();
     let (mut asked, mut torques) = (Vec::new(), Vec::new());
     for k in 0..1200_u32 {
         let time_s = |tick: u32| f64::from(k * RATIO + tick) * SERVO_S;
@@ -65,15 +67,13 @@ fn error(case: Case, skipped: usize, swing: f64, motion: impl Fn(f64) -> f64) ->
         let tau = [0.5 + swing * (TAU * 0.7 * t).sin(), 0.2 + 0.4 * swing * (TAU * 1.1 * t).sin()];
         transformer.transform(&data, &tau, new.as_mut_slice());
         transformer.sent(&data, new.as_slice());
+        waiting.push_back((k * RATIO + case.delay, [new[0], new[1]]));
         data.q.copy_from_slice(&sample.q);
         asked.push(tau);
         let mut mean = [0.0; 2];
-        for tick in 0..=RATIO {
-            if tick == case.delay {
-                (from, to, ramp) = (to, [new[0], new[1]], 0);
-            }
-            if tick == RATIO {
-                break;
+        for tick in 0..RATIO {
+            if let Some((_, acting)) = waiting.pop_front_if(|(acts_at, _)| *acts_at == k * RATIO + tick) {
+                (from, to, ramp) = (to, acting, 0);
             }
             ramp = (ramp + 1).min(RATIO);
             let share = match case.setpoints {
@@ -106,7 +106,7 @@ fn error(case: Case, skipped: usize, swing: f64, motion: impl Fn(f64) -> f64) ->
 fn mean_torque_is_exact_at_constant_velocity() {
     for servo in POSITION_SERVOS.into_iter().chain(VELOCITY_SERVOS) {
         for setpoints in [Setpoints::Held, Setpoints::Interpolated] {
-            for delay in [0, 2, RATIO] {
+            for delay in [0, 2, RATIO, 2 * RATIO + 3] {
                 let case = Case { servo, setpoints, delay, ..CASE };
                 let error = error(case, 400, 0.0, |t| 0.3 * t);
                 assert!(error < EXACT, "{case:?}: {error:e}");
@@ -119,7 +119,7 @@ fn mean_torque_is_exact_at_constant_velocity() {
 #[test]
 fn current_corrects_wrong_gains() {
     let motion = |t: f64| 0.2 * (TAU * 0.9 * t).sin() + 0.05 * (TAU * 2.3 * t).sin();
-    for delay in [0, 3] {
+    for delay in [0, 3, 2 * RATIO + 3] {
         let nominal = error(Case { current: true, delay, ..CASE }, 600, 1.0, motion);
         for gain_scale in [0.6, 0.9, 1.1, 1.4] {
             let case = Case { gain_scale, delay, ..CASE };
@@ -182,7 +182,7 @@ fn feed_forward_and_filters_are_inverted_exactly() {
     ] {
         let servo: ServoParameters = toml::from_str(&format!("cascaded = {{ {cascade}, {more} }}")).unwrap();
         for setpoints in [Setpoints::Held, Setpoints::Interpolated] {
-            for delay in [0, 2] {
+            for delay in [0, 2, 12] {
                 let timing = DriveTiming { servo_period_s: 4e-4, servo_ticks_per_cycle: 5, delay, setpoints };
                 let error = error_at_constant_velocity(&servo, timing);
                 assert!(error < EXACT, "{more} {setpoints:?} {delay}: {error:e}");

@@ -11,7 +11,7 @@ use std::f64::consts::TAU;
 
 const PERIOD_S: f64 = 1e-3;
 /// Delays until a torque acts, s.
-const DELAYS_S: [f64; 2] = [0.0, 2e-4];
+const DELAYS_S: [f64; 4] = [0.0, 2e-4, PERIOD_S, 3.2 * PERIOD_S];
 const RESOLUTION_RAD: f64 = 4e-6;
 
 /// Simulation steps per interface cycle.
@@ -63,13 +63,15 @@ fn errors(
     let mut observer = observer(&model, delay_s);
     let mut filter = VelocityEstimator::new(2, &EstimatorParameters::default(), PERIOD_S);
     let (mut truth, mut data) = (Data::new(&model), Data::new(&model));
-    let (mut q, mut dq, mut acting) = ([0.0; 2], [0.0; 2], [0.0; 2]);
+    let (mut q, mut dq) = ([0.0; 2], [0.0; 2]);
     let capabilities = Capabilities::new(["first", "second"], CommandKind::Torque, PERIOD_S);
     let mut sample = Sample::new(&capabilities);
     let (mut observed, mut filtered, mut count, mut missed) = (0.0, 0.0, 0.0, 0);
-    let mut commanded = [0.0; 2];
+    // Torques of all cycles; in lost ones the last command remains.
+    let mut commanded: Vec<[f64; 2]> = Vec::new();
     for cycle in 0..3000 {
         if is_lost(cycle) {
+            commanded.push(commanded.last().copied().unwrap_or_default());
             missed += 1;
         } else {
             sample.q = q.map(|q| (q / RESOLUTION_RAD).round() * RESOLUTION_RAD).to_vec();
@@ -87,14 +89,13 @@ fn errors(
                 count += 2.0;
             }
             assert!(update(&model, &mut data, &sample.q, &by_observer));
-            commanded = torque(cycle);
-            observer.sent(&data, &commanded);
+            commanded.push(torque(cycle));
+            observer.sent(&data, &torque(cycle));
         }
         let dt = PERIOD_S / f64::from(STEPS);
         for step in 0..STEPS {
-            if f64::from(step) * dt >= delay_s {
-                acting = commanded;
-            }
+            let sent_s = f64::from(cycle) * PERIOD_S + f64::from(step) * dt - delay_s + 1e-9;
+            let acting = if sent_s < 0.0 { [0.0; 2] } else { commanded[(sent_s / PERIOD_S) as usize] };
             kinematics(&model, &mut truth, &q, &dq);
             aba(&model, &mut truth, &[acting[0] + load(cycle), acting[1]]);
             for i in 0..2 {

@@ -36,7 +36,7 @@ pub const READER_ONLY: [(&str, &[&str]); 8] = [
             "is not shorter than the run",
             "static friction must not be below Coulomb friction",
             "the rotor's inertia times gear_ratio²",
-            "is longer than an interface period",
+            "interface periods, ",
             "to_hz is below from_hz",
             "until_s must be at least",
             "is taken off before it is put on",
