@@ -169,7 +169,7 @@ fn torque_robots_and_leading_kinematics_track_to_millimetres() {
 const README: [(&str, [&str; 3], &str); 6] = [
     ("position robot, opspace", ["position", "osc", "emulation+current"], ""),
     ("with elastic gears", ["position", "osc", "extrapolation+current"], "elastic gears"),
-    ("with servo gains *kp* 20 % too low", ["position", "osc", "emulation+current"], "kp 0.8"),
+    ("with a true *kp* 20 % below the stated one", ["position", "osc", "emulation+current"], "kp 0.8"),
     ("the same, motor current not measured", ["position", "osc", "emulation"], "kp 0.8"),
     ("torque robot, opspace", ["torque", "osc", ""], ""),
     ("position robot, inverse kinematics", ["position", "ik-lead", ""], ""),
