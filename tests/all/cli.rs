@@ -737,7 +737,11 @@ fn run_refuses_real_robot_with_small_margins() {
     // The margins are printed with `-v`, and are no findings for the default transformer.
     let check = ["check", "tasks/gravity-compensation.toml"];
     let short = opspace(folder.path(), &check).exits(0);
-    assert!(short.stdout.lines().count() < 10 && !short.stdout.contains("gain of position loops"), "{}", short.stdout);
+    assert!(
+        short.stdout.lines().count() < 10 && !short.stdout.contains("gain of position loops"),
+        "{}",
+        short.stdout
+    );
     assert!(short.stdout.contains("`-v` prints them\n"), "{}", short.stdout);
     assert!(short.stdout.contains("\n  no problems found\n"), "{}", short.stdout);
     assert_eq!(short.stderr, "");

@@ -75,10 +75,10 @@ const PREPARATIONS: [(&str, &str); 4] = [
     (
         "docs/howto/logs.md",
         "opspace run tasks/compliant-x.toml --duration-s 2 --quiet && mkdir a b && log=runs/compliant-x-asimo-arm-position/run.mcap \
-         && for name in a/run b/run broken; do cp $log $name.mcap; done",
+         && for name in run a/run b/run broken; do cp $log $name.mcap; done",
     ),
     ("docs/howto/live-view.md", "opspace run tasks/compliant-x.toml --duration-s 2 --quiet"),
-    ("docs/howto/robot-file.md", "cp robots/ur5e/ur5e.urdf ur5.urdf"),
+    ("docs/howto/robot-file.md", "cp robots/ur5e/ur5e.urdf ur5e.urdf"),
     ("docs/howto/ros2.md", "cp robots/ur5e/ur5e.urdf arm.urdf"),
 ];
 
@@ -105,18 +105,30 @@ const NOT_RUN: &[(&str, &str)] = &[
     ("opspace bench --json bench.json", "takes minutes; the step acceptance of .ci/run runs it"),
     ("python3 docs/results/medians.py bench.json", "needs Python; the step acceptance of .ci/run runs it"),
     ("opspace bench tasks/suites/teleop.toml", "takes minutes; the step acceptance of .ci/run runs it"),
-    ("opspace run tasks/panda-reach.toml --plant mujoco…", "needs MuJoCo; the step mujoco of .ci/run has such runs"),
+    (
+        "opspace run tasks/panda-reach.toml --plant mujoco…",
+        "needs MuJoCo; the step mujoco of .ci/run has such runs",
+    ),
     ("opspace bench tasks/suites/limits.toml --plants …", "needs MuJoCo"),
     ("opspace bench tasks/suites/elastic-gears.toml --plants …", "needs MuJoCo"),
     ("opspace identify robots/asimo-arm", "takes a minute; the step acceptance of .ci/run runs it"),
     ("opspace identify robots/my-arm …", "a robot of the reader"),
     ("opspace run tasks/my-task.toml …", "a task of the reader"),
     ("opspace driver …", "needs servos; servo_bus.rs has simulated ones"),
-    ("opspace run examples/so101/gravity-compensation.toml --robot my-so101 --move-to-start", "needs the arm"),
+    (
+        "opspace run examples/so101/gravity-compensation.toml --robot my-so101 --move-to-start",
+        "needs the arm",
+    ),
     ("opspace identify my-so101", "needs the arm; servo_bus.rs identifies one behind a simulated bus"),
-    ("cargo run -p opspace-feetech --example simulated-bus…", "serves until it is ended; the step feetech of .ci/run"),
+    (
+        "cargo run -p opspace-feetech --example simulated-bus…",
+        "serves until it is ended; the step feetech of .ci/run",
+    ),
     ("cargo build --release -p opspace-ros2", "a program of its own; the step ros2 of .ci/run builds it"),
-    ("target/release/opspace-ros2 …", "needs robots behind ROS 2; the step ros2 of .ci/run has simulated ones"),
+    (
+        "target/release/opspace-ros2 …",
+        "needs robots behind ROS 2; the step ros2 of .ci/run has simulated ones",
+    ),
     ("alias opspace=…", "the program of ROS 2"),
     ("opspace description …", "needs robots behind ROS 2"),
     ("opspace run task.toml", "needs robots behind ROS 2"),
@@ -236,21 +248,39 @@ fn run(folder: &Path, command: &Command, place: &str) {
 
 /// Starts a command that shows a view, at a free port, and ends it as Ctrl-C does when it says where its page is.
 fn show(folder: &Path, text: &str, place: &str) {
-    let text = if text.contains(" --view") { text.replace(" --view", " --view=0") } else { format!("{text} --at 0") };
+    let text = if text.contains(" --view") {
+        text.replace(" --view", " --view=0")
+    } else {
+        format!("{text} --at 0")
+    };
     let arguments: Vec<&str> = text.split_whitespace().skip(1).collect();
-    let mut program =
-        crate::cli_common::command(folder, &arguments).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
-    let said = BufReader::new(program.stderr.take().unwrap());
-    let page = said.lines().find(|line| line.as_ref().unwrap().starts_with("view at http://127.0.0.1:"));
-    let ended = std::process::Command::new("kill").args(["-INT", &program.id().to_string()]).status().unwrap();
+    let mut program = crate::cli_common::command(folder, &arguments)
+        .stdout(Stdio::null())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut lines = BufReader::new(program.stderr.take().unwrap()).lines();
+    let page = lines.find(|line| line.as_ref().unwrap().starts_with("view at http://127.0.0.1:"));
+    let ended =
+        std::process::Command::new("kill").args(["-INT", &program.id().to_string()]).status().unwrap();
+    lines.for_each(drop);
     let exit = program.wait().unwrap();
     assert!(page.is_some() && ended.success(), "{place}: {text}: no page; {exit}");
 }
 
 /// True if a command is one run of a task on the backend of its robot: a position robot. It is run as a torque robot as well.
 fn names_no_backend(text: &str) -> bool {
-    let of_position_robots =
-        ["--backend", "--controller", "--transformer", "--help", "--out", "&&", "|", "tasks/experiments/"];
+    let of_position_robots = [
+        "--backend",
+        "--controller",
+        "--transformer",
+        "--help",
+        "--out",
+        "--quiet",
+        "&&",
+        "|",
+        "tasks/experiments/",
+    ];
     text.starts_with("opspace run ") && !of_position_robots.iter().any(|other| text.contains(other))
 }
 
@@ -299,9 +329,9 @@ fn every_page_is_run_and_in_the_book() {
 /// Commands are in `console` blocks, and each is run or is one of `NOT_RUN`, of which all are on a page.
 #[test]
 fn every_command_is_run_or_has_a_reason() {
-    let crates = fs::read_dir(project("crates")).unwrap().map(|entry| {
-        format!("crates/{}/README.md", entry.unwrap().file_name().into_string().unwrap())
-    });
+    let crates = fs::read_dir(project("crates"))
+        .unwrap()
+        .map(|entry| format!("crates/{}/README.md", entry.unwrap().file_name().into_string().unwrap()));
     let further = ["README.md", "CONTRIBUTING.md", "python/README.md", "ros2/README.md"].map(str::to_owned);
     let mut unused: Vec<&str> = NOT_RUN.iter().map(|(pattern, _)| *pattern).collect();
     for page in docs().into_iter().chain(further).chain(crates) {
@@ -314,7 +344,9 @@ fn every_command_is_run_or_has_a_reason() {
             let kinds = ["console", "text", "toml", "rust", "python", "xml"];
             assert!(kinds.contains(&language), "{place}: a block of the kind `{language}`");
             if language == "text" {
-                let is_command = |line: &str| ["$ ", "opspace ", "cargo ", "pip ", "ros2 "].iter().any(|b| line.starts_with(b));
+                let is_command = |line: &str| {
+                    ["$ ", "opspace ", "cargo ", "pip ", "ros2 "].iter().any(|b| line.starts_with(b))
+                };
                 let command = block.text.lines().find(|line| is_command(line));
                 assert!(command.is_none(), "{place}: a command in a block of the kind `text`: {command:?}");
             }
