@@ -25,13 +25,15 @@ struct Group<'a> {
     ratio: u64,
     /// Name of the transformer; empty without a transformer.
     transformer: &'a str,
+    /// Label of the row; empty without a deviation.
+    label: &'a str,
 }
 
 impl<'a> Group<'a> {
     /// Creates the key of runs; a position or velocity robot under torque control uses the paper's transformer.
     fn new(task: &'a str, backend: &'a str, controller: &'a str, profile: &'a str) -> Self {
         let transformer = if backend != "torque" && controller == "osc" { "paper" } else { "" };
-        Self { task, backend, controller, profile, ratio: 5, transformer }
+        Self { task, backend, controller, profile, ratio: 5, transformer, label: "" }
     }
 
     fn paper(task: &'a str, profile: &'a str) -> Self {
@@ -65,6 +67,7 @@ impl Bench {
                     && row["profile"] == group.profile
                     && row["ratio"] == group.ratio
                     && row["transformer"].as_str().unwrap_or_default() == group.transformer
+                    && row["label"].as_str().unwrap_or_default() == group.label
             })
             .collect();
         assert!(!rows.is_empty(), "no row of {group:?}");
@@ -162,6 +165,48 @@ fn torque_robots_and_leading_kinematics_track_to_millimetres() {
     }
 }
 
+/// Rows of the README's table, with the runs whose medians they show.
+const README: [(&str, [&str; 3], &str); 6] = [
+    ("position robot, opspace", ["position", "osc", "emulation+current"], ""),
+    ("with elastic gears", ["position", "osc", "extrapolation+current"], "elastic gears"),
+    ("with a true *kp* 20 % below the stated one", ["position", "osc", "emulation+current"], "kp 0.8"),
+    ("the same, motor current not measured", ["position", "osc", "emulation"], "kp 0.8"),
+    ("torque robot, opspace", ["torque", "osc", ""], ""),
+    ("position robot, inverse kinematics", ["position", "ik-lead", ""], ""),
+];
+
+/// Compared: the numbers of the README's table, and medians of the suite, to half of the last digit that is shown.
+#[test]
+#[ignore = "needs results of a suite, OPSPACE_BENCH_JSON: .ci/run acceptance"]
+fn readme_shows_the_medians() {
+    let bench = Bench::read();
+    let readme = crate::cli_common::read(crate::cli_common::project("README.md"));
+    for (name, [backend, controller, transformer], label) in README {
+        let begin = format!("| {name} |");
+        let line = readme.lines().find_map(|line| line.strip_prefix(&begin));
+        let line = line.unwrap_or_else(|| panic!("README.md has no row {begin}"));
+        let shown: Vec<&str> =
+            line.split(['|', ';', ' ']).filter(|word| word.parse::<f64>().is_ok()).collect();
+        let median = |task, metric| {
+            let of = Group::new(task, backend, controller, "a-med");
+            bench.median(Group { transformer, label, ..of }, metric)
+        };
+        let medians = [
+            1e3 * median("compliant-x", "hand_motion_rms_m"),
+            median("compliant-x", "hand_force_rms_n"),
+            1e3 * median("compliant-x", "position_rms_m"),
+            1e3 * median("cartesian-tracking", "position_rms_m"),
+        ];
+        assert_eq!(shown.len(), medians.len(), "{line}");
+        for (shown, median) in shown.iter().zip(medians) {
+            let decimals = shown.split_once('.').map_or(0, |(_, decimals)| decimals.len());
+            let value: f64 = shown.parse().expect("a number");
+            let half = 0.5 * 0.1_f64.powi(i32::try_from(decimals).expect("few decimals"));
+            assert!((value - median).abs() <= 1.001 * half, "{name}: {shown} for {median}");
+        }
+    }
+}
+
 #[test]
 #[ignore = "needs results of a suite, OPSPACE_BENCH_JSON: .ci/run acceptance"]
 fn operator_moves_compliant_arm_but_not_stiff_arm() {
@@ -242,6 +287,7 @@ impl Rows {
                     && row["controller"] == controller
                     && row["transformer"].as_str().unwrap_or_default() == transformer
                     && row["profile"] == profile
+                    && row["label"].as_str().unwrap_or_default().is_empty()
             });
             let value = |row: &Value| Some((row["seed"].as_u64()?, row["metrics"][metric].as_f64()?));
             same.filter_map(value).collect::<BTreeMap<u64, f64>>()

@@ -734,8 +734,18 @@ fn run_refuses_real_robot_with_small_margins() {
     let simulated = [run.as_slice(), &["--simulate", "--duration-s", "1.6"]].concat();
     opspace(folder.path(), &simulated).exits(0);
 
-    // The margins are printed, and are no findings for the default transformer.
-    let checked = opspace(folder.path(), &["check", "tasks/gravity-compensation.toml"]).exits(0);
+    // The margins are printed with `-v`, and are no findings for the default transformer.
+    let check = ["check", "tasks/gravity-compensation.toml"];
+    let short = opspace(folder.path(), &check).exits(0);
+    assert!(
+        short.stdout.lines().count() < 10 && !short.stdout.contains("gain of position loops"),
+        "{}",
+        short.stdout
+    );
+    assert!(short.stdout.contains("`-v` prints them\n"), "{}", short.stdout);
+    assert!(short.stdout.contains("\n  no problems found\n"), "{}", short.stdout);
+    assert_eq!(short.stderr, "");
+    let checked = opspace(folder.path(), &[&check[..], &["-v"]].concat()).exits(0);
     let (table, title) =
         (&checked.stdout, "with transformer 'extrapolation+current':\n    gain of position loops");
     assert!(table.contains(title), "{table}");
@@ -743,7 +753,6 @@ fn run_refuses_real_robot_with_small_margins() {
     let is_wide = |line: &&str| line.starts_with("    ") && line.chars().count() > 100;
     assert_eq!(table.lines().find(is_wide), None);
     assert!(table.contains("\n  no problems found\n"), "{table}");
-    assert_eq!(checked.stderr, "");
 }
 
 #[test]

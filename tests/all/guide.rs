@@ -6,7 +6,8 @@
 //!   excerpt: it replaces the same keys in the last file of the page that has a `robot`, and runs for a moment. An excerpt of
 //!   another file may only have keys that the schemas know.
 //! * A `console` block has commands after `$ `; the lines below a command are part of its output, except `…`. A comment
-//!   `# exit code N` states an exit code other than 0.
+//!   `# exit code N` states an exit code other than 0. A command that shows a view is ended when it says where its page is. No other
+//!   kind of block has commands.
 //! * A `rust` block that begins with `// PATH` is an excerpt of this file, which `.ci/run` compiles and runs. `…` in a comment stands
 //!   for lines that are left out.
 #![expect(clippy::unwrap_used, reason = "a test that can't go on has failed")]
@@ -19,6 +20,7 @@ mod reference;
 use crate::cli_common::{ROOT, project, read, scratch};
 use pages::{Block, Command, blocks, commands, file_name};
 use std::fs;
+use std::io::{BufRead, BufReader};
 use std::os::unix::fs::symlink;
 use std::path::Path;
 use std::process::Stdio;
@@ -55,40 +57,93 @@ pages! {
     rust: "docs/howto/rust.md",
     logs: "docs/howto/logs.md",
     so101: "docs/howto/so101.md",
+    describe_a_robot: "docs/howto/robot-file.md",
+    mujoco: "docs/howto/mujoco.md",
+    identification: "docs/howto/identification.md",
+    suites: "docs/howto/suites.md",
+    live_view: "docs/howto/live-view.md",
+    python: "docs/howto/python.md",
+    ros2: "docs/howto/ros2.md",
+    writing_a_metric: "docs/howto/writing-a-metric.md",
+    several_robots: "docs/explain/several-robots.md",
+    results_of_the_paper: "docs/results/paper.md",
+    results_of_real_arms: "docs/results/real-arms.md",
 }
 
 /// Commands that make the files which a page takes for granted.
-const PREPARATIONS: [(&str, &str); 1] = [(
-    "docs/howto/logs.md",
-    "opspace run tasks/compliant-x.toml --duration-s 2 --quiet && mkdir a b && log=runs/compliant-x-asimo-arm-position/run.mcap \
-     && for name in run a/run b/run broken; do cp $log $name.mcap; done",
-)];
-
-/// Pages with commands that this computer may not be able to run, with the step of `.ci/run` that runs them.
-const ELSEWHERE: &[(&str, &str)] = &[
-    ("docs/howto/robot-file.md", "the same commands are run on docs/start/own-robot.md"),
-    ("docs/howto/mujoco.md", "mujoco"),
-    ("docs/howto/identification.md", "acceptance"),
-    ("docs/results/paper.md", "acceptance"),
-    ("docs/results/real-arms.md", "acceptance"),
-    ("docs/results/force.md", "acceptance"),
-    ("docs/results/limitations.md", "acceptance"),
-    ("docs/results/speed.md", "bench"),
-    ("docs/howto/suites.md", "only files"),
-    ("docs/explain/several-robots.md", "acceptance"),
+const PREPARATIONS: [(&str, &str); 4] = [
+    (
+        "docs/howto/logs.md",
+        "opspace run tasks/compliant-x.toml --duration-s 2 --quiet && mkdir a b && log=runs/compliant-x-asimo-arm-position/run.mcap \
+         && for name in run a/run b/run broken; do cp $log $name.mcap; done",
+    ),
+    ("docs/howto/live-view.md", "opspace run tasks/compliant-x.toml --duration-s 2 --quiet"),
+    ("docs/howto/robot-file.md", "cp robots/ur5e/ur5e.urdf ur5e.urdf"),
+    ("docs/howto/ros2.md", "cp robots/ur5e/ur5e.urdf arm.urdf"),
 ];
 
-/// Pages of reference without commands, whose files are compared with the schemas.
-const KEYS_ONLY: [&str; 2] = ["docs/reference/metrics.md", "docs/reference/transformers.md"];
+/// Options with which a command takes less time here. `…` at the end of a command stands for any rest.
+const SHORTENED: [(&str, &str); 1] = [("opspace bench examples/so101/suite.toml…", "--shard 1/100")];
 
-/// Commands that no test of these pages runs.
-const NOT_RUN: [(&str, &str); 5] = [
+/// Pages without commands, whose files are compared with the schemas.
+const KEYS_ONLY: [&str; 4] = [
+    "docs/reference/metrics.md",
+    "docs/reference/transformers.md",
+    "docs/results/force.md",
+    "docs/results/limitations.md",
+];
+
+/// Commands that no test of these pages runs, with the reason. `…` at the end of a command stands for any rest.
+const NOT_RUN: &[(&str, &str)] = &[
     ("cargo test", "this is a part of it"),
+    (".ci/run…", "this is a part of it"),
+    ("OPSPACE_WRITE_API=1 cargo test…", "writes into the project"),
+    ("OPSPACE_WRITE_DOCS=1 cargo test…", "writes into the project"),
     ("cargo install --path crates/opspace-cli", "installs a program"),
-    ("pip install ./python", "a step of .ci/run runs it"),
-    ("pip install mcap mcap-protobuf-support mcap-ros2-support", "a step of .ci/run runs it"),
-    ("opspace bench", "takes minutes; a step of .ci/run runs it"),
+    ("pip install …", "installs packages; a step of .ci/run does it"),
+    ("opspace bench", "takes minutes; the step acceptance of .ci/run runs it"),
+    ("opspace bench --json bench.json", "takes minutes; the step acceptance of .ci/run runs it"),
+    ("python3 docs/results/medians.py bench.json", "needs Python; the step acceptance of .ci/run runs it"),
+    ("opspace bench tasks/suites/teleop.toml", "takes minutes; the step acceptance of .ci/run runs it"),
+    (
+        "opspace run tasks/panda-reach.toml --plant mujoco…",
+        "needs MuJoCo; the step mujoco of .ci/run has such runs",
+    ),
+    ("opspace bench tasks/suites/limits.toml --plants …", "needs MuJoCo"),
+    ("opspace bench tasks/suites/elastic-gears.toml --plants …", "needs MuJoCo"),
+    ("opspace identify robots/asimo-arm", "takes a minute; the step acceptance of .ci/run runs it"),
+    ("opspace identify robots/my-arm …", "a robot of the reader"),
+    ("opspace run tasks/my-task.toml …", "a task of the reader"),
+    ("opspace driver …", "needs servos; servo_bus.rs has simulated ones"),
+    (
+        "opspace run examples/so101/gravity-compensation.toml --robot my-so101 --move-to-start",
+        "needs the arm",
+    ),
+    ("opspace identify my-so101", "needs the arm; servo_bus.rs identifies one behind a simulated bus"),
+    (
+        "cargo run -p opspace-feetech --example simulated-bus…",
+        "serves until it is ended; the step feetech of .ci/run",
+    ),
+    ("cargo build --release -p opspace-ros2", "a program of its own; the step ros2 of .ci/run builds it"),
+    (
+        "target/release/opspace-ros2 …",
+        "needs robots behind ROS 2; the step ros2 of .ci/run has simulated ones",
+    ),
+    ("alias opspace=…", "the program of ROS 2"),
+    ("opspace description …", "needs robots behind ROS 2"),
+    ("opspace run task.toml", "needs robots behind ROS 2"),
+    ("ros2 …", "needs ROS 2"),
 ];
+
+/// True if a pattern stands for a command.
+fn stands_for(pattern: &str, command: &str) -> bool {
+    pattern.strip_suffix('…').map_or(pattern == command, |begin| command.starts_with(begin))
+}
+
+/// Command as it is run here: with the program of this build.
+fn with_program(command: &str) -> String {
+    command.replace("cargo run --release -- ", "opspace ")
+}
 
 /// Pages below `docs`, as paths in the project, in order.
 fn docs() -> Vec<String> {
@@ -157,25 +212,29 @@ fn write(folder: &Path, name: &str, text: &str, place: &str) {
 
 /// Runs a command, and compares its output and exit code with those of the page.
 fn run(folder: &Path, command: &Command, place: &str) {
-    let text = command.text.replace("cargo run --release -- ", "opspace ");
-    let text = text.strip_prefix("cargo run --release -p opspace --example ").map_or(Ok(text.as_str()), Err);
-    let text = match text {
-        Ok(text) => text,
-        Err(example) => return assert_example(example, place),
-    };
-    if NOT_RUN.iter().any(|(not_run, _)| text == *not_run) {
+    let text = with_program(&command.text);
+    let example = ["cargo run --release -p opspace --example ", "cargo run -p opspace-cli --example "];
+    if let Some(example) = example.iter().find_map(|begin| text.strip_prefix(begin)) {
+        return assert_example(example, place);
+    }
+    if NOT_RUN.iter().any(|(not_run, _)| stands_for(not_run, &text)) {
         return;
     }
+    if text.contains(" --view") || text.starts_with("opspace view ") {
+        return show(folder, &text, place);
+    }
+    let shortened = SHORTENED.iter().find(|(pattern, _)| stands_for(pattern, &text));
+    let text = shortened.map_or(text.clone(), |(_, options)| format!("{text} {options}"));
     let programs = Path::new(env!("CARGO_BIN_EXE_opspace")).parent().unwrap();
     let path = format!("{}:{}", programs.display(), std::env::var("PATH").unwrap());
     let mut shell = std::process::Command::new("sh");
-    shell.args(["-c", text]).env("PATH", path).env("NO_COLOR", "1").current_dir(folder).stdin(Stdio::null());
+    shell.args(["-c", &text]).env("PATH", path).env("NO_COLOR", "1").current_dir(folder).stdin(Stdio::null());
     let output = shell.output().unwrap();
     let shown =
         String::from_utf8_lossy(&output.stdout).into_owned() + &String::from_utf8_lossy(&output.stderr);
     assert!(!shown.contains("panicked"), "{place}: {text}:\n{shown}");
     assert_eq!(output.status.code(), Some(command.exit), "{place}: {text}:\n{shown}");
-    if command.exit == 0 && names_no_backend(text) {
+    if command.exit == 0 && names_no_backend(&text) {
         let text = format!("{text} --backend torque --out runs/other-backend --force --quiet");
         let other = Command { text, output: Vec::new(), exit: 0 };
         run(folder, &other, place);
@@ -187,10 +246,41 @@ fn run(folder: &Path, command: &Command, place: &str) {
     }
 }
 
+/// Starts a command that shows a view, at a free port, and ends it as Ctrl-C does when it says where its page is.
+fn show(folder: &Path, text: &str, place: &str) {
+    let text = if text.contains(" --view") {
+        text.replace(" --view", " --view=0")
+    } else {
+        format!("{text} --at 0")
+    };
+    let arguments: Vec<&str> = text.split_whitespace().skip(1).collect();
+    let mut program = crate::cli_common::command(folder, &arguments)
+        .stdout(Stdio::null())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut lines = BufReader::new(program.stderr.take().unwrap()).lines();
+    let page = lines.find(|line| line.as_ref().unwrap().starts_with("view at http://127.0.0.1:"));
+    let ended =
+        std::process::Command::new("kill").args(["-INT", &program.id().to_string()]).status().unwrap();
+    lines.for_each(drop);
+    let exit = program.wait().unwrap();
+    assert!(page.is_some() && ended.success(), "{place}: {text}: no page; {exit}");
+}
+
 /// True if a command is one run of a task on the backend of its robot: a position robot. It is run as a torque robot as well.
 fn names_no_backend(text: &str) -> bool {
-    let of_position_robots =
-        ["--backend", "--controller", "--transformer", "--help", "--out", "&&", "|", "tasks/experiments/"];
+    let of_position_robots = [
+        "--backend",
+        "--controller",
+        "--transformer",
+        "--help",
+        "--out",
+        "--quiet",
+        "&&",
+        "|",
+        "tasks/experiments/",
+    ];
     text.starts_with("opspace run ") && !of_position_robots.iter().any(|other| text.contains(other))
 }
 
@@ -198,9 +288,10 @@ fn names_no_backend(text: &str) -> bool {
 fn assert_example(name: &str, place: &str) {
     let name = name.split_whitespace().next().unwrap();
     let listed = read(project(".ci/run")).lines().any(|line| {
-        line.trim().strip_prefix("for example in ").is_some_and(|list| {
-            list.trim_end_matches("; do").split_whitespace().any(|example| example == name)
-        })
+        line.contains(&format!("/debug/examples/{name}\""))
+            || line.trim().strip_prefix("for example in ").is_some_and(|list| {
+                list.trim_end_matches("; do").split_whitespace().any(|example| example == name)
+            })
     });
     assert!(listed, "{place}: example {name} is not among those of .ci/run");
 }
@@ -217,7 +308,7 @@ fn check_source(block: &Block, comment: &str, place: &str) {
     }
 }
 
-/// Every page with commands is run, here or in a step of `.ci/run`; and every page is in the book.
+/// Every page is in the book, and every page with commands is run.
 #[test]
 fn every_page_is_run_and_in_the_book() {
     let summary = read(project("docs/SUMMARY.md"));
@@ -229,17 +320,51 @@ fn every_page_is_run_and_in_the_book() {
         }
         assert!(summary.contains(&format!("({name})")), "{page} is not in docs/SUMMARY.md");
         let has_commands = blocks(&read(project(&page))).iter().any(|block| block.language == "console");
-        let runs = PAGES.contains(&page.as_str()) || ELSEWHERE.iter().any(|(other, _)| *other == page);
-        assert!(runs || !has_commands, "{page} has commands that no test runs");
+        assert!(PAGES.contains(&page.as_str()) || !has_commands, "{page} has commands that no test runs");
         count += 1;
     }
     assert!(count > 20, "{count} pages");
 }
 
+/// Commands are in `console` blocks, and each is run or is one of `NOT_RUN`, of which all are on a page.
+#[test]
+fn every_command_is_run_or_has_a_reason() {
+    let crates = fs::read_dir(project("crates"))
+        .unwrap()
+        .map(|entry| format!("crates/{}/README.md", entry.unwrap().file_name().into_string().unwrap()));
+    let further = ["README.md", "CONTRIBUTING.md", "python/README.md", "ros2/README.md"].map(str::to_owned);
+    let mut unused: Vec<&str> = NOT_RUN.iter().map(|(pattern, _)| *pattern).collect();
+    for page in docs().into_iter().chain(further).chain(crates) {
+        if !Path::new(&project(&page)).exists() {
+            continue;
+        }
+        for block in blocks(&read(project(&page))) {
+            let place = format!("{page}:{}", block.line);
+            let language = block.language.as_str();
+            let kinds = ["console", "text", "toml", "rust", "python", "xml"];
+            assert!(kinds.contains(&language), "{place}: a block of the kind `{language}`");
+            if language == "text" {
+                let is_command = |line: &str| {
+                    ["$ ", "opspace ", "cargo ", "pip ", "ros2 "].iter().any(|b| line.starts_with(b))
+                };
+                let command = block.text.lines().find(|line| is_command(line));
+                assert!(command.is_none(), "{place}: a command in a block of the kind `text`: {command:?}");
+            }
+            for command in commands(&block).iter().filter(|_| language == "console") {
+                let text = with_program(&command.text);
+                let is_not_run = NOT_RUN.iter().any(|(pattern, _)| stands_for(pattern, &text));
+                assert!(is_not_run || PAGES.contains(&page.as_str()), "{place}: no test runs `{text}`");
+                unused.retain(|pattern| !stands_for(pattern, &text));
+            }
+        }
+    }
+    assert_eq!(unused, [""; 0], "no page has these commands");
+}
+
 /// Excerpts of files in the pages that are not run have only keys that exist.
 #[test]
 fn excerpts_of_reference_pages_have_known_keys() {
-    for page in ELSEWHERE.iter().map(|(page, _)| *page).chain(KEYS_ONLY) {
+    for page in KEYS_ONLY {
         for block in blocks(&read(project(page))).iter().filter(|block| block.language == "toml") {
             excerpts::assert_known_keys(&block.text, &format!("{page}:{}", block.line));
         }

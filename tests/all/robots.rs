@@ -53,13 +53,13 @@ fn every_robot_passes_check() {
         let task = first_task(&name);
         let arguments = ["check", &files[0], &files[1], task.to_str().unwrap()];
         let ran = opspace(Path::new(&project(".")), &arguments).exits(0);
-        // One line per file, five lines about the task (its gain margin, the joints first at their torque and speed limits, its nearly
-        // singular postures, and the verdict), a title of each of
-        // the three tables of its transformer, one of the other transformers, three lines about pairs if distances are kept, and one about an estimated force.
+        // One line per file, six lines about the task (its gain margin, what `-v` prints, the joints first at their torque and speed
+        // limits, its nearly singular postures, and the verdict), three lines about pairs if distances are kept, and one about an
+        // estimated force.
         let robot = read(project(&format!("{}/robot.toml", files[0])));
         let (keeps_distances, estimates) =
             (robot.contains("\n[collision]"), robot.contains("\n[estimated_force."));
-        let lines = 12 + if keeps_distances { 3 } else { 0 } + usize::from(estimates);
+        let lines = 9 + if keeps_distances { 3 } else { 0 } + usize::from(estimates);
         let titles = ran.stdout.lines().filter(|line| !line.starts_with("    ")).count();
         assert_eq!((titles, ran.stderr.as_str()), (lines, ""), "{name}");
     }

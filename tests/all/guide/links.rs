@@ -30,21 +30,32 @@ fn links_lead_somewhere() {
     assert!(count > 100, "{count} links");
 }
 
-/// In the book, the address of a page that was moved leads to a page.
+/// In the book, the address of a page that was moved leads to a page, and that of a heading to a heading or a page.
 #[test]
 fn old_addresses_lead_to_pages() {
     let book: toml::Table = read(project("docs/book.toml")).parse().unwrap();
     let redirects = book["output"]["html"]["redirect"].as_table().unwrap();
-    assert!(redirects.len() > 30, "{} addresses", redirects.len());
-    let page = |address: &str| {
+    let path = |address: &str| {
         let page = address.trim_start_matches('/').replace("index.html", "README.md").replace(".html", ".md");
-        Path::new(&project(&format!("docs/{page}"))).exists()
+        project(&format!("docs/{page}"))
     };
+    let mut with_headings = 0;
     for (old, new) in redirects {
         let new = new.as_str().unwrap();
-        assert!(page(new), "{old} leads to {new}: no such page");
-        assert!(!page(old), "{old} is a page, and leads to {new}");
+        let (page, heading) = new.split_once('#').unwrap_or((new, ""));
+        assert!(Path::new(&path(page)).exists(), "{old} leads to {new}: no such page");
+        let is_heading = heading.is_empty() || headings(&read(path(page))).contains(heading);
+        assert!(is_heading, "{old} leads to {new}: no such heading");
+        let (old_page, old_heading) = old.split_once('#').unwrap_or((old, ""));
+        assert!(!Path::new(&path(old_page)).exists(), "{old} is a page, and leads to {new}");
+        if !old_heading.is_empty() {
+            // The page itself must lead somewhere, and the heading elsewhere.
+            let default = redirects[old_page].as_str().unwrap();
+            assert!(new != default, "{old} leads where its page leads: {new}");
+            with_headings += 1;
+        }
     }
+    assert!(with_headings > 30 && redirects.len() > 60, "{with_headings} of {} addresses", redirects.len());
 }
 
 /// Every figure is shown by a page, and is small.
@@ -102,10 +113,15 @@ fn links(text: &str) -> Vec<String> {
     links
 }
 
-/// Anchors of the headings, as forges derive them.
+/// Anchors of the headings outside of code, as forges derive them.
 fn headings(text: &str) -> BTreeSet<String> {
-    let lines = text.lines().filter_map(|line| line.strip_prefix('#'));
-    lines.map(|line| anchor(line.trim_start_matches('#').trim())).collect()
+    let mut is_code = false;
+    let outside = text.lines().filter(|line| {
+        is_code ^= line.trim_start().starts_with("```");
+        !is_code
+    });
+    let headings = outside.filter_map(|line| line.strip_prefix('#'));
+    headings.map(|line| anchor(line.trim_start_matches('#').trim())).collect()
 }
 
 fn anchor(heading: &str) -> String {

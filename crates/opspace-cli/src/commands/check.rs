@@ -155,7 +155,10 @@ impl Checked {
         text.extend(self.gears.iter().map(line));
         text.extend(self.forces.iter().map(line));
         text += &thresholds_text(&self.thresholds);
-        text.extend(self.strength.iter().map(Strength::text));
+        let strength = |strength: &Strength| {
+            if console.verbose { strength.text() } else { line(&Strength::hint()) }
+        };
+        text.extend(self.strength.iter().map(strength));
         text.extend(self.reserves.iter().map(line));
         text.extend(self.singular.iter().map(line));
         text.extend(self.paths.iter().map(line));

@@ -40,6 +40,11 @@ impl Strength {
         gears.into_iter().chain(active).chain(simulated).collect()
     }
 
+    /// Line about what `-v` prints.
+    pub fn hint() -> &'static str {
+        "stable ranges of gains, filters, inertia, delay and gears, the other transformers, and torque errors by the encoders: `-v` prints them"
+    }
+
     pub fn text(&self) -> String {
         let mut text = String::new();
         for margins in &self.margins {

@@ -142,7 +142,7 @@ impl Side {
     /// # Errors
     /// A program that cannot be started.
     pub fn check(&self, file: &Shipped) -> Result<Item, String> {
-        let output = self.run_for(file, [OsStr::new("check"), file.path.as_ref()])?;
+        let output = self.run_for(file, [OsStr::new("check"), file.path.as_ref(), OsStr::new("-v")])?;
         let entries = [facts(&output), lines("stdout", &output.stdout)].concat();
         Ok(Item { place: file.name.clone(), spelling: "checked".to_owned(), entries })
     }
