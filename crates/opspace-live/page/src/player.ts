@@ -96,6 +96,7 @@ class Player {
   }
 
   private update(): void {
+    this.stage.isMoving = this.isPlaying;
     this.slider.value = `${this.place}`;
     this.clock.textContent = `${this.time_s.toFixed(2)} s`;
     setIcon(this.play, this.isPlaying ? "Pause" : "Play", this.isPlaying ? ICONS.pause : ICONS.play);

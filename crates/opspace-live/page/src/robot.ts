@@ -3,7 +3,7 @@
 import { Color, Group, Material, Mesh, MeshLambertMaterial, Object3D, Quaternion, Vector3 } from "three";
 import type { Label } from "./labels.ts";
 import { Arrow, Rod, Trail, capsule, onTop, triad } from "./parts.ts";
-import { SOLID, type Stage } from "./stage.ts";
+import { SHADOW, SOLID, type Stage } from "./stage.ts";
 import { onTheme, theme } from "./theme.ts";
 
 export interface Pose {
@@ -19,7 +19,7 @@ const ARROW_M_PER_N = 0.015;
 const LONGEST_ARROW_M = 0.4;
 /** Force that is shown, N: below it an arrow is shorter than its head. */
 const LEAST_FORCE_N = 0.3;
-const PATH_POINTS = 400;
+const PATH_POINTS = 250;
 const GHOST_OPACITY = 0.4;
 
 /** Kinds of shapes of a link; only those of the best kind that there is are shown. */
@@ -123,6 +123,7 @@ export class Robot {
     const number = [...this.shapes.keys()].indexOf(link);
     shape.traverse(part => {
       part.layers.set(SOLID);
+      if (!this.isGhost) part.layers.enable(SHADOW);
       part.userData["link"] = link;
       if (part instanceof Mesh && (this.color !== undefined || part.material === undefined || part.userData["plain"])) {
         part.material = this.materials[number % 2]!;

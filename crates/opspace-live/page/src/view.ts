@@ -47,6 +47,7 @@ class View {
   /** Messages that came before the state of the view named the robots. */
   private early: [string, string, Uint8Array][] = [];
   private pictures: number[] = [];
+  private pictureCount = 0;
   private hasPicture = false;
   private wasHolding = false;
   private isConnected = false;
@@ -116,6 +117,7 @@ class View {
     }
     this.last_s = state.time_s;
     this.state = state;
+    this.stage.isMoving = state.state === "playing";
     document.title = `${state.title} – opspace`;
     this.scene.setRobots(state.robots.map(robot => robot.prefix));
     this.charts.setRobots(state.robots, state.kind, state.duration_s);
@@ -123,6 +125,9 @@ class View {
     this.tuning.show(state.kind === "run" ? state.robots : []);
     // What changes with each picture is written a few times a second: the layout of the page is not for free.
     const key = `${state.state} ${state.speed} ${state.kind} ${state.outcome}`;
+    const isHeld = this.wasHolding || state.robots.some(robot => robot.hand);
+    // The state is repeated while nothing changes, and the picture that stays is a fine one.
+    if (key !== this.shownState || isHeld) this.stage.request();
     if (key !== this.shownState || performance.now() - this.shownAt_ms > STATE_MS) {
       this.shownState = key;
       this.shownAt_ms = performance.now();
@@ -132,7 +137,6 @@ class View {
     this.addForces(state);
     this.writeTitle(state);
     this.writeHand();
-    this.stage.request();
   }
 
   private signals(prefix: string, signals: Signals): void {
@@ -160,6 +164,7 @@ class View {
     if (!this.hasPicture) return;
     this.hasPicture = false;
     this.pictures.push(performance.now());
+    this.pictureCount += 1;
   }
 
   private connected(isConnected: boolean): void {
@@ -256,6 +261,8 @@ class View {
     return {
       isConnected: () => this.isConnected,
       picturesPerSecond: () => this.pictures_hz,
+      /** Number of pictures of the moving robots since the page was opened. */
+      pictures: () => this.pictureCount,
       drawn: () => this.stage.drawn,
       time_s: () => this.state?.time_s ?? NaN,
       state: () => this.state,
