@@ -9,7 +9,7 @@ import { ICONS } from "./icons.ts";
 import { LiveScene } from "./live_scene.ts";
 import { Stage } from "./stage.ts";
 import { SCENE_STYLE } from "./style.ts";
-import type { Signals, ViewState } from "./state.ts";
+import { controlledPosition, shownName, type Signals, type ViewState } from "./state.ts";
 import { comparedColor, css } from "./theme.ts";
 import { Transport } from "./transport.ts";
 import { Tuning } from "./tuning.ts";
@@ -119,7 +119,7 @@ class View {
     this.state = state;
     this.stage.isMoving = state.state === "playing";
     document.title = `${state.title} – opspace`;
-    this.scene.setRobots(state.robots.map(robot => robot.prefix));
+    this.scene.setRobots(state.robots);
     this.charts.setRobots(state.robots, state.kind, state.duration_s);
     this.early.splice(0).forEach(([topic, schema, payload]) => this.message(topic, schema, payload));
     this.tuning.show(state.kind === "run" ? state.robots : []);
@@ -145,7 +145,9 @@ class View {
     // Without a hand, the forces of the environment on the first controlled frame.
     if (this.state?.robots.some(robot => robot.hand)) return;
     const force = triple(signals.values, /^(?!.*wrench)[^.]+\.force\.x(_n)?$/);
-    const position = triple(signals.values, /\.position\.x(_m)?$/);
+    const units = this.state?.robots.find(robot => robot.prefix === prefix)?.units ?? {};
+    const name = controlledPosition(units);
+    const position = name === undefined ? undefined : elements(signals.values, name);
     if (force && position) this.charts.addForce(prefix, position, force, !this.hand.isHolding);
   }
 
@@ -185,14 +187,13 @@ class View {
   private writeTitle(state: ViewState): void {
     setText($("title"), state.title);
     const several = state.robots.length > 1;
-    const items = state.robots.map(({ label, name }, i) => `${i}:${label || name}`).join("|");
+    const items = state.robots.map(robot => shownName(robot, several)).join("|");
     const legend = $("legend");
     if (legend.dataset["text"] === items) return;
     legend.dataset["text"] = items;
     legend.replaceChildren(
-      ...state.robots.map(({ label, name, prefix }, i) => {
-        const text = several ? label || prefix.slice(1) : [name, label].filter(Boolean).join(", ");
-        const item = make("li", { className: several ? "compared" : "" }, text);
+      ...state.robots.map((robot, i) => {
+        const item = make("li", { className: several ? "compared" : "" }, shownName(robot, several));
         item.style.setProperty("--color", css(comparedColor(i)));
         return item;
       }),
@@ -293,7 +294,11 @@ function norm(vector: number[] | undefined): number | undefined {
 /** Values of the signal whose element x has this name. */
 function triple(values: Record<string, number>, pattern: RegExp): [number, number, number] | undefined {
   const x = Object.keys(values).find(name => pattern.test(name));
-  if (!x) return undefined;
+  return x === undefined ? undefined : elements(values, x);
+}
+
+/** Values of the signal whose element x has this name; none if one is absent. */
+function elements(values: Record<string, number>, x: string): [number, number, number] | undefined {
   const of = (axis: string) => values[x.replace(/x(_\w+)?$/, `${axis}$1`)];
   const [a, b, c] = [of("x"), of("y"), of("z")];
   return a === undefined || b === undefined || c === undefined ? undefined : [a, b, c];
