@@ -144,6 +144,8 @@ class View {
     if (this.state && signals.time_s > this.state.time_s) this.state.time_s = signals.time_s;
     // Without a hand, the forces of the environment on the first controlled frame.
     if (this.state?.robots.some(robot => robot.hand)) return;
+    // Before control, tasks have no positions yet.
+    if (signals.values["phase"] === 0) return;
     const force = triple(signals.values, /^(?!.*wrench)[^.]+\.force\.x(_n)?$/);
     const units = this.state?.robots.find(robot => robot.prefix === prefix)?.units ?? {};
     const name = controlledPosition(units);
