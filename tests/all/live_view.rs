@@ -4,7 +4,9 @@
 #![expect(clippy::unwrap_used, clippy::print_stdout, reason = "a test, which says what was measured")]
 
 use crate::cli_common::{command, opspace, project, scratch};
+use opspace_experiment::Experiment;
 use opspace_log::Recording;
+use opspace_model::{Data, frame_placement, kinematics};
 use opspace_testing::browser::Browser;
 use serde_json::{Value, json};
 use std::io::{BufRead, BufReader};
@@ -120,6 +122,19 @@ impl Page {
         to
     }
 
+    /// Number of pictures that the page draws of so much of the run (s), which takes twenty times as long.
+    fn pictures_of(&mut self, time_s: f64) -> u64 {
+        self.set("Speed", "'0.05'", "change");
+        self.wait_for("opspaceView.state().speed === 0.05");
+        let now = |page: &mut Self| page.0.evaluate("[opspaceView.pictures(), opspaceView.time_s()]");
+        let begin = now(self);
+        let end_s = begin[1].as_f64().unwrap() + time_s;
+        self.wait_for(&format!("opspaceView.time_s() > {end_s}"));
+        let seen = now(self)[0].as_u64().unwrap() - begin[0].as_u64().unwrap();
+        self.set("Speed", "'1'", "change");
+        seen
+    }
+
     /// Sets the value of a control of the page, which has this name for assistive programs, and tells the page.
     fn set(&mut self, name: &str, value: &str, event: &str) {
         let name = json!(name);
@@ -196,6 +211,7 @@ fn hand_moves_the_compliant_axis_alone() {
     let to = page.pull("/position");
     std::thread::sleep(Duration::from_secs(2));
     let rate_hz = page.0.evaluate("opspaceView.picturesPerSecond()").as_f64().unwrap();
+    let seen = page.pictures_of(0.5);
     page.mouse("mouseReleased", to, CTRL, 1);
     page.wait_for("!opspaceView.isHolding()");
     std::thread::sleep(Duration::from_secs(3));
@@ -210,15 +226,17 @@ fn hand_moves_the_compliant_axis_alone() {
             "{name}: pulled with up to {force_n:.1} N, moved by {away_mm:.1?} mm, {rest_mm:.2?} mm after it"
         );
     }
-    println!("three robots: {rate_hz:.0} pictures a second");
+    println!(
+        "three robots: {rate_hz:.0} pictures a second; {seen} pictures of 0.5 s of the run at a speed of 0.05"
+    );
+    // How many there are a second depends on what else the machine does; of each second of a slow run there are at least 15.
+    assert!(seen >= 8 && rate_hz > 0.0);
     assert!(position.force_n >= 30.0 && position.away_mm[0] >= 50.0);
     for axis in [1, 2] {
         assert!(position.away_mm[axis] <= 1.2 * torque.away_mm[axis].max(1.0), "axis {axis}");
         assert!(position.rest_mm[axis] <= 1.2 * torque.rest_mm[axis].max(1.0), "axis {axis} returns");
     }
     assert!(ik.force_n >= 30.0 && ik.away_mm.iter().all(|mm| *mm < 1.0), "{:?}", ik.away_mm);
-    // How many depends on what else the machine does: 15 and more if nothing, and two on a busy one.
-    assert!(rate_hz > 0.0);
     for robot in ["position", "torque", "ik"] {
         let log = format!("out/{robot}/run.mcap");
         opspace(folder.path(), &["replay", &log]).exits(0);
@@ -295,5 +313,69 @@ fn page_changes_a_task_is_killed_and_shows_the_log() {
             "(([x, y, z]) => Math.hypot(x - {x}, y - {y}, z - {z}) < 0.01)(opspaceView.frames('').hand)"
         ));
     }
+    assert_eq!(page.0.complaints(), [""; 0]);
+}
+
+/// Compared: the hands of two arms that carry a rod, as their logs have them, and as the page of the logs and the player of the report show
+/// them at several times; the rod is between them.
+#[test]
+#[ignore = "needs a browser: .ci/run browser"]
+fn all_robots_of_a_run_are_shown() {
+    let folder = scratch();
+    let experiment = project("tasks/experiments/two-arms-carry.toml");
+    let short = ["--duration-s", "2", "--set", "settle_s=0.5", "--out", "out", "--quiet"];
+    opspace(folder.path(), &[&["run", experiment.as_str()], &short[..]].concat());
+    let names = ["left", "right"];
+    let logs = names.map(|name| Recording::read(folder.path().join(format!("out/{name}/run.mcap"))).unwrap());
+    let models = logs.each_ref().map(|log| Experiment::of_log(log).unwrap().robot().model.clone());
+    // Time on the robot's clock (s), and position (m) of a hand by forward kinematics of its log.
+    let hand = |robot: usize, share: f64| {
+        let (tick, model) = (logs[robot].channel("tick").unwrap(), &models[robot]);
+        let row = (share * tick.len() as f64) as usize;
+        let (q, mut data) = (tick.signal("q").unwrap().row(row), Data::new(model));
+        kinematics(model, &mut data, q, &vec![0.0; q.len()]);
+        let hand = frame_placement(model, &data, model.frame_id("hand").unwrap());
+        (tick.time_s[row], <[f64; 3]>::from(hand.translation))
+    };
+    let is_at = |frames: &str, [x, y, z]: [f64; 3]| {
+        format!("(([x, y, z]) => Math.hypot(x - {x}, y - {y}, z - {z}) < 0.01)({frames}.hand)")
+    };
+    let program = Program::start(folder.path(), &["view", "out", "--at", "0"]);
+    let mut page = Page::open(&program, &folder.path().join("first"), [1280, 800]);
+    page.0.evaluate("document.querySelector('[aria-label=Pause], [title=Pause]')?.click()");
+    for share in [0.9, 0.4] {
+        let time_s = hand(0, share).0;
+        page.set("Time", &time_s.to_string(), "input");
+        page.set("Time", &time_s.to_string(), "change");
+        for (number, name) in names.iter().enumerate() {
+            page.wait_for(&is_at(&format!("opspaceView.frames('/{name}')"), hand(number, share).1));
+        }
+    }
+    assert_eq!(
+        page.0.evaluate("opspaceView.state().robots.map(robot => robot.is_ghost)"),
+        json!([false, false])
+    );
+    page.wait_for("document.querySelector('#legend').innerText.includes('left')");
+    page.wait_for("[...document.querySelectorAll('.label')].some(label => label.textContent === 'load' && !label.hidden)");
+    assert_eq!(page.0.complaints(), [""; 0]);
+    drop(page);
+
+    let report = folder.path().join("out/report.html");
+    let mut page = Page(Browser::start(&folder.path().join("second"), 1280, 800));
+    page.0.open(&format!("file://{}", report.display()));
+    page.wait_for("window.opspaceView && opspaceView.drawn() > 0");
+    assert_eq!(page.0.evaluate("opspaceView.robots()"), json!(names));
+    let start_s = page.0.evaluate("opspaceView.time_s()").as_f64().unwrap();
+    let begin_s = logs[0].channel("tick").unwrap();
+    let phase = begin_s.signal("phase").unwrap();
+    let first = (0..begin_s.len()).find(|row| phase.row(*row)[0] == 1.0).unwrap();
+    for share in [0.9, 0.4] {
+        let time_s = hand(0, share).0 - begin_s.time_s[first];
+        page.0.evaluate(&format!("opspaceView.seek({time_s})"));
+        for (number, name) in names.iter().enumerate() {
+            page.wait_for(&is_at(&format!("opspaceView.frames('{name}')"), hand(number, share).1));
+        }
+    }
+    assert!(start_s.abs() < 0.1);
     assert_eq!(page.0.complaints(), [""; 0]);
 }

@@ -39,6 +39,7 @@ mod report_browser;
 mod result_files;
 mod robot_layers;
 mod robots;
+mod robots_of_a_run;
 mod safety;
 mod said;
 mod samples;

@@ -4,7 +4,7 @@
 
 #![expect(clippy::unwrap_used, clippy::print_stdout, reason = "a test that says that it is skipped")]
 
-use crate::cli_common::{Ran, circle_folder, command, opspace, read, read_json};
+use crate::cli_common::{Ran, circle_folder, command, opspace, project, read, read_json};
 use serde_json::Value;
 use std::fs;
 use std::path::Path;
@@ -127,4 +127,24 @@ fn suite_runs_on_each_plant() {
         ["bench", "suite.toml", "--plants", "mujoco", "--baseline", "out/bench.json", "--out", "other"];
     let ran = opspace(folder.path(), &arguments).exits(0);
     assert!(ran.stdout.contains("0 worse, 0 better"), "{}", ran.stdout);
+}
+
+/// Compared: every message of a run in a scene of MuJoCo, and of a second simulation from its log. A scene that has changed is refused, and a
+/// missing one is named.
+#[test]
+fn run_in_a_scene_is_simulated_again() {
+    let folder = circle_folder(SUITE);
+    if !has_mujoco(folder.path()) {
+        return;
+    }
+    let scene = folder.path().join("box.xml");
+    fs::copy(project("tests/mujoco/free-box.xml"), &scene).unwrap();
+    opspace(folder.path(), &["run", "circle.toml", "--plant", "mujoco:box.xml", "--out", "out"]).exits(0);
+    let again = || opspace(folder.path(), &["replay", "--simulate", "out"]);
+    again().exits(0).prints(&["bit for bit"]);
+    let text = read(&scene);
+    fs::write(&scene, text.replace("</worldbody>", "<geom size='0.1'/></worldbody>")).unwrap();
+    again().exits(2).says(&["box.xml has changed since the run", "'scene.xml'"]);
+    fs::remove_file(&scene).unwrap();
+    again().exits(2).says(&["box.xml: the scene cannot be read"]);
 }

@@ -102,15 +102,26 @@ pub fn logs_of_experiment(path: &Path) -> Vec<PathBuf> {
     if log_path(path).exists() { Vec::new() } else { robot_logs(path) }
 }
 
-/// Logs that a path denotes: one, or those of the robots of an experiment, or of robots that ran side by side.
-pub fn logs_of_run(path: &Path) -> Vec<PathBuf> {
+/// Logs of the robots if a path denotes the folder of several: of an experiment, or of robots that ran side by side. Otherwise none.
+pub fn logs_of_robots(path: &Path) -> Vec<PathBuf> {
     let mut logs = logs_of_experiment(path);
     if logs.is_empty() && path.is_dir() && !log_path(path).exists() {
         let folders = std::fs::read_dir(path).into_iter().flatten().flatten();
         logs.extend(folders.map(|folder| folder.path().join(LOG)).filter(|log| log.is_file()));
         logs.sort();
     }
+    logs
+}
+
+/// Logs that a path denotes: one, or those of several robots.
+pub fn logs_of_run(path: &Path) -> Vec<PathBuf> {
+    let logs = logs_of_robots(path);
     if logs.is_empty() { vec![log_path(path)] } else { logs }
+}
+
+/// Name of the folder of a log: that of its robot among several.
+pub fn folder_name(log: &Path) -> String {
+    log.parent().and_then(Path::file_name).unwrap_or_default().to_string_lossy().into_owned()
 }
 
 /// Reads the log that a path denotes, as [`log_path`] does.

@@ -53,9 +53,9 @@ pub fn plant_choice(text: &str, forms: &[String]) -> Result<PlantChoice, String>
 }
 
 impl PlantChoice {
-    /// Plant of this name, without argument.
-    pub fn named(name: &str) -> Self {
-        Self { name: name.to_owned(), argument: None }
+    /// Plant of this name, with the path of its scene if it has one.
+    pub fn named(name: &str, scene: Option<String>) -> Self {
+        Self { name: name.to_owned(), argument: scene }
     }
 
     /// True for the library's own plant.

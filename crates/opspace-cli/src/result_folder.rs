@@ -5,6 +5,7 @@ use crate::console::{Console, Exit, Failure};
 use crate::outputs::check_outputs;
 use opspace_experiment::run::result_files::{LOG, REPORT, ResultFolder, SUMMARY};
 use opspace_experiment::run::robot_logs::robot_logs;
+use opspace_log::LogFile;
 use opspace_model::files::open_file;
 use opspace_suite::suite_rows::{SUITE_ROWS, SuiteRows};
 use serde_json::Value;
@@ -51,7 +52,7 @@ pub fn empty(
     console: Console,
 ) -> Result<ResultFolder, Failure> {
     let path = folder.path().to_owned();
-    if !holds_results(&path) {
+    if !holds_results(&path) && robots_logs(&path, files).is_empty() {
         refuse_foreign(&path, files)?;
         return Ok(folder);
     }
@@ -65,6 +66,7 @@ pub fn empty(
         return Err(Failure::Other(text, Exit::Bad));
     }
     clear(&path)?;
+    robots_logs(&path, files).iter().try_for_each(|log| clear_robot(log))?;
     refuse_foreign(&path, files)?;
     Ok(folder)
 }
@@ -83,6 +85,17 @@ fn holds_results(folder: &Path) -> bool {
     let named =
         [LOG, SUMMARY, ROWS, SUITE_ROWS, IDENTIFICATION].iter().any(|name| folder.join(name).exists());
     named || folder.join(MOVE_TO_START).join(LOG).exists() || !robot_logs(folder).is_empty()
+}
+
+/// Logs among the files of a run of several robots, each in the folder of its robot: those of a run that was cut off, which has no summary
+/// that names its robots.
+fn robots_logs(folder: &Path, files: &[String]) -> Vec<PathBuf> {
+    let of_robots = files.iter().filter(|name| {
+        let name = Path::new(name);
+        name.file_name() == Some(LOG.as_ref()) && name != Path::new(LOG)
+    });
+    let logs = of_robots.map(|name| folder.join(name)).filter(|log| log.is_file());
+    logs.filter(|log| LogFile::open(log).is_ok()).collect()
 }
 
 /// Moves a folder to NAME.previous, or NAME.previous-2 and so on if that is taken.

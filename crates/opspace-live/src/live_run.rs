@@ -88,6 +88,8 @@ pub fn viewed(experiment: &Experiment, prefix: String, name: &str, can_be_pushed
         prefix,
         name: name.to_owned(),
         label: format!("{}, {}", options.backend.name(), options.controller.name()),
+        base: experiment.robot().model.base(),
+        is_compared: experiment.membership().is_none(),
         pushable: can_be_pushed.then(|| experiment.robot().model.clone()),
         tasks: crate::tunable::ViewedTask::all(experiment),
     }

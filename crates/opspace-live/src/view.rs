@@ -8,7 +8,7 @@ use crate::server::{Address, Inputs, Server};
 use crate::tunable::{Change, NewValue, ViewedTask, axis, mode};
 use opspace_log::{TIME_ZERO_NS, ViewerReceiver};
 use opspace_loop::PaceControl;
-use opspace_model::Model;
+use opspace_model::{Model, Placement};
 use serde_json::{Value, json};
 use std::collections::VecDeque;
 use std::io;
@@ -47,6 +47,10 @@ pub struct ViewedRobot {
     pub name: String,
     /// Description: interface and controller.
     pub label: String,
+    /// Pose of its base in the world: a robot with the base of another one is shown as its ghost.
+    pub base: Placement,
+    /// True for a robot with the same task as others, beside which it runs.
+    pub is_compared: bool,
     /// Model of a robot that can be pushed: only a simulation that accepts external forces has one.
     pub pushable: Option<Model>,
     /// Tasks.
@@ -323,7 +327,8 @@ impl State {
     fn json(&self) -> Value {
         let content = lock(&self.content);
         let grasp = self.hand.grasp(Instant::now());
-        let robot = |(viewed, shown): &(ViewedRobot, Arc<FedState>)| {
+        let robot = |(number, (viewed, shown)): (usize, &(ViewedRobot, Arc<FedState>))| {
+            let former = &content.robots[..number];
             let can_push = viewed.pushable.is_some();
             let hand = grasp.as_ref().filter(|_| can_push).map(|grasp| {
                 json!({
@@ -340,6 +345,8 @@ impl State {
                 "prefix": viewed.prefix,
                 "name": viewed.name,
                 "label": viewed.label,
+                "is_compared": viewed.is_compared,
+                "is_ghost": former.iter().any(|(other, _)| other.base == viewed.base),
                 "can_push": can_push,
                 "units": *lock(&shown.units),
                 "hand": hand,
@@ -363,7 +370,7 @@ impl State {
             "outcome": content.outcome,
             "late_cycles": self.pace.late_cycles(),
             "dropped_pictures": self.hub.dropped(),
-            "robots": content.robots.iter().map(robot).collect::<Vec<_>>(),
+            "robots": content.robots.iter().enumerate().map(robot).collect::<Vec<_>>(),
         })
     }
 }

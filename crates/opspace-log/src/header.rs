@@ -42,6 +42,26 @@ pub struct Scene {
     pub capsules: Vec<SceneCapsule>,
     /// Forces, shown as arrows.
     pub forces: Vec<ForceArrow>,
+    /// Objects that robots hold, and whose poses are true signals.
+    pub objects: Vec<SceneObject>,
+}
+
+/// Object with the true signals `NAME.position` (m) and, unless it is a ball, `NAME.orientation` (quaternion w, x, y, z).
+#[derive(Clone, Debug, PartialEq)]
+pub struct SceneObject {
+    /// Name.
+    pub name: String,
+    /// Shape about its position.
+    pub shape: ObjectShape,
+}
+
+/// Shape of an object.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum ObjectShape {
+    /// Box with its size along the axes of the object, m.
+    Box([f64; 3]),
+    /// Ball with its diameter, m.
+    Ball(f64),
 }
 
 /// Plane of the environment.

@@ -72,7 +72,8 @@ pub use csv::CsvWriter;
 pub use difference::{ChannelComparison, LogComparison, MessageDifference, compare_logs};
 pub use error::{Corruption, LogError};
 pub use header::{
-    Attachment, Channel, ForceArrow, GAPS, Header, LOG, Scene, SceneCapsule, TIME_ZERO_NS, Wall,
+    Attachment, Channel, ForceArrow, GAPS, Header, LOG, ObjectShape, Scene, SceneCapsule, SceneObject,
+    TIME_ZERO_NS, Wall,
 };
 pub use inputs::{LoggedInput, LoggedInputs};
 pub use log_file::{ChannelContents, LogFile};

@@ -10,6 +10,7 @@
 //! | `/tf` | `foxglove.FrameTransforms`: each moving link in its parent, as in the URDF | 50 Hz |
 //! | `/TASK/reference`, `/TASK/controlled_frame` | `foxglove.PoseInFrame` | 50 Hz |
 //! | `/scene/forces` | `foxglove.SceneUpdate`: arrows | 50 Hz |
+//! | `/scene/objects` | `foxglove.SceneUpdate`: objects that robots hold | 50 Hz |
 //! | `/scene/paths` | `foxglove.SceneUpdate`: references of the last two seconds | 10 Hz |
 //!
 //! A message that is written once has a topic of its own, so that a viewer that seeks still finds it as the last message
@@ -20,12 +21,12 @@ use crate::foxglove::{
     Arrow, Cube, Cylinder, Encode, FrameTransform, FrameTransforms, JointState, JointStates, Kind, Line,
     Message, Pose, PoseInFrame, RosText, SceneEntity, SceneUpdate, Sphere, Timestamp, Warning,
 };
-use crate::header::{Scene, SceneCapsule, TIME_ZERO_NS, Wall};
+use crate::header::{ObjectShape, Scene, SceneCapsule, SceneObject, TIME_ZERO_NS, Wall};
 use nalgebra::{Rotation3, UnitQuaternion, Vector3};
 use opspace_backend::Layout;
 use opspace_backend::signal_names::{
     self, DQ, EXTERNAL_CHANNEL, FORCE, MOTOR_TORQUE, ORIENTATION, POSITION, Q, REFERENCE,
-    REFERENCE_ORIENTATION, TICK_CHANNEL,
+    REFERENCE_ORIENTATION, TICK_CHANNEL, TRUTH_CHANNEL,
 };
 use opspace_model::{Data, FrameId, Model, Placement, frame_placement, kinematics};
 use std::collections::VecDeque;
@@ -50,6 +51,7 @@ const WALL_M: [f64; 2] = [1.0, 0.01];
 const WALL_COLOR: [f64; 4] = [0.6, 0.6, 0.65, 0.5];
 const LINK_COLOR: [f64; 4] = [0.2, 0.6, 0.4, 0.3];
 const OBSTACLE_COLOR: [f64; 4] = [0.8, 0.5, 0.1, 0.5];
+const OBJECT_COLOR: [f64; 4] = [0.8, 0.5, 0.1, 1.0];
 const FORCE_COLOR: [f64; 4] = [0.85, 0.3, 0.1, 1.0];
 const PATH_COLOR: [f64; 4] = [0.1, 0.45, 0.8, 1.0];
 
@@ -71,6 +73,7 @@ pub(crate) struct Viewer {
     poses: Vec<TaskPose>,
     paths: Option<(usize, Vec<Path>)>,
     forces: Option<(usize, Vec<Force>, SceneUpdate)>,
+    objects: Option<(usize, Vec<Object>, SceneUpdate)>,
     last_ns: Option<u64>,
     shown: usize,
 }
@@ -119,6 +122,17 @@ struct Force {
     place: Option<PlaceColumns>,
     id: String,
     value: Vector3<f64>,
+}
+
+/// Object that moves.
+struct Object {
+    channel: usize,
+    position: Range<usize>,
+    /// Columns of its orientation; `None` for a ball.
+    orientation: Option<Range<usize>>,
+    shape: ObjectShape,
+    /// Pose in the last row; `None` while it is not there.
+    pose: Option<Pose>,
 }
 
 /// Columns of the place of an external force.
@@ -210,6 +224,17 @@ impl Viewer {
             let entities = forces.iter().map(entity).collect();
             (add("/scene/forces".to_owned(), SceneUpdate::KIND), forces, SceneUpdate { entities })
         });
+        let found = scene.objects.iter().filter_map(|object| Some((object, Object::new(object, layouts)?)));
+        let (shown, objects): (Vec<&SceneObject>, Vec<Object>) = found.unzip();
+        let objects = (!objects.is_empty()).then(|| {
+            let entity = |object: &&SceneObject| SceneEntity {
+                frame_id: world.clone(),
+                id: object.name.clone(),
+                ..SceneEntity::default()
+            };
+            let entities = shown.iter().map(entity).collect();
+            (add("/scene/objects".to_owned(), SceneUpdate::KIND), objects, SceneUpdate { entities })
+        });
         let paths = (!paths.is_empty()).then(|| (add("/scene/paths".to_owned(), SceneUpdate::KIND), paths));
         let alike = |name| tick.columns(name).filter(|c| c.len() == q.len());
         let names = tick.signals.iter().find(|s| s.name == Q).map(|s| &s.elements);
@@ -228,6 +253,7 @@ impl Viewer {
             poses,
             paths,
             forces,
+            objects,
             last_ns: None,
             shown: 0,
         }))
@@ -242,6 +268,9 @@ impl Viewer {
     pub fn show(&mut self, channel: usize, ns: u64, row: &[f64], put: &mut Put<'_>) -> Result<(), LogError> {
         if let Some((_, forces, _)) = &mut self.forces {
             forces.iter_mut().filter(|force| force.channel == channel).for_each(|force| force.read(row));
+        }
+        if let Some((_, objects, _)) = &mut self.objects {
+            objects.iter_mut().filter(|object| object.channel == channel).for_each(|object| object.read(row));
         }
         if channel != self.channel || self.last_ns.is_some_and(|last| ns.abs_diff(last) < PERIOD_NS) {
             return Ok(());
@@ -266,6 +295,13 @@ impl Viewer {
                 }
                 put(*topic, scene)?;
             }
+        }
+        if let Some((topic, objects, scene)) = &mut self.objects {
+            for (object, entity) in objects.iter().zip(&mut scene.entities) {
+                entity.timestamp = time;
+                object.draw(entity);
+            }
+            put(*topic, scene)?;
         }
         for pose in &mut self.poses {
             if let Some(shown) = task_pose(&row[pose.position.clone()], &row[pose.orientation.clone()]) {
@@ -391,6 +427,41 @@ impl Force {
         self.frame = *frame;
         let point = place.point.as_ref().map(|columns| Vector3::from_column_slice(&row[columns.clone()]));
         self.point = point.filter(|point| point.iter().all(|x| x.is_finite())).unwrap_or_default();
+    }
+}
+
+impl Object {
+    /// Returns an object whose pose is in the rows of the true state; `None` without it.
+    fn new(object: &SceneObject, layouts: &[&Layout]) -> Option<Self> {
+        let channel = layouts.iter().position(|layout| layout.channel == TRUTH_CHANNEL)?;
+        let columns = |signal, length| {
+            let columns = layouts[channel].columns(&signal_names::of(&object.name, signal));
+            columns.filter(|columns| columns.len() == length)
+        };
+        let position = columns(POSITION, 3)?;
+        let orientation = match object.shape {
+            ObjectShape::Box(_) => Some(columns(ORIENTATION, 4)?),
+            ObjectShape::Ball(_) => None,
+        };
+        Some(Self { channel, position, orientation, shape: object.shape, pose: None })
+    }
+
+    fn read(&mut self, row: &[f64]) {
+        let upright = [1.0, 0.0, 0.0, 0.0];
+        let orientation = self.orientation.clone().map_or(&upright[..], |columns| &row[columns]);
+        self.pose = task_pose(&row[self.position.clone()], orientation);
+    }
+
+    fn draw(&self, entity: &mut SceneEntity) {
+        entity.cubes.clear();
+        entity.spheres.clear();
+        let Some(pose) = self.pose else { return };
+        match self.shape {
+            ObjectShape::Box(size) => entity.cubes.push(Cube { pose, size, color: OBJECT_COLOR }),
+            ObjectShape::Ball(diameter) => {
+                entity.spheres.push(Sphere { pose, size: [diameter; 3], color: OBJECT_COLOR });
+            }
+        }
     }
 }
 

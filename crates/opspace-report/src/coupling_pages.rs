@@ -1,7 +1,7 @@
 //! Pages about runs of several robots, and about suites of them.
 
 use crate::coupling_table::{coupling_notes, coupling_table};
-use crate::document::{run_blocks, with_assumed, with_assumed_lists};
+use crate::document::{pictures, run_blocks, with_assumed, with_assumed_lists};
 use crate::figure::{Figure, Panel, Series, Style};
 use crate::html::Page;
 use crate::run_section::RunSection;
@@ -35,6 +35,7 @@ pub(crate) fn coupling_page(
             hold.robot, hold.from_s, hold.reason
         ));
     }
+    page = page.player(&pictures(robots.iter().map(|(name, run)| (name, run))), false);
     for figure in figures {
         page = page.figure(figure);
     }

@@ -4,6 +4,7 @@ use crate::comparisons::{columns, compliance, overlays, side_by_side, suite_stor
 pub use crate::environment_shapes::{EnvironmentShape, PlacedObject};
 use crate::html::Page;
 use crate::kinds::run_names;
+use crate::run_pictures::RunPictures;
 pub use crate::run_section::{ClosestPair, CollisionMoment, PlacedShape, RunSection};
 use opspace_experiment::evaluate::notes::{
     allowed_notes, assumed_counts, assumed_notes, joint_notes, notes, task_notes,
@@ -40,7 +41,8 @@ pub fn page(
     // What happened comes first where there is one run.
     if let ([run], [_]) = (shown, summaries) {
         let head = Page::new(&run.sentence).story(&run.story).lead(&format!("{lead} {}.", run.title));
-        let head = run_head(with_assumed(head, summaries).player(run.pictures.as_ref()), run);
+        let pictures: Vec<_> = run.pictures.iter().map(|pictures| ("", pictures)).collect();
+        let head = run_head(with_assumed(head, summaries).player(&pictures, false), run);
         let page = run_body(with_table(head.section("Results")), run);
         return with_assumed_lists(page, summaries).render();
     }
@@ -59,6 +61,7 @@ pub fn page(
     }
     if is_comparison && shown.len() <= MOST_STORIES {
         let names = run_names(&summaries.iter().collect::<Vec<_>>());
+        page = page.player(&pictures(names.iter().zip(shown)), true);
         let stories = names.iter().zip(shown).map(|(name, run)| format!("{name}: {}", run.story.join(" ")));
         page = stories.fold(page, |page, story| page.paragraph(&story));
     }
@@ -84,6 +87,13 @@ pub fn page(
         page = run_blocks(page, &run.title, run);
     }
     with_assumed_lists(page, summaries).render()
+}
+
+/// Moving pictures of runs, with their names.
+pub(crate) fn pictures<'a>(
+    runs: impl IntoIterator<Item = (&'a String, &'a RunSection)>,
+) -> Vec<(&'a str, &'a RunPictures)> {
+    runs.into_iter().filter_map(|(name, run)| Some((name.as_str(), run.pictures.as_ref()?))).collect()
 }
 
 /// Title of a page about these runs: a sentence that names what differs between them.

@@ -153,10 +153,13 @@ impl Page {
         self.block(&html)
     }
 
-    /// Adds the player of a run, of which a page has one; nothing without pictures.
-    pub(crate) fn player(mut self, pictures: Option<&RunPictures>) -> Self {
-        let Some(pictures) = pictures else { return self };
-        self.player = scripts(pictures);
+    /// Adds the player of a run, of which a page has one, with all its robots and their names; nothing without pictures.
+    /// `are_compared`: all robots have the same task.
+    pub(crate) fn player(mut self, robots: &[(&str, &RunPictures)], are_compared: bool) -> Self {
+        if robots.is_empty() {
+            return self;
+        }
+        self.player = scripts(robots, are_compared);
         self.block(PLACE)
     }
 

@@ -12,7 +12,7 @@ use opspace_backend::signal_names::{
 use opspace_control::TaskParameters;
 use opspace_experiment::evaluate::metrics::run_log::Run;
 use opspace_experiment::run::experiment::Experiment;
-use opspace_log::ChannelData;
+use opspace_log::{ChannelData, ObjectShape, SceneObject};
 use opspace_model::collision::{Capsule, CollisionShape, Holder};
 use opspace_model::{Frame, JointKind, Model, Placement};
 use serde::Serialize;
@@ -34,9 +34,20 @@ const CYLINDER_M: f64 = 0.5;
 /// Number of a value that does not apply.
 const MISSING: u16 = u16::MAX;
 
-/// Data of the player.
+/// Data of the player: all robots of a run.
+#[derive(Serialize)]
+struct AllPictures {
+    are_compared: bool,
+    robots: Vec<RunPictures>,
+}
+
+/// Data of the player about one robot.
 #[derive(Clone, Debug, Serialize)]
 pub(crate) struct RunPictures {
+    name: String,
+    /// Start of control on the robot's clock, s.
+    #[serde(skip)]
+    control_s: f64,
     start_s: f64,
     period_s: f64,
     pictures: usize,
@@ -52,6 +63,10 @@ pub(crate) struct RunPictures {
     columns: Vec<(f64, f64)>,
     /// Columns of angles without limits, which are written modulo one turn.
     turning: Vec<usize>,
+    /// Numbers of all pictures.
+    #[serde(skip)]
+    numbers: Vec<u16>,
+    /// Numbers in base64.
     values: String,
 }
 
@@ -107,6 +122,9 @@ struct ForceData {
 struct ObjectData {
     name: String,
     column: usize,
+    orientation: isize,
+    box_m: Option<[f64; 3]>,
+    diameter_m: f64,
 }
 
 impl FrameData {
@@ -180,7 +198,7 @@ impl<'a> PictureRows<'a> {
             }
             if self.rows.is_empty() {
                 self.next_s = time_s;
-                data.start_s = time_s - run.start_s;
+                (data.start_s, data.control_s) = (time_s - run.start_s, run.start_s);
             }
             // A missed cycle leaves a gap, in which the last picture stays.
             while self.next_s <= time_s + run.same_s {
@@ -251,15 +269,14 @@ impl<'a> PictureRows<'a> {
                 forces.push(ForceData { name: name.clone(), frame, column });
             }
         }
-        // Of the signals of the true state, only those of an object have a position and an orientation.
-        let names = truth.into_iter().flat_map(|truth| &truth.layout.signals);
-        let objects: Vec<&str> = names
-            .filter_map(|signal| signal.name.strip_suffix(&format!(".{POSITION}")))
-            .filter(|name| truth.is_some_and(|t| t.signal(&signal_names::of(name, ORIENTATION)).is_some()))
-            .collect();
-        let objects = objects.into_iter().filter_map(|name| {
-            let column = source(true, signal_names::of(name, POSITION), 3)?;
-            Some(ObjectData { name: name.to_owned(), column })
+        let objects = experiment.scene_objects().into_iter().filter_map(|SceneObject { name, shape }| {
+            let column = source(true, signal_names::of(&name, POSITION), 3)?;
+            let (box_m, diameter_m) = match shape {
+                ObjectShape::Box(size_m) => (Some(size_m), 0.0),
+                ObjectShape::Ball(diameter_m) => (None, diameter_m),
+            };
+            let orientation = box_m.and_then(|_| source(true, signal_names::of(&name, ORIENTATION), 4));
+            Some(ObjectData { name, column, orientation: index(orientation), box_m, diameter_m })
         });
         let objects = objects.collect();
         let (capsules, walls) = shapes(experiment, &frame);
@@ -268,6 +285,8 @@ impl<'a> PictureRows<'a> {
         let turning =
             turning.filter(|(_, joint)| joint.kind == JointKind::Continuous).map(|(j, _)| j).collect();
         self.data = Some(RunPictures {
+            name: String::new(),
+            control_s: 0.0,
             start_s: 0.0,
             period_s: cycle_s * (PERIOD_S / cycle_s).round().max(1.0),
             pictures: 0,
@@ -286,6 +305,7 @@ impl<'a> PictureRows<'a> {
             objects,
             columns: vec![(0.0, 0.0); columns],
             turning,
+            numbers: Vec::new(),
             values: String::new(),
         });
         self.sources = sources;
@@ -312,19 +332,40 @@ impl<'a> PictureRows<'a> {
             // The cast saturates.
             step => (((value - low) / step).round() as u16).min(MISSING - 1),
         };
-        let bytes = self.rows.iter().flat_map(|row| row.iter().zip(&data.columns).map(number));
-        data.values = STANDARD.encode(bytes.flat_map(u16::to_le_bytes).collect::<Vec<u8>>());
+        data.numbers = self.rows.iter().flat_map(|row| row.iter().zip(&data.columns).map(number)).collect();
         Some(data)
     }
 }
 
 impl RunPictures {
-    /// Returns the data as JSON that may be the text of an element.
-    pub(crate) fn json(&self) -> String {
-        // Only a map with other keys than texts, or a writer, could fail.
-        let text = serde_json::to_string(self).unwrap_or_default();
-        text.replace('&', "\\u0026").replace('<', "\\u003c").replace('>', "\\u003e")
+    /// Leaves out every other picture until all numbers have at most this size, bytes.
+    fn thin(&mut self, most_bytes: usize) {
+        let columns = self.columns.len().max(1);
+        while size_of::<u16>() * self.numbers.len() > most_bytes && self.pictures > 2 {
+            let kept = self.numbers.chunks(columns).step_by(2);
+            self.numbers = kept.flatten().copied().collect();
+            self.pictures = self.pictures.div_ceil(2);
+            self.period_s *= 2.0;
+        }
     }
+}
+
+/// Returns the data of the robots of a run, with their names, as JSON that may be the text of an element. They share the size that a page
+/// has for it. `are_compared`: all have the same task.
+pub(crate) fn json(robots: &[(&str, &RunPictures)], are_compared: bool) -> String {
+    let begin_s = robots.iter().map(|(_, pictures)| pictures.control_s).fold(f64::INFINITY, f64::min);
+    let robot = |(name, pictures): &(&str, &RunPictures)| {
+        let mut data = RunPictures { name: (*name).to_owned(), ..(*pictures).clone() };
+        data.start_s += data.control_s - begin_s;
+        data.thin(MOST_BYTES / robots.len());
+        let bytes: Vec<u8> = data.numbers.iter().flat_map(|number| number.to_le_bytes()).collect();
+        data.values = STANDARD.encode(bytes);
+        data
+    };
+    let all = AllPictures { are_compared, robots: robots.iter().map(robot).collect() };
+    // Only a map with other keys than texts, or a writer, could fail.
+    let text = serde_json::to_string(&all).unwrap_or_default();
+    text.replace('&', "\\u0026").replace('<', "\\u003c").replace('>', "\\u003e")
 }
 
 /// Columns of a signal in the rows of a channel.

@@ -4,7 +4,7 @@ use crate::cli::ReplayArgs;
 use crate::commands::run_on_log::{Changes, experiment_on_log, record_on_log, say_files};
 use crate::commands::simulate_log::simulate_log;
 use crate::console::{Console, Exit, Failure, Outcome, note};
-use crate::output::{Format, log_path, logs_of_experiment, open_log, pretty, read_log, write_named};
+use crate::output::{Format, folder_name, log_path, logs_of_robots, open_log, pretty, read_log, write_named};
 use crate::outputs::check_outputs;
 use opspace_backend::signal_names::TICK_CHANNEL;
 use opspace_experiment::run::replay::{ReplayReport, compare_run_on_log, replay_log};
@@ -19,7 +19,7 @@ pub fn replay(args: &ReplayArgs, extensions: &Extensions, console: Console) -> O
     if args.simulate {
         return simulate_log(args, extensions, console);
     }
-    let robots = logs_of_experiment(&args.log);
+    let robots = logs_of_robots(&args.log);
     let changes = Changes {
         task: args.task.as_deref(),
         controller: args.controller,
@@ -57,7 +57,8 @@ pub fn replay(args: &ReplayArgs, extensions: &Extensions, console: Console) -> O
         let experiment = Experiment::of_log_with(extensions, recording).map_err(bad)?;
         let replayed = replay_log(&experiment, &file).map_err(bad)?;
         text += &verdict(&log, &replayed);
-        let robot = experiment.membership().map_or_else(String::new, |membership| membership.robot.clone());
+        let robot = experiment.membership().map(|membership| membership.robot.clone());
+        let robot = robot.unwrap_or_else(|| folder_name(&log));
         replays.insert(robot, as_json(&log, &experiment, recording, &replayed, false));
         exit = match (exit, exit_code(recording, &replayed)) {
             (Exit::Failed, _) | (_, Exit::Failed) => Exit::Failed,

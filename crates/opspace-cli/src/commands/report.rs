@@ -2,7 +2,7 @@
 
 use crate::cli::ReportArgs;
 use crate::console::{Console, Exit, Failure, Outcome};
-use crate::output::{Format, log_path, logs_of_experiment, open_log, pretty, write_named};
+use crate::output::{Format, logs_of_experiment, logs_of_robots, logs_of_run, open_log, pretty, write_named};
 use crate::outputs::check_outputs;
 use opspace_experiment::evaluate::position_control::position_control_notes;
 use opspace_experiment::metrics::columns::default_columns;
@@ -29,13 +29,11 @@ pub fn report(args: &ReportArgs, extensions: &Extensions, console: Console) -> O
         );
         return Err(Failure::Other(text, Exit::Bad));
     }
-    let paths = match folder {
-        Some(folder) => logs_of_experiment(folder),
-        None => args.logs.iter().map(|path| log_path(path)).collect(),
-    };
-    let beside = match folder {
-        Some(folder) => Some(folder.join(REPORT)),
-        None => paths.first().map(|log| log.with_file_name(REPORT)),
+    // Robots that ran side by side are compared, as other runs of one robot each are.
+    let paths: Vec<PathBuf> = args.logs.iter().flat_map(|path| logs_of_run(path)).collect();
+    let beside = match args.logs.as_slice() {
+        [several] if !logs_of_robots(several).is_empty() => Some(several.join(REPORT)),
+        _ => paths.first().map(|log| log.with_file_name(REPORT)),
     };
     let out = args.out.clone().or(beside).unwrap_or_else(|| REPORT.into());
     let outputs: Vec<PathBuf> =

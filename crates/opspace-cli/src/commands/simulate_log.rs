@@ -6,9 +6,11 @@ use crate::interrupt;
 use crate::output::{logs_of_run, open_log, pretty};
 use crate::plant::PlantChoice;
 use crate::run_progress::with_bar;
+use opspace_experiment::run::log_header::SCENE_FILE;
 use opspace_experiment::run::physics::OWN_PLANT;
 use opspace_experiment::{Experiment, Extensions, RunError};
-use opspace_log::{ChannelComparison, LogComparison, LogFile, compare_logs};
+use opspace_log::{ChannelComparison, LogComparison, LogFile, Recording, compare_logs};
+use opspace_sim::Scene;
 use serde_json::{Value, json};
 use std::io::Cursor;
 use std::path::Path;
@@ -45,6 +47,21 @@ pub fn simulate_log(args: &ReplayArgs, extensions: &Extensions, console: Console
     Ok(exit)
 }
 
+/// Refuses a scene that has changed since the log was written. The log has its text, but not the files that it includes.
+fn check_scene(log: &Path, recording: &Recording, scene: Option<&Scene>) -> Result<(), Failure> {
+    let logged = recording.attachment(SCENE_FILE).map(|file| file.data.as_slice());
+    let Some(scene) = scene.filter(|scene| logged.is_some_and(|logged| logged != scene.text.as_bytes()))
+    else {
+        return Ok(());
+    };
+    let text = format!(
+        "{}: the scene {} has changed since the run; restore it: the log has it as its attachment '{SCENE_FILE}'",
+        log.display(),
+        scene.path.display()
+    );
+    Err(Failure::Other(text, Exit::Bad))
+}
+
 /// Describes where two logs differ first.
 fn difference(channel: &ChannelComparison) -> String {
     let topic = &channel.topic;
@@ -63,13 +80,16 @@ fn difference(channel: &ChannelComparison) -> String {
 fn simulated_again(log: &Path, extensions: &Extensions, console: Console) -> Result<LogComparison, Failure> {
     let (path, file) = open_log(log)?;
     let bad = |error: RunError| Failure::Other(format!("{}: {error}", path.display()), Exit::Bad);
-    let recording = opspace_log::Recording::read(&path).map_err(|error| bad(error.into()))?;
+    let recording = Recording::read(&path).map_err(|error| bad(error.into()))?;
     let experiment = Experiment::of_log_with(extensions, &recording).map_err(bad)?;
     let plant = experiment.plant();
     let name = plant.split(' ').next().unwrap_or(OWN_PLANT);
-    let experiment = match PlantChoice::named(name).open(extensions)? {
+    let experiment = match PlantChoice::named(name, experiment.scene_path()).open(extensions)? {
         None => experiment,
-        Some(engine) => experiment.on_engine(engine)?,
+        Some(engine) => {
+            check_scene(&path, &recording, engine.scene())?;
+            experiment.on_engine(engine)?
+        }
     };
     let progress = interrupt::watch();
     let again = with_bar((&experiment.task().name(), experiment.ticks()), &progress, console, || {

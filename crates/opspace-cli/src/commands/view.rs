@@ -4,7 +4,7 @@ use crate::cli::ViewLogArgs;
 use crate::commands::run_in_view::open_view;
 use crate::console::{Console, Exit, Failure, Outcome};
 use crate::interrupt;
-use crate::output::{logs_of_run, open_log};
+use crate::output::{folder_name, logs_of_run, open_log};
 use opspace_experiment::{Experiment, Extensions, RunError};
 use opspace_live::{Pictures, ViewKind, viewed};
 use opspace_log::{LogFile, OutcomeRecord};
@@ -20,11 +20,8 @@ pub fn view(args: &ViewLogArgs, extensions: &Extensions, console: Console) -> Ou
         let bad = |error: RunError| Failure::Other(format!("{}: {error}", path.display()), Exit::Bad);
         let experiment = Experiment::of_log_with(extensions, log.recording()).map_err(bad)?;
         duration_s = duration_s.max(experiment.duration_s());
-        let folder = path.parent().and_then(|folder| folder.file_name()).unwrap_or_default();
-        let name = match experiment.membership() {
-            Some(membership) => membership.robot.clone(),
-            None => folder.to_string_lossy().into_owned(),
-        };
+        let robot = experiment.membership().map(|membership| membership.robot.clone());
+        let name = robot.unwrap_or_else(|| folder_name(&path));
         let prefix = if paths.len() > 1 { format!("/{name}") } else { String::new() };
         shown.push(viewed(&experiment, prefix, &name, false));
         logs.push(log);

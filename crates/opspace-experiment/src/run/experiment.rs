@@ -599,6 +599,12 @@ impl Experiment {
         self.physics.scene()
     }
 
+    /// Path of the scene of the physics engine, as it was given; of a log, that of its engine.
+    #[must_use]
+    pub fn scene_path(&self) -> Option<String> {
+        self.physics.scene_path()
+    }
+
     /// Name of the plant of the simulation: `own`, or name and version of another engine and the file name of its scene; of
     /// a run on a log, `log` and its path.
     #[must_use]

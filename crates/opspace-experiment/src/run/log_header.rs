@@ -34,7 +34,8 @@ const REAL: &str = "real";
 const ROBOT_FILE: &str = "robot.toml";
 const TASK_FILE: &str = "task.toml";
 const URDF_FILE: &str = "robot.urdf";
-const SCENE_FILE: &str = "scene.xml";
+/// Attachment with the scene of the physics engine.
+pub const SCENE_FILE: &str = "scene.xml";
 /// File of the experiment with several robots to which the robot belongs, with settings applied.
 const EXPERIMENT_FILE: &str = "experiment.toml";
 /// Key of the path of that file.

@@ -52,6 +52,11 @@ impl Physics {
         }
     }
 
+    /// Path of the scene, also of an engine that is not available.
+    pub fn scene_path(&self) -> Option<String> {
+        self.engine_name().and_then(|name| name.scene)
+    }
+
     /// Entries of a log's metadata.
     pub fn entries(&self) -> Vec<(String, String)> {
         if let Self::Replay(log) = self {

@@ -1,15 +1,24 @@
 //! Scene that viewers of a log show beside the links: URDF, walls, capsules and obstacles, forces, and the frames of tasks.
 
 use crate::files::collision::{HalfSpaceObstacle, ObstacleFile};
+use crate::files::experiment_file::ExperimentFile;
+use crate::files::source::parse;
 use crate::run::experiment::Experiment;
 use nalgebra::Vector3;
 use opspace_backend::signal_names::{self, FORCE, TICK_CHANNEL, TRUTH_CHANNEL, WRENCH};
 use opspace_control::TaskParameters;
-use opspace_log::{ForceArrow, Scene, SceneCapsule, Wall};
+use opspace_log::{ForceArrow, ObjectShape, Scene, SceneCapsule, SceneObject, Wall};
 use opspace_model::collision::{Capsule, CollisionShape, find_mesh};
-use opspace_sim::EnvironmentObjectParameters;
+use opspace_sim::{EnvironmentObjectParameters, HeldObjectParameters};
+use std::f64::consts::PI;
 use std::fs;
 use std::path::Path;
+
+/// Density of a mass that hangs at the arm.
+const STEEL_KG_PER_M3: f64 = 7800.0;
+
+/// Least size of an object that is seen, m: that of a thin rod.
+const THINNEST_M: f64 = 0.01;
 
 impl Experiment {
     /// Returns the scene of a log of this experiment.
@@ -92,8 +101,37 @@ impl Experiment {
                 .chain(file.obstacle.iter().filter_map(obstacle))
                 .collect(),
             forces: contacts.chain(sensors).collect(),
+            objects: self.scene_objects(),
         }
     }
+
+    /// Objects that the robot holds: those of an experiment with several robots, as boxes with their mass and inertia, and
+    /// masses that hang at it, as balls of steel.
+    #[must_use]
+    pub fn scene_objects(&self) -> Vec<SceneObject> {
+        let file = self.membership().and_then(|member| parse::<ExperimentFile>(&member.experiment).ok());
+        let robot = self.membership().map_or("", |member| member.robot.as_str());
+        let held = file.into_iter().flat_map(|file| file.objects);
+        let held = held.filter(|(_, object)| object.grip.iter().any(|grip| grip.robot == robot));
+        let held = held.map(|(name, object)| SceneObject { name, shape: ObjectShape::Box(box_of(&object)) });
+        let masses = self.task().file.environment.iter().filter_map(|(name, object)| match object {
+            EnvironmentObjectParameters::Mass(mass) => {
+                let volume_m3 = mass.mass_kg.get() / STEEL_KG_PER_M3;
+                let shape = ObjectShape::Ball((6.0 * volume_m3 / PI).cbrt());
+                Some(SceneObject { name: name.clone(), shape })
+            }
+            _ => None,
+        });
+        held.chain(masses).collect()
+    }
+}
+
+/// Size of the box (m) with the mass and the moments of inertia of an object.
+fn box_of(object: &HeldObjectParameters) -> [f64; 3] {
+    let moments = object.inertia_kg_m2.map(opspace_backend::quantity::Positive::get);
+    let sum: f64 = moments.iter().sum();
+    // Each moment is that of the squares of the two other sides: m/12 (b² + c²).
+    moments.map(|own| (6.0 * (sum - 2.0 * own) / object.mass_kg.get()).max(0.0).sqrt().max(THINNEST_M))
 }
 
 /// Replaces the file names of meshes that are relative to the URDF, or to a package in whose folder the URDF is, by
@@ -127,6 +165,20 @@ fn place_of_mesh(element: &str, urdf: &Path) -> Option<String> {
 mod tests {
     #![expect(clippy::unwrap_used, reason = "tests")]
     use super::*;
+
+    /// Compared: the moments of inertia of the box, m/12 (b² + c²), and those of the object.
+    #[test]
+    fn box_has_the_inertia_of_its_object() {
+        let text = "mass_kg = 1.5\ninertia_kg_m2 = [0.02, 0.015, 0.012]\ngrip = []";
+        let object: HeldObjectParameters = toml::from_str(text).unwrap();
+        let [a, b, c] = box_of(&object).map(|side| side * side * 1.5 / 12.0);
+        for (computed, stated) in [(b + c, 0.02), (a + c, 0.015), (a + b, 0.012)] {
+            assert!((computed - stated).abs() < 8.0 * f64::EPSILON * stated, "{computed} {stated}");
+        }
+        let rod = "mass_kg = 1.0\ninertia_kg_m2 = [0.014, 0.0001, 0.014]\ngrip = []";
+        let [x, y, z] = box_of(&toml::from_str(rod).unwrap());
+        assert!(y > 0.4 && x == z && x > THINNEST_M / 2.0);
+    }
 
     /// Checks that relative names and those of a package become absolute, and that all other text stays.
     #[test]

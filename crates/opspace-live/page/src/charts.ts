@@ -2,7 +2,7 @@
 
 import { make } from "./dom.ts";
 import { Plot, type Line } from "./plot.ts";
-import type { RobotState, Signals } from "./state.ts";
+import { controlledPosition, shownName, type RobotState, type Signals } from "./state.ts";
 import { comparedColor, css } from "./theme.ts";
 
 /** Time that the plots show of a running simulation, and that is kept, s. */
@@ -62,9 +62,10 @@ export class Charts {
   setRobots(robots: RobotState[], kind: "run" | "log", duration_s: number): void {
     this.isLog = kind === "log";
     if (this.isLog) this.range = [0, duration_s];
-    robots.forEach(({ prefix, label, name, units }) => {
+    robots.forEach(robot => {
+      const { prefix, units } = robot;
       const history = this.histories.get(prefix) ?? { label: "", time_s: [], values: new Map() };
-      history.label = robots.length > 1 ? label || name : "";
+      history.label = robots.length > 1 ? shownName(robot, true) : "";
       this.histories.set(prefix, history);
       Object.assign(this.units, units);
     });
@@ -208,7 +209,7 @@ export class Charts {
     this.isChosen = true;
     this.names.replaceChildren(...names.map(name => make("option", { value: name })));
     const of = (pattern: RegExp) => names.filter(name => pattern.test(name)).slice(0, 3);
-    const positions = of(/\.position\.x$/).slice(0, 1).flatMap(name => AXES.map(axis => name.replace(/x$/, axis)));
+    const positions = [controlledPosition(this.units) ?? ""].filter(name => name !== "").flatMap(name => AXES.map(axis => name.replace(/x$/, axis)));
     const forces = of(/\.force\.x/).slice(0, 1);
     // Several robots have a line each.
     const most = this.histories.size > 1 ? 1 : 3;

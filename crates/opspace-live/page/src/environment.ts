@@ -1,9 +1,10 @@
-//! Walls, obstacles and other objects that are fixed in the world.
+//! Walls and obstacles, which are fixed in the world, and objects that robots hold.
 
-import { Group, Material, MeshLambertMaterial, Object3D, Quaternion, Vector3 } from "three";
+import { Group, MeshLambertMaterial, Object3D, Vector3 } from "three";
 import type { Label } from "./labels.ts";
-import { capsule, slab, sphere } from "./parts.ts";
-import type { Stage } from "./stage.ts";
+import { box, capsule, slab, sphere } from "./parts.ts";
+import type { Pose } from "./robot.ts";
+import { SHADOW, type Stage } from "./stage.ts";
 import { onTheme, theme } from "./theme.ts";
 
 const X = new Vector3(1, 0, 0);
@@ -12,8 +13,13 @@ export class Environment {
   private readonly objects = new Map<string, { object: Object3D; label: Label }>();
   readonly obstacle = new MeshLambertMaterial({ transparent: true, opacity: 0.6 });
 
+  private readonly held = new MeshLambertMaterial();
+
   constructor(private readonly stage: Stage) {
-    onTheme(colors => this.obstacle.color.set(colors.obstacle));
+    onTheme(colors => {
+      this.obstacle.color.set(colors.obstacle);
+      this.held.color.set(colors.obstacle);
+    });
   }
 
   /** Wall of that size with its centre and outward normal. */
@@ -28,17 +34,19 @@ export class Environment {
     this.add(name, new Group().add(capsule(start, end, radius, this.obstacle)), end);
   }
 
-  addBall(name: string, center: Vector3, radius: number, material: Material = this.obstacle): void {
-    const ball = sphere(radius, material);
-    ball.position.copy(center);
-    this.add(name, ball, new Vector3(0, 0, radius));
-  }
-
-  /** Moves an object. */
-  move(name: string, position: Vector3, rotation?: Quaternion): void {
-    const object = this.objects.get(name)?.object;
-    object?.position.copy(position);
-    if (rotation) object?.quaternion.copy(rotation);
+  /** Shows a moving object at a pose, as a box of a size or a ball of a diameter (m); hides it without a pose. */
+  showObject(name: string, pose: Pose | undefined, box_m: Vector3 | undefined, diameter_m = 0): void {
+    let object = this.objects.get(name)?.object;
+    if (!object && pose) {
+      object = box_m ? box(box_m.x, box_m.y, box_m.z, this.held) : sphere(diameter_m / 2, this.held);
+      object.layers.enable(SHADOW);
+      this.add(name, object, new Vector3(0, 0, (box_m?.z ?? diameter_m) / 2));
+    }
+    if (!object) return;
+    object.visible = pose !== undefined;
+    if (!pose) return;
+    object.position.copy(pose.position);
+    object.quaternion.copy(pose.rotation);
   }
 
   add(name: string, object: Object3D, labelAt: Vector3): void {

@@ -5,9 +5,9 @@ import { Environment } from "./environment.ts";
 import { entities, poseInFrame, rosText, transforms, type Entity } from "./messages.ts";
 import { loadMesh } from "./meshes.ts";
 import { capsule } from "./parts.ts";
-import { Robot } from "./robot.ts";
+import { Robot, lookOf } from "./robot.ts";
 import type { Stage } from "./stage.ts";
-import { comparedColor } from "./theme.ts";
+import type { RobotState } from "./state.ts";
 import { visuals } from "./urdf.ts";
 
 /** Length of the arrow of a force in `/scene/forces`, m/N. */
@@ -25,20 +25,17 @@ export class LiveScene {
     this.environment = new Environment(stage);
   }
 
-  /** Makes a robot for each prefix; those that are no longer there are removed. */
-  setRobots(prefixes: string[]): void {
+  /** Makes the robots; those that are no longer there are removed. */
+  setRobots(states: RobotState[]): void {
     for (const [prefix, robot] of this.robots) {
-      if (prefixes.includes(prefix)) continue;
+      if (states.some(state => state.prefix === prefix)) continue;
       robot.remove();
       this.robots.delete(prefix);
     }
-    prefixes.forEach((prefix, i) => {
-      if (this.robots.has(prefix)) return;
-      const isAlone = prefixes.length === 1;
-      const robot = isAlone
-        ? new Robot(this.stage, prefix)
-        : new Robot(this.stage, prefix, comparedColor(i), i);
-      this.robots.set(prefix, robot);
+    states.forEach((state, number) => {
+      if (this.robots.has(state.prefix)) return;
+      const look = states.length === 1 ? {} : lookOf(number, state.name, state.is_ghost, state.is_compared);
+      this.robots.set(state.prefix, new Robot(this.stage, state.prefix, look));
     });
   }
 
@@ -60,6 +57,11 @@ export class LiveScene {
       visuals(rosText(bytes), found, loadMesh);
     } else if (name === "/scene/collision" || name === "/scene/environment") {
       entities(bytes).forEach(entity => this.addEntity(robot, entity));
+    } else if (name === "/scene/objects") {
+      for (const { id, cubes, spheres } of entities(bytes)) {
+        const [box, ball] = [cubes[0], spheres[0]];
+        this.environment.showObject(id, box ?? ball, box ? box.size : undefined, ball?.size.x);
+      }
     } else if (name === "/scene/forces") {
       for (const { id, arrows } of entities(bytes)) {
         const arrow = arrows[0];
@@ -118,7 +120,7 @@ export class LiveScene {
     const [start, end = start] = ends;
     if (start && end) {
       if (isInWorld) {
-        this.environment.addCapsule(entity.id, start, end, radius);
+        this.environment.addCapsule(robot.ownName(entity.id), start, end, radius);
         return;
       }
       const part = capsule(start, end, radius, robot.plain);
@@ -126,7 +128,7 @@ export class LiveScene {
       shape.add(part);
     }
     for (const { position, rotation, size } of entity.cubes) {
-      this.environment.addWall(entity.id, position, X.clone().applyQuaternion(rotation), size);
+      this.environment.addWall(robot.ownName(entity.id), position, X.clone().applyQuaternion(rotation), size);
     }
     if (shape.children.length > 0) this.addToLink(robot, entity.frame, entity.id, shape);
   }

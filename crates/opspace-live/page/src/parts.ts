@@ -9,6 +9,8 @@ import {
 const X = new Vector3(1, 0, 0);
 const Y = new Vector3(0, 1, 0);
 const UNIT_CYLINDER = new CylinderGeometry(1, 1, 1, 10, 1);
+/** Piece of a line: with few corners, as a path has many pieces, and no light shows them. */
+const UNIT_PIECE = new CylinderGeometry(1, 1, 1, 5, 1, true);
 /** A point that is farther away from the last one does not continue the line, m. */
 const JUMP_M = 0.2;
 const UNIT_CONE = new ConeGeometry(1, 1, 18);
@@ -18,7 +20,7 @@ export function capsule(start: Vector3, end: Vector3, radius: number, material: 
   const axis = end.clone().sub(start);
   const length = axis.length();
   const geometry =
-    length > 0 ? new CapsuleGeometry(radius, length, 8, 24) : new SphereGeometry(radius, 24, 16);
+    length > 0 ? new CapsuleGeometry(radius, length, 6, 18) : new SphereGeometry(radius, 18, 12);
   const mesh = new Mesh(geometry, material);
   mesh.position.copy(start).add(end).multiplyScalar(0.5);
   if (length > 0) mesh.quaternion.setFromUnitVectors(Y, axis.divideScalar(length));
@@ -114,7 +116,7 @@ export class Trail extends InstancedMesh<BufferGeometry, MeshBasicMaterial> {
   private next = 0;
 
   constructor(color: number, private readonly radius: number, private readonly most: number, opacity = 1) {
-    super(UNIT_CYLINDER, new MeshBasicMaterial({ color, transparent: opacity < 1, opacity }), most);
+    super(UNIT_PIECE, new MeshBasicMaterial({ color, transparent: opacity < 1, opacity }), most);
     this.count = 0;
     // Its bounds change with every point.
     this.frustumCulled = false;
@@ -126,7 +128,7 @@ export class Trail extends InstancedMesh<BufferGeometry, MeshBasicMaterial> {
     return this;
   }
 
-  /** Appends a point, unless it is closer than the thickness to the last one. */
+  /** Appends a point, unless it is closer than the diameter to the last one. */
   add_point(point: Vector3): void {
     if (this.isEmpty) {
       this.lastPoint.copy(point);
@@ -134,7 +136,7 @@ export class Trail extends InstancedMesh<BufferGeometry, MeshBasicMaterial> {
       return;
     }
     const distance = point.distanceTo(this.lastPoint);
-    if (distance < this.radius) return;
+    if (distance < 2 * this.radius) return;
     if (distance > JUMP_M) {
       this.lastPoint.copy(point);
       return;

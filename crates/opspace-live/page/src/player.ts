@@ -1,11 +1,12 @@
 //! Player of a run in a report. Without scripts or WebGL it stays hidden, and the figure shows its still views.
 
 import { Vector3 } from "three";
-import type { RunData } from "./run_data.ts";
-import { RunScene } from "./run_scene.ts";
+import type { RunsData } from "./run_data.ts";
+import { RunScene, type RunRobot } from "./run_scene.ts";
 import { Stage } from "./stage.ts";
 import { SCENE_STYLE } from "./style.ts";
-import { iconButton, setIcon } from "./dom.ts";
+import { comparedColor, css } from "./theme.ts";
+import { iconButton, make, setIcon } from "./dom.ts";
 import { ICONS } from "./icons.ts";
 
 const STYLE = `
@@ -22,6 +23,9 @@ const STYLE = `
 .player .bar svg { width: 1.1rem; height: 1.1rem; min-width: 0; display: block }
 .player .bar input { flex: 1; min-width: 4rem; accent-color: #0072b2 }
 .player .bar output { font-variant-numeric: tabular-nums; white-space: nowrap }
+.player .robots { list-style: none; display: flex; flex-wrap: wrap; gap: 0.1rem 1rem; margin: 0.4rem 0 0; padding: 0; color: var(--soft) }
+.player .robots li::before { content: ''; display: inline-block; width: 0.8em; height: 0.8em; border-radius: 50%; background: var(--color);
+  margin-right: 0.45em }
 @media screen and (prefers-color-scheme: dark) { .player .stage { background: linear-gradient(#1d2125, #121416) } }
 @media print { .player { display: none } }
 ${SCENE_STYLE}`;
@@ -37,14 +41,13 @@ class Player {
   private readonly slider = document.createElement("input");
   private readonly clock = document.createElement("output");
   private readonly speed = document.createElement("select");
-  private readonly last: number;
-  private place = 0;
+  private now_s: number;
   private isPlaying = false;
   private isLooped = true;
 
-  constructor(place: HTMLElement, private readonly stage: Stage, private readonly scene: RunScene, private readonly data: RunData) {
-    this.last = data.pictures - 1;
-    Object.assign(this.slider, { type: "range", min: "0", max: `${this.last}`, step: "any", value: "0" });
+  constructor(place: HTMLElement, private readonly stage: Stage, private readonly scene: RunScene) {
+    this.now_s = scene.start_s;
+    Object.assign(this.slider, { type: "range", min: `${scene.start_s}`, max: `${scene.end_s}`, step: "any", value: `${scene.start_s}` });
     this.slider.setAttribute("aria-label", "Time of the picture");
     this.slider.addEventListener("input", () => {
       this.isPlaying = false;
@@ -55,52 +58,60 @@ class Player {
     const bar = document.createElement("div");
     bar.className = "bar";
     bar.append(this.play, this.slider, this.clock, this.speed, this.loop);
+    if (scene.robots.length > 1) place.append(legend(scene));
     place.append(bar);
     stage.beforeDraw = dt_s => this.advance(dt_s);
-    this.seek(0);
+    this.seek(scene.start_s);
   }
 
   get time_s(): number {
-    return this.data.start_s + this.place * this.data.period_s;
+    return this.now_s;
   }
 
   get playing(): boolean {
     return this.isPlaying;
   }
 
-  seek(place: number): void {
-    this.place = Math.min(this.last, Math.max(0, place));
-    this.scene.show(this.place);
+  seek(time_s: number): void {
+    this.now_s = Math.min(this.scene.end_s, Math.max(this.scene.start_s, time_s));
+    this.scene.show(this.now_s);
     this.update();
-  }
-
-  seekTime(time_s: number): void {
-    this.seek((time_s - this.data.start_s) / this.data.period_s);
   }
 
   toggle(): void {
     this.isPlaying = !this.isPlaying;
-    if (this.isPlaying && this.place >= this.last) this.place = 0;
+    if (this.isPlaying && this.now_s >= this.scene.end_s) this.now_s = this.scene.start_s;
     this.update();
     this.stage.request();
   }
 
   private advance(dt_s: number): void {
     if (!this.isPlaying) return;
-    let place = this.place + (dt_s * Number(this.speed.value)) / this.data.period_s;
-    if (place >= this.last) {
-      if (this.isLooped) place = 0;
+    let time_s = this.now_s + dt_s * Number(this.speed.value);
+    if (time_s >= this.scene.end_s) {
+      if (this.isLooped) time_s = this.scene.start_s;
       else this.isPlaying = false;
     }
-    this.seek(place);
+    this.seek(time_s);
   }
 
   private update(): void {
-    this.slider.value = `${this.place}`;
+    this.stage.isMoving = this.isPlaying;
+    this.slider.value = `${this.now_s}`;
     this.clock.textContent = `${this.time_s.toFixed(2)} s`;
     setIcon(this.play, this.isPlaying ? "Pause" : "Play", this.isPlaying ? ICONS.pause : ICONS.play);
     this.loop.setAttribute("aria-pressed", `${this.isLooped}`);
   }
+}
+
+/** Colours and names of the robots. */
+function legend(scene: RunScene): HTMLElement {
+  const item = ({ robot, data }: RunRobot) => {
+    const item = make("li", {}, data.name);
+    item.style.setProperty("--color", css(robot.color ?? comparedColor(0)));
+    return item;
+  };
+  return make("ul", { className: "robots", "aria-label": "Robots" }, ...scene.robots.map(item));
 }
 
 function start(): void {
@@ -124,9 +135,9 @@ function start(): void {
   stage.canvas.tabIndex = 0;
   stage.canvas.setAttribute("role", "img");
   stage.canvas.setAttribute("aria-label", "Moving picture of the run: drag to orbit, space to play or pause");
-  const data = JSON.parse(text) as RunData;
-  const scene = new RunScene(stage, data);
-  const player = new Player(place, stage, scene, data);
+  const scene = new RunScene(stage, JSON.parse(text) as RunsData);
+  const player = new Player(place, stage, scene);
+  const robot = (name: string) => scene.robots.find(({ data }) => data.name === name) ?? scene.robots[0]!;
   stage.canvas.addEventListener("keydown", event => {
     const turns: Record<string, [number, number]> = {
       ArrowLeft: [-0.1, 0], ArrowRight: [0.1, 0], ArrowUp: [0, 0.1], ArrowDown: [0, -0.1],
@@ -139,11 +150,12 @@ function start(): void {
   });
   Object.assign(window, {
     opspaceView: {
-      pixel: (frame: string) => stage.pixel(scene.robot.position(frame)),
-      frames: () => scene.frames(),
+      robots: () => scene.robots.map(({ data }) => data.name),
+      pixel: (frame: string, name = "") => stage.pixel(robot(name).robot.position(frame)),
+      frames: (name = "") => robot(name).frames(),
       drawn: () => stage.drawn,
       time_s: () => player.time_s,
-      seek: (time_s: number) => player.seekTime(time_s),
+      seek: (time_s: number) => player.seek(time_s),
       toggle: () => player.toggle(),
       drawFinely: () => stage.drawFinely(),
       frame: () => scene.frame(),

@@ -3,8 +3,22 @@
 import { Color, Group, Material, Mesh, MeshLambertMaterial, Object3D, Quaternion, Vector3 } from "three";
 import type { Label } from "./labels.ts";
 import { Arrow, Rod, Trail, capsule, onTop, triad } from "./parts.ts";
-import { SOLID, type Stage } from "./stage.ts";
-import { onTheme, theme } from "./theme.ts";
+import { SHADOW, SOLID, type Stage } from "./stage.ts";
+import { comparedColor, onTheme, theme } from "./theme.ts";
+
+/** How a robot among several looks. */
+export interface Look {
+  /** Marks it. */
+  color?: number;
+  /** Place among the robots, from 0. */
+  number?: number;
+  /** Translucent: it stands where another robot does. */
+  isGhost?: boolean;
+  /** Has links and paths only: the robot with which it is compared has the rest. */
+  isPlain?: boolean;
+  /** Precedes the names of its forces and frames. */
+  name?: string;
+}
 
 export interface Pose {
   position: Vector3;
@@ -19,7 +33,7 @@ const ARROW_M_PER_N = 0.015;
 const LONGEST_ARROW_M = 0.4;
 /** Force that is shown, N: below it an arrow is shorter than its head. */
 const LEAST_FORCE_N = 0.3;
-const PATH_POINTS = 400;
+const PATH_POINTS = 250;
 const GHOST_OPACITY = 0.4;
 
 /** Kinds of shapes of a link; only those of the best kind that there is are shown. */
@@ -35,20 +49,17 @@ export class Robot {
   private readonly materials: [MeshLambertMaterial, MeshLambertMaterial];
   private readonly selectedMaterial: MeshLambertMaterial;
   private selected = "";
+  readonly color: number | undefined;
 
-  /** `color` marks one robot among several. The first of them is solid, and the others are its ghosts: they have links and paths only. */
-  constructor(
-    private readonly stage: Stage,
-    readonly prefix: string,
-    readonly color?: number,
-    private readonly number = 0,
-  ) {
+  constructor(private readonly stage: Stage, readonly prefix: string, readonly look: Look = {}) {
+    const { color, number = 0, isGhost = false } = look;
+    this.color = color;
     const material = () =>
       new MeshLambertMaterial({
-        transparent: this.isGhost,
-        opacity: this.isGhost ? GHOST_OPACITY : 1,
+        transparent: isGhost,
+        opacity: isGhost ? GHOST_OPACITY : 1,
         // Where robots coincide, the first one is seen.
-        polygonOffset: this.isGhost,
+        polygonOffset: isGhost,
         polygonOffsetFactor: number,
         polygonOffsetUnits: 4 * number,
       });
@@ -62,10 +73,6 @@ export class Robot {
       this.selectedMaterial.color.set(colors.hand).lerp(new Color(0xffffff), 0.25);
     });
     stage.scene.add(this.root);
-  }
-
-  get isGhost(): boolean {
-    return this.number > 0;
   }
 
   remove(): void {
@@ -123,6 +130,7 @@ export class Robot {
     const number = [...this.shapes.keys()].indexOf(link);
     shape.traverse(part => {
       part.layers.set(SOLID);
+      if (!this.look.isGhost) part.layers.enable(SHADOW);
       part.userData["link"] = link;
       if (part instanceof Mesh && (this.color !== undefined || part.material === undefined || part.userData["plain"])) {
         part.material = this.materials[number % 2]!;
@@ -190,18 +198,29 @@ export class Robot {
 
   /** Shows a force (N) at a point (m), both in the world. */
   setForce(name: string, at: Vector3, force_n: Vector3): void {
-    if (this.isGhost) return;
+    if (this.look.isPlain) return;
     let arrow = this.forces.get(name);
     if (!arrow) {
-      arrow = new ForceArrow(this.stage, name.replace(/\.(force|wrench)$/, ""), theme().force);
+      arrow = new ForceArrow(this.stage, this.ownName(name.replace(/\.(force|wrench)$/, "")), theme().force);
       this.forces.set(name, arrow);
     }
     arrow.set(at, force_n);
   }
 
+  /** Name of something of this robot in a scene of several. */
+  ownName(name: string): string {
+    return [this.look.name, name].filter(Boolean).join(" ");
+  }
+
   clearTrails(): void {
     for (const task of this.tasks.values()) task.clear();
   }
+}
+
+/** Look of a robot among several. `isGhost`: it stands where a former one does; `isCompared`: all have the same task. */
+export function lookOf(number: number, name: string, isGhost: boolean, isCompared: boolean): Look {
+  const color = comparedColor(number);
+  return isCompared ? { color, number, isGhost: number > 0, isPlain: number > 0 } : { color, number, isGhost, name };
 }
 
 /** Reference and controlled frame of a task, with their paths. */
@@ -213,10 +232,12 @@ export class TaskFrames {
   private readonly path: Trail;
   private readonly labels: Label[];
   private readonly referenceLabel: Label;
-  private readonly isGhost: boolean;
+  private readonly isPlain: boolean;
+  private readonly name: string;
 
-  constructor(private readonly stage: Stage, robot: Robot, private readonly name: string) {
-    this.isGhost = robot.isGhost;
+  constructor(private readonly stage: Stage, robot: Robot, name: string) {
+    this.isPlain = robot.look.isPlain ?? false;
+    this.name = robot.ownName(name);
     const colors = theme();
     this.referencePath = new Trail(colors.reference, 0.0016, PATH_POINTS, 0.6);
     this.path = new Trail(robot.color ?? colors.force, 0.0026, PATH_POINTS);
@@ -225,11 +246,11 @@ export class TaskFrames {
       this.path.material.color.set(robot.color ?? colors.hand);
     });
     this.reference.visible = this.controlled.visible = false;
-    this.group.add(...(robot.isGhost ? [this.path] : [this.reference, this.controlled, this.referencePath, this.path]));
+    this.group.add(...(this.isPlain ? [this.path] : [this.reference, this.controlled, this.referencePath, this.path]));
     stage.scene.add(this.group);
     const where = new Vector3(0.012, 0.012, 0.012);
-    this.referenceLabel = stage.labels.add(robot.isGhost ? "" : `${name} reference`, this.reference, "frame reference", where);
-    this.labels = [stage.labels.add(robot.isGhost ? "" : name, this.controlled, "frame", where), this.referenceLabel];
+    this.referenceLabel = stage.labels.add(this.isPlain ? "" : `${this.name} reference`, this.reference, "frame reference", where);
+    this.labels = [stage.labels.add(this.isPlain ? "" : this.name, this.controlled, "frame", where), this.referenceLabel];
   }
 
   remove(): void {
@@ -241,7 +262,7 @@ export class TaskFrames {
     show(this.reference, pose);
     // Where both are at one place, one name is enough.
     const isNear = this.controlled.visible && this.controlled.position.distanceTo(pose.position) < 0.03;
-    this.referenceLabel.element.textContent = isNear || this.isGhost ? "" : `${this.name} reference`;
+    this.referenceLabel.element.textContent = isNear || this.isPlain ? "" : `${this.name} reference`;
   }
 
   setReferencePath(points: Vector3[]): void {

@@ -1,11 +1,19 @@
-//! Data of a run in a report, as `player_data.rs` writes them.
+//! Data of a run in a report, as `run_pictures.rs` writes them.
 
 import type { Body, PlacementArray } from "./kinematics.ts";
 
 type Triple = [number, number, number];
 
+/** All robots of a run. */
+export interface RunsData {
+  /** True for robots with the same task, which are compared. */
+  are_compared: boolean;
+  robots: RunData[];
+}
+
 export interface RunData {
-  /** Time of the first picture after the start of control, and between two pictures, s. */
+  name: string;
+  /** Time of the first picture after the start of control, of the first robot if there are several, and between two pictures, s. */
   start_s: number;
   period_s: number;
   pictures: number;
@@ -22,8 +30,8 @@ export interface RunData {
   tasks: { name: string; frame: number; relative_to: number; reference: number }[];
   /** Forces: index of the frame on whose origin they act, and first column (N). */
   forces: { name: string; frame: number; column: number }[];
-  /** Objects: first column of position (m). */
-  objects: { name: string; column: number }[];
+  /** Objects: first column of position (m), that of the quaternion w, x, y, z (-1: none), size of a box (m), or diameter of a ball (m). */
+  objects: { name: string; column: number; orientation: number; box_m: Triple | null; diameter_m: number }[];
   /** Smallest value and step of each column; the joint positions come first. */
   columns: [number, number][];
   /** Columns of angles without limits, which are written modulo one turn. */

@@ -4,8 +4,8 @@ import { Matrix4, Object3D, Quaternion, Vector3 } from "three";
 import { Environment } from "./environment.ts";
 import { Kinematics, matrix } from "./kinematics.ts";
 import { capsule } from "./parts.ts";
-import { Robot, type Pose } from "./robot.ts";
-import { Pictures, type RunData } from "./run_data.ts";
+import { Robot, lookOf, type Look, type Pose } from "./robot.ts";
+import { Pictures, type RunData, type RunsData } from "./run_data.ts";
 import type { Stage } from "./stage.ts";
 import { visuals } from "./urdf.ts";
 
@@ -13,19 +13,49 @@ import { visuals } from "./urdf.ts";
 const PATH_S = 3;
 /** Size of a wall along its plane, and its thickness, m. */
 const WALL_M = new Vector3(0.01, 1, 1);
-const BALL_M = 0.04;
 
+/** All robots of a run. */
 export class RunScene {
+  readonly robots: RunRobot[];
+  readonly start_s: number;
+  readonly end_s: number;
+
+  constructor(private readonly stage: Stage, { robots, are_compared }: RunsData) {
+    const environment = new Environment(stage);
+    const isAt = (a: RunData, b: RunData) => a.base.every((value, i) => Math.abs(value - b.base[i]!) < 1e-6);
+    this.robots = robots.map((data, number) => {
+      const isGhost = robots.slice(0, number).some(other => isAt(other, data));
+      const look = robots.length === 1 ? {} : lookOf(number, data.name, isGhost, are_compared);
+      return new RunRobot(stage, environment, data, look);
+    });
+    this.start_s = Math.min(...robots.map(data => data.start_s));
+    this.end_s = Math.max(...robots.map(data => data.start_s + (data.pictures - 1) * data.period_s));
+    this.show(this.start_s);
+    this.frame();
+  }
+
+  /** Places the camera so that the robots are seen. */
+  frame(): void {
+    this.stage.show(this.robots.map(({ robot }) => robot.root));
+  }
+
+  /** Shows the run at a time, s. */
+  show(time_s: number): void {
+    this.robots.forEach(robot => robot.show(time_s));
+    this.stage.request();
+  }
+}
+
+/** One robot of the run. */
+export class RunRobot {
   readonly robot: Robot;
-  private readonly environment: Environment;
   private readonly kinematics: Kinematics;
   private readonly pictures: Pictures;
   private readonly placements: Matrix4[];
   private lastPlace = NaN;
 
-  constructor(private readonly stage: Stage, private readonly data: RunData) {
-    this.robot = new Robot(stage, "");
-    this.environment = new Environment(stage);
+  constructor(stage: Stage, private readonly environment: Environment, readonly data: RunData, look: Look) {
+    this.robot = new Robot(stage, "", look);
     this.kinematics = new Kinematics(data.base, data.bodies);
     this.pictures = new Pictures(data);
     this.placements = data.frames.map(frame => matrix(frame.placement));
@@ -33,7 +63,7 @@ export class RunScene {
     for (const { name, frame, start_m, end_m, radius_m } of data.capsules) {
       const [start, end] = [new Vector3(...start_m), new Vector3(...end_m)];
       if (frame < 0) {
-        this.environment.addCapsule(name, start, end, radius_m);
+        this.environment.addCapsule(this.robot.ownName(name), start, end, radius_m);
         continue;
       }
       const link = links.get(frame) ?? new Object3D();
@@ -46,20 +76,14 @@ export class RunScene {
     for (const { name, point_m, normal } of data.walls) {
       const out = new Vector3(...normal).normalize();
       const center = new Vector3(...point_m).addScaledVector(out, -0.5 * WALL_M.x);
-      this.environment.addWall(name, center, out, WALL_M);
+      this.environment.addWall(this.robot.ownName(name), center, out, WALL_M);
     }
-    for (const { name } of data.objects) this.environment.addBall(name, new Vector3(), BALL_M);
-    this.show(0);
-    this.frame();
   }
 
-  /** Places the camera so that the robot is seen. */
-  frame(): void {
-    this.stage.show([this.robot.root]);
-  }
-
-  /** Shows the run at a place between pictures. */
-  show(place: number): void {
+  /** Shows the run at a time, s. */
+  show(time_s: number): void {
+    const last = this.data.pictures - 1;
+    const place = Math.min(last, Math.max(0, (time_s - this.data.start_s) / this.data.period_s));
     const step = place - this.lastPlace;
     const most = Math.ceil(PATH_S / this.data.period_s);
     if (!(step >= 0 && step < 0.25 * most)) {
@@ -68,7 +92,6 @@ export class RunScene {
     }
     this.place(place);
     this.lastPlace = place;
-    this.stage.request();
   }
 
   private place(place: number): void {
@@ -98,8 +121,12 @@ export class RunScene {
       const force = new Vector3(row[column], row[column + 1], row[column + 2]);
       robot.setForce(name, pose(poses[frame]!).position, force);
     }
-    for (const { name, column } of data.objects) {
-      this.environment.move(name, new Vector3(row[column], row[column + 1], row[column + 2]));
+    for (const { name, column, orientation, box_m, diameter_m } of data.objects) {
+      const [w = 1, x = 0, y = 0, z = 0] = orientation < 0 ? [] : row.slice(orientation, orientation + 4);
+      const position = new Vector3(row[column], row[column + 1], row[column + 2]);
+      const isThere = [w, x, y, z, position.length()].every(Number.isFinite);
+      const placed = isThere ? { position, rotation: new Quaternion(x, y, z, w).normalize() } : undefined;
+      this.environment.showObject(name, placed, box_m ? new Vector3(...box_m) : undefined, diameter_m);
     }
   }
 

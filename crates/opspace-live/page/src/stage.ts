@@ -9,8 +9,10 @@ import { Orbit } from "./orbit.ts";
 import { triad } from "./parts.ts";
 import { onTheme } from "./theme.ts";
 
-/** Objects of this layer have shadows. */
+/** Objects of this layer are parts of robots: the camera is placed by them, and a pointer meets them. */
 export const SOLID = 1;
+/** Objects of this layer have shadows. */
+export const SHADOW = 2;
 
 /** Half of the side of the ground's grid, and the distance of its lines, m. */
 const GRID_M = 2;
@@ -23,8 +25,9 @@ const MARGIN = 1.08;
 const STILL_MS = 1000;
 const STILL_RATIO = 2;
 
-/** Below this rate of drawing the picture becomes coarser, 1/s. */
+/** Below this rate of drawing the picture becomes coarser, 1/s. A longer time than the longest between two pictures is a pause of something else. */
 const SLOW_HZ = 24;
+const LONGEST_MS = 250;
 
 export class Stage {
   readonly scene = new Scene();
@@ -36,6 +39,8 @@ export class Stage {
   beforeDraw: (dt_s: number) => void = () => {};
   /** Least number of pixels of the canvas for one of the page. */
   coarsest = 0.5;
+  /** True while pictures follow each other, so that none of them stays. */
+  isMoving = false;
   /** Number of pictures drawn. */
   drawn = 0;
   private readonly renderer: WebGLRenderer;
@@ -179,18 +184,19 @@ export class Stage {
     this.scene.updateMatrixWorld();
     this.renderer.clear();
     if (this.camera.position.z > this.ground.position.z) {
-      this.camera.layers.set(SOLID);
+      this.camera.layers.set(SHADOW);
       this.scene.overrideMaterial = this.shadow;
       this.renderer.render(this.scene, this.camera);
       this.scene.overrideMaterial = null;
       this.camera.layers.enable(0);
+      this.camera.layers.enable(SOLID);
       this.renderer.clearDepth();
     }
     this.renderer.render(this.scene, this.camera);
     this.labels.place(this.camera, this.canvas.clientWidth, this.canvas.clientHeight);
     this.drawn += 1;
     clearTimeout(this.still);
-    if (this.isCoarse) this.still = setTimeout(() => this.refine(), STILL_MS);
+    if (this.isCoarse && !this.isMoving) this.still = setTimeout(() => this.refine(), STILL_MS);
   }
 
   private get isCoarse(): boolean {
@@ -210,8 +216,8 @@ export class Stage {
 
   /** Draws fewer pixels where pictures that follow each other take long, as without a graphics processor. */
   private coarsen(interval_ms: number): void {
-    if (interval_ms > 250) return;
-    this.cost_ms += 0.1 * (interval_ms - this.cost_ms);
+    if (!this.isMoving) return;
+    this.cost_ms += 0.1 * (Math.min(LONGEST_MS, interval_ms) - this.cost_ms);
     if (this.cost_ms > 1e3 / SLOW_HZ && this.ratio > this.coarsest) {
       this.ratio = Math.max(this.coarsest, this.ratio * 0.75);
       this.cost_ms = 0;

@@ -26,6 +26,10 @@ export interface RobotState {
   prefix: string;
   name: string;
   label: string;
+  /** True for a robot with the same task that runs beside others, to be compared with them. */
+  is_compared: boolean;
+  /** True if another robot, which comes before it, has the same base. */
+  is_ghost: boolean;
   can_push: boolean;
   units: Record<string, string>;
   hand: HandState | null;
@@ -43,6 +47,18 @@ export interface ViewState {
   late_cycles: number;
   dropped_pictures: number;
   robots: RobotState[];
+}
+
+/** Name of a robot: what distinguishes compared robots is their interface and controller. */
+export function shownName({ label, name, is_compared }: RobotState, several: boolean): string {
+  if (several) return is_compared ? label || name : name;
+  return [name, label].filter(Boolean).join(", ");
+}
+
+/** Name of the signal of the x of the position of the first task that has a reference, too. */
+export function controlledPosition(units: Record<string, string>): string | undefined {
+  const isOfTask = (name: string) => /^(?!target\.).+\.position\.x$/.test(name) && name.replace(/position\.x$/, "reference.x") in units;
+  return Object.keys(units).find(isOfTask);
 }
 
 /** Scalars of a robot at a time. */

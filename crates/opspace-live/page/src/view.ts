@@ -9,7 +9,7 @@ import { ICONS } from "./icons.ts";
 import { LiveScene } from "./live_scene.ts";
 import { Stage } from "./stage.ts";
 import { SCENE_STYLE } from "./style.ts";
-import type { Signals, ViewState } from "./state.ts";
+import { controlledPosition, shownName, type Signals, type ViewState } from "./state.ts";
 import { comparedColor, css } from "./theme.ts";
 import { Transport } from "./transport.ts";
 import { Tuning } from "./tuning.ts";
@@ -47,6 +47,7 @@ class View {
   /** Messages that came before the state of the view named the robots. */
   private early: [string, string, Uint8Array][] = [];
   private pictures: number[] = [];
+  private pictureCount = 0;
   private hasPicture = false;
   private wasHolding = false;
   private isConnected = false;
@@ -116,13 +117,17 @@ class View {
     }
     this.last_s = state.time_s;
     this.state = state;
+    this.stage.isMoving = state.state === "playing";
     document.title = `${state.title} – opspace`;
-    this.scene.setRobots(state.robots.map(robot => robot.prefix));
+    this.scene.setRobots(state.robots);
     this.charts.setRobots(state.robots, state.kind, state.duration_s);
     this.early.splice(0).forEach(([topic, schema, payload]) => this.message(topic, schema, payload));
     this.tuning.show(state.kind === "run" ? state.robots : []);
     // What changes with each picture is written a few times a second: the layout of the page is not for free.
     const key = `${state.state} ${state.speed} ${state.kind} ${state.outcome}`;
+    const isHeld = this.wasHolding || state.robots.some(robot => robot.hand);
+    // The state is repeated while nothing changes, and the picture that stays is a fine one.
+    if (key !== this.shownState || isHeld) this.stage.request();
     if (key !== this.shownState || performance.now() - this.shownAt_ms > STATE_MS) {
       this.shownState = key;
       this.shownAt_ms = performance.now();
@@ -132,7 +137,6 @@ class View {
     this.addForces(state);
     this.writeTitle(state);
     this.writeHand();
-    this.stage.request();
   }
 
   private signals(prefix: string, signals: Signals): void {
@@ -140,8 +144,12 @@ class View {
     if (this.state && signals.time_s > this.state.time_s) this.state.time_s = signals.time_s;
     // Without a hand, the forces of the environment on the first controlled frame.
     if (this.state?.robots.some(robot => robot.hand)) return;
+    // Before control, tasks have no positions yet.
+    if (signals.values["phase"] === 0) return;
     const force = triple(signals.values, /^(?!.*wrench)[^.]+\.force\.x(_n)?$/);
-    const position = triple(signals.values, /\.position\.x(_m)?$/);
+    const units = this.state?.robots.find(robot => robot.prefix === prefix)?.units ?? {};
+    const name = controlledPosition(units);
+    const position = name === undefined ? undefined : elements(signals.values, name);
     if (force && position) this.charts.addForce(prefix, position, force, !this.hand.isHolding);
   }
 
@@ -160,6 +168,7 @@ class View {
     if (!this.hasPicture) return;
     this.hasPicture = false;
     this.pictures.push(performance.now());
+    this.pictureCount += 1;
   }
 
   private connected(isConnected: boolean): void {
@@ -180,14 +189,13 @@ class View {
   private writeTitle(state: ViewState): void {
     setText($("title"), state.title);
     const several = state.robots.length > 1;
-    const items = state.robots.map(({ label, name }, i) => `${i}:${label || name}`).join("|");
+    const items = state.robots.map(robot => shownName(robot, several)).join("|");
     const legend = $("legend");
     if (legend.dataset["text"] === items) return;
     legend.dataset["text"] = items;
     legend.replaceChildren(
-      ...state.robots.map(({ label, name, prefix }, i) => {
-        const text = several ? label || prefix.slice(1) : [name, label].filter(Boolean).join(", ");
-        const item = make("li", { className: several ? "compared" : "" }, text);
+      ...state.robots.map((robot, i) => {
+        const item = make("li", { className: several ? "compared" : "" }, shownName(robot, several));
         item.style.setProperty("--color", css(comparedColor(i)));
         return item;
       }),
@@ -256,6 +264,8 @@ class View {
     return {
       isConnected: () => this.isConnected,
       picturesPerSecond: () => this.pictures_hz,
+      /** Number of pictures of the moving robots since the page was opened. */
+      pictures: () => this.pictureCount,
       drawn: () => this.stage.drawn,
       time_s: () => this.state?.time_s ?? NaN,
       state: () => this.state,
@@ -286,7 +296,11 @@ function norm(vector: number[] | undefined): number | undefined {
 /** Values of the signal whose element x has this name. */
 function triple(values: Record<string, number>, pattern: RegExp): [number, number, number] | undefined {
   const x = Object.keys(values).find(name => pattern.test(name));
-  if (!x) return undefined;
+  return x === undefined ? undefined : elements(values, x);
+}
+
+/** Values of the signal whose element x has this name; none if one is absent. */
+function elements(values: Record<string, number>, x: string): [number, number, number] | undefined {
   const of = (axis: string) => values[x.replace(/x(_\w+)?$/, `${axis}$1`)];
   const [a, b, c] = [of("x"), of("y"), of("z")];
   return a === undefined || b === undefined || c === undefined ? undefined : [a, b, c];

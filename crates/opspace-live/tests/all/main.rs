@@ -3,6 +3,7 @@
 
 mod access;
 mod client;
+mod decoder;
 mod hostile;
 mod logs;
 mod pushed;

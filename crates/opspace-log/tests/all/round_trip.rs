@@ -6,8 +6,8 @@ use foxglove::messages::{FrameTransform, FrameTransforms, JointStates, PoseInFra
 use mcap::MessageStream;
 use opspace_backend::{Layout, Signal};
 use opspace_log::{
-    Channel, ForceArrow, Header, LOG, LogError, Pace, Recording, Scene, SceneCapsule, TIME_ZERO_NS, Wall,
-    record,
+    Channel, ForceArrow, Header, LOG, LogError, ObjectShape, Pace, Recording, Scene, SceneCapsule,
+    SceneObject, TIME_ZERO_NS, Wall, record,
 };
 use opspace_model::{Data, Model, Placement, frame_placement, kinematics};
 use prost::Message;
@@ -216,7 +216,15 @@ fn viewers_get_tasks_and_scene() {
             Signal::new("hand.orientation", "1", &wxyz),
         ],
     };
-    let truth = Layout { channel: "truth".to_owned(), signals: vec![Signal::new("wall.force", "N", &xyz)] };
+    let truth = Layout {
+        channel: "truth".to_owned(),
+        signals: vec![
+            Signal::new("wall.force", "N", &xyz),
+            Signal::new("load.position", "m", &xyz),
+            Signal::new("load.orientation", "1", &wxyz),
+            Signal::new("weight.position", "m", &xyz),
+        ],
+    };
     let channels = [tick, truth].map(|layout| Channel { layout, rate_hz: 50.0 });
     let scene = Scene {
         robot_description: Some(ARM.to_owned()),
@@ -234,13 +242,23 @@ fn viewers_get_tasks_and_scene() {
             signal: "wall.force".to_owned(),
             frame: "lower".to_owned(),
         }],
+        objects: [
+            ("load", ObjectShape::Box([0.4, 0.1, 0.2])),
+            ("weight", ObjectShape::Ball(0.06)),
+            ("absent", ObjectShape::Ball(0.06)),
+        ]
+        .map(|(name, shape)| SceneObject { name: name.to_owned(), shape })
+        .into(),
     };
     let header = Header { model: Some(model), scene, ..Header::default() };
     let (mut recorder, writer) =
         record(Cursor::new(Vec::new()), header, channels.to_vec(), Pace::Simulated).unwrap();
     let pose = [0.1, 0.2, 0.3, 1.0, 0.0, 0.0, 0.0];
     for k in 0..10 {
-        recorder.push(1, k as f64 * 0.02, &[0.0, 0.0, 5.0]);
+        // The weight hangs at the arm in the second half.
+        let weight = if k < 5 { [f64::NAN; 3] } else { [0.0, 0.7, 0.0] };
+        let load = [0.5, 0.6, 0.7, 0.0, 0.0, 0.0, 1.0];
+        recorder.push(1, k as f64 * 0.02, &[&[0.0, 0.0, 5.0], &load[..], &weight].concat());
         let reference = if k < 5 { pose } else { [f64::NAN; 7] };
         recorder.push(0, k as f64 * 0.02, &[&[0.3, 0.4], &reference[..], &pose].concat());
     }
@@ -280,6 +298,16 @@ fn viewers_get_tasks_and_scene() {
     let up = nalgebra::UnitQuaternion::new_normalize(nalgebra::Quaternion::new(r.w, r.x, r.y, r.z))
         * nalgebra::Vector3::x();
     assert!((up - nalgebra::Vector3::z()).amax() < 8.0 * f64::EPSILON, "{up}");
+
+    let objects = of("/scene/objects");
+    assert_eq!(objects.len(), 10);
+    let shown = |k: usize| SceneUpdate::decode(&*objects[k].data).unwrap().entities;
+    let [load, weight] = &shown(9)[..] else { panic!("two objects have signals") };
+    let (pose, size) = (load.cubes[0].pose.unwrap(), load.cubes[0].size.unwrap());
+    let (position, turned) = (pose.position.unwrap(), pose.orientation.unwrap());
+    assert_eq!((load.id.as_str(), [size.x, size.y, size.z]), ("load", [0.4, 0.1, 0.2]));
+    assert_eq!([position.x, position.y, position.z, turned.w, turned.z], [0.5, 0.6, 0.7, 0.0, 1.0]);
+    assert_eq!((weight.spheres[0].size.unwrap().y, shown(2)[1].spheres.len()), (0.06, 0));
 
     let paths = SceneUpdate::decode(&*of("/scene/paths")[1].data).unwrap().entities;
     assert_eq!((paths[0].frame_id.as_str(), paths[0].lines[0].points.len()), ("upper", 5));

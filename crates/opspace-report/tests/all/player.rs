@@ -10,7 +10,7 @@ use opspace_experiment::metrics::columns::default_columns;
 use opspace_experiment::{Experiment, Progress};
 use opspace_log::Recording;
 use opspace_model::{Data, forward_kinematics, frame_placement};
-use opspace_report::document::page;
+use opspace_report::document::{RunSection, page};
 use opspace_report::folder::in_folder;
 use serde_json::Value;
 use std::fs;
@@ -27,10 +27,18 @@ fn page_of(experiment: &Experiment) -> (String, Recording) {
 }
 
 /// Returns the data of the player in a page.
-fn data_of(html: &str) -> Value {
+fn robots_of(html: &str) -> Value {
     let begin = "<script type=\"application/json\" id=\"player-data\">";
     let text = html.split(begin).nth(1).unwrap().split("</script>").next().unwrap();
     serde_json::from_str(text).unwrap()
+}
+
+/// Data of the only robot of a page.
+fn data_of(html: &str) -> Value {
+    let mut data = robots_of(html);
+    let robots = &mut data["robots"];
+    assert_eq!(robots.as_array().unwrap().len(), 1);
+    robots[0].take()
 }
 
 fn numbers(value: &Value) -> Vec<f64> {
@@ -141,13 +149,30 @@ fn player_has_its_size() {
     assert!(code.len() < 200_000, "{} bytes of code", code.len());
 }
 
-/// Checks that a page of several runs has no player.
+/// Checks that runs which a page compares share a player and the size of its positions, and that a page of many runs has none.
 #[test]
-fn several_runs_have_no_player() {
+fn compared_runs_share_a_player() {
     let sections = [CommandKind::Position, CommandKind::Torque]
-        .map(|backend| shown(&load("planar-2-link-reach", backend, 0.6)).1);
-    let summaries = sections.clone().map(|section| section.summary);
-    let html = page("runs", "Two runs.", &summaries, &default_columns(&[]), &sections);
+        .map(|backend| shown(&load("planar-2-link-reach", backend, 20.0)).1);
+    let page_of = |sections: &[RunSection]| {
+        let summaries: Vec<_> = sections.iter().map(|section| section.summary.clone()).collect();
+        page("runs", "Some runs.", &summaries, &default_columns(&[]), sections)
+    };
+    let html = page_of(&sections);
+    let data = robots_of(&html);
+    assert_eq!(data["are_compared"], true);
+    let robots = data["robots"].as_array().unwrap();
+    let sizes: Vec<usize> = robots.iter().map(|robot| robot["values"].as_str().unwrap().len()).collect();
+    assert!(sizes.len() == 2 && sizes.iter().sum::<usize>() <= 100_000, "{sizes:?}");
+    // Half of the pictures of each remain, over the same time.
+    for robot in robots {
+        let (count, period_s) = (robot["pictures"].as_u64().unwrap(), robot["period_s"].as_f64().unwrap());
+        assert!((19.5..=20.0).contains(&(period_s * (count - 1) as f64)), "{count} pictures");
+        let values = STANDARD.decode(robot["values"].as_str().unwrap()).unwrap();
+        assert_eq!(values.len(), 2 * count as usize * robot["columns"].as_array().unwrap().len());
+    }
+    let many = [&sections[..], &sections, &sections[..1]].concat();
+    let html = page_of(&many);
     assert_eq!(html.matches("<script").count(), 1);
     assert!(!html.contains("class=\"player\""));
 }
