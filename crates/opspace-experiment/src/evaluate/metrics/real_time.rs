@@ -3,6 +3,7 @@
 use hdrhistogram::Histogram;
 use opspace_backend::signal_names::{RESPONSE_TIME, SAMPLE_INTERVAL, TIMING_CHANNEL};
 use opspace_log::Recording;
+use opspace_loop::LateCommands;
 use serde::{Deserialize, Serialize};
 
 /// Largest duration that is distinguished, ns.
@@ -11,10 +12,9 @@ const MAX_NS: u64 = 60_000_000_000;
 /// Number of significant digits of a duration.
 const DIGITS: u8 = 3;
 
-/// Time between two commands, in periods, from which on the second one is late.
-const LATE: f64 = 1.5;
-
 const MS_PER_NS: f64 = 1e-6;
+const S_PER_NS: f64 = 1e-9;
+const MS_PER_S: f64 = 1e3;
 
 /// Period, jitter and late cycles of a run on a real robot, by the computer's clock; they are not reproducible.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -100,26 +100,17 @@ impl RealTimeStatistics {
 /// Histograms of a run while segments of its log arrive.
 #[derive(Clone, Debug)]
 pub(crate) struct RealTimeCycles {
-    period_ns: f64,
+    period_s: f64,
     intervals_ns: Option<Histogram<u64>>,
     responses_ns: Option<Histogram<u64>>,
-    response_before_ns: Option<f64>,
-    late: u64,
-    longest_ns: f64,
+    late: LateCommands,
 }
 
 impl RealTimeCycles {
     /// Returns empty histograms of cycles with this period, s.
     pub(crate) fn new(period_s: f64) -> Self {
         let empty = || Histogram::new_with_max(MAX_NS, DIGITS).ok();
-        Self {
-            period_ns: 1e9 * period_s,
-            intervals_ns: empty(),
-            responses_ns: empty(),
-            response_before_ns: None,
-            late: 0,
-            longest_ns: 0.0,
-        }
+        Self { period_s, intervals_ns: empty(), responses_ns: empty(), late: LateCommands::new(period_s) }
     }
 
     /// Adds the cycles of a segment of a log.
@@ -137,7 +128,6 @@ impl RealTimeCycles {
 
     /// Counts a cycle with the time since the sample before and until its command, ns.
     fn count(&mut self, interval_ns: f64, response_ns: f64) {
-        let before_ns = self.response_before_ns.replace(response_ns);
         let record = |times_ns: &mut Option<Histogram<u64>>, time_ns: f64| {
             if let Some(times_ns) = times_ns.as_mut().filter(|_| time_ns.is_finite()) {
                 times_ns.saturating_record(time_ns as u64);
@@ -145,11 +135,7 @@ impl RealTimeCycles {
         };
         record(&mut self.responses_ns, response_ns);
         record(&mut self.intervals_ns, interval_ns);
-        if let Some(before_ns) = before_ns {
-            let between_ns = interval_ns + response_ns - before_ns;
-            self.late += u64::from(between_ns > LATE * self.period_ns);
-            self.longest_ns = self.longest_ns.max(between_ns - self.period_ns);
-        }
+        self.late.add(S_PER_NS * interval_ns, S_PER_NS * response_ns);
     }
 
     /// Returns the statistics of a run with this scheduling; `None` without two cycles.
@@ -159,9 +145,9 @@ impl RealTimeCycles {
         Some(RealTimeStatistics {
             scheduling: scheduling.cloned(),
             cycles: responses_ns.len(),
-            late_cycles: self.late,
-            longest_lateness_ms: MS_PER_NS * self.longest_ns,
-            stated_period_ms: MS_PER_NS * self.period_ns,
+            late_cycles: self.late.count(),
+            longest_lateness_ms: MS_PER_S * self.late.longest_s(),
+            stated_period_ms: MS_PER_S * self.period_s,
             period_ms: Distribution::of(intervals_ns),
             jitter_rms_ms: MS_PER_NS * intervals_ns.stdev(),
             response_ms: Distribution::of(responses_ns),
@@ -183,8 +169,8 @@ mod tests {
         list.iter().for_each(|(interval_ns, response_ns)| cycles.count(*interval_ns, *response_ns));
         let found = cycles.statistics(Some(&"as it was".to_owned())).expect("two cycles");
         assert_eq!((found.cycles, found.late_cycles), (7, 2));
-        assert_eq!((found.longest_lateness_ms, found.stated_period_ms), (12.0, 10.0));
         let near = |value: f64, expected: f64| (value - expected).abs() < 0.002 * expected;
+        assert!(near(found.longest_lateness_ms, 12.0) && near(found.stated_period_ms, 10.0));
         assert!(near(found.period_ms.mean, 64.0 / 6.0) && near(found.period_ms.p50, 10.0));
         assert!(near(found.period_ms.max, 22.0) && near(found.period_ms.p999, 22.0));
         let mean = 64.0 / 6.0_f64;
