@@ -10,9 +10,9 @@ use std::time::{Duration, Instant};
 const WRITING: Duration = Duration::from_millis(1);
 
 /// Robot whose commands take a while to be written.
-struct Slow(Scripted);
+struct Slow<B>(B);
 
-impl Backend for Slow {
+impl<B: Backend> Backend for Slow<B> {
     fn capabilities(&self) -> &Capabilities {
         self.0.capabilities()
     }

@@ -26,7 +26,7 @@ fn serial_port(root: &Root<'_>, process: &Process, port: &str) -> Option<Machine
     let owner = groups(root).into_iter().find(|(_, group)| *group == file.gid() && *group != 0);
     let group = owner.map_or_else(|| usual_group(root), |(name, _)| name);
     let text =
-        format!("/dev/{port} cannot be opened: this user is not in group {group}, or logged in before");
+        format!("/dev/{port} cannot be opened: this user is not in group {group}, or has not logged in since it is");
     Some(MachineFinding::missing(SERIAL_PORTS, text).mended_by(joined(&group)).mended_by(LOGIN))
 }
 
