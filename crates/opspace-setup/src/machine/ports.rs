@@ -1,7 +1,7 @@
 //! Serial ports of servo buses.
 
 use super::MachineFinding;
-use super::process::Process;
+use super::process::{CAP_DAC_OVERRIDE, Process};
 use super::root::{Root, is_plain};
 use std::os::unix::fs::MetadataExt;
 
@@ -25,8 +25,9 @@ fn serial_port(root: &Root<'_>, process: &Process, port: &str) -> Option<Machine
     }
     let owner = groups(root).into_iter().find(|(_, group)| *group == file.gid() && *group != 0);
     let group = owner.map_or_else(|| usual_group(root), |(name, _)| name);
-    let text =
-        format!("/dev/{port} cannot be opened: this user is not in group {group}, or has not logged in since it is");
+    let text = format!(
+        "/dev/{port} cannot be opened: this user is not in group {group}, or has not logged in since it is"
+    );
     Some(MachineFinding::missing(SERIAL_PORTS, text).mended_by(joined(&group)).mended_by(LOGIN))
 }
 
@@ -35,7 +36,7 @@ fn without_ports(root: &Root<'_>, process: &Process) -> MachineFinding {
     let group = usual_group(root);
     let number = groups(root).into_iter().find(|(name, _)| *name == group);
     match number {
-        Some((_, number)) if !process.is_in_group(number) => {
+        Some((_, number)) if !process.is_in_group(number) && !process.has_capability(CAP_DAC_OVERRIDE) => {
             let text = format!("{TEXT}; this user is not in group {group}, which may open one");
             MachineFinding::note(SERIAL_PORTS, text).mended_by(joined(&group)).mended_by(LOGIN)
         }

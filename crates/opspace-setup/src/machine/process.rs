@@ -5,7 +5,7 @@ use std::fs::Metadata;
 use std::os::unix::fs::MetadataExt;
 
 /// Bits of capabilities in `/proc/self/status`.
-const CAP_DAC_OVERRIDE: u32 = 1;
+pub(super) const CAP_DAC_OVERRIDE: u32 = 1;
 pub(super) const CAP_IPC_LOCK: u32 = 14;
 pub(super) const CAP_SYS_NICE: u32 = 23;
 
