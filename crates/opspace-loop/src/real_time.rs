@@ -9,16 +9,12 @@ use std::marker::PhantomData;
 /// that other devices do not delay a cycle; and below 95, the limit that audio packages grant, and the kernel's own threads at 99.
 pub const PRIORITY: u8 = 80;
 
-/// Bytes of the stack that are touched before the first cycle, so that no page of it is missing later.
-#[cfg(target_os = "linux")]
-const STACK_BYTES: usize = 256 * 1024;
-
 /// Request for real-time scheduling, from the weakest to the strictest.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub enum RealTimeMode {
     /// Nothing is asked for.
     Off,
-    /// What the system allows is taken.
+    /// The loop takes as much as the system allows.
     #[default]
     Auto,
     /// A robot is not driven without it.
@@ -121,7 +117,6 @@ impl Drop for RealTime {
 
 #[cfg(target_os = "linux")]
 mod platform {
-    use super::STACK_BYTES;
     use rustix::mm::{MlockAllFlags, mlockall, munlockall};
     use rustix::process::{Resource, getpriority_process, getrlimit, setpriority_process};
     use std::hint::black_box;
@@ -134,6 +129,9 @@ mod platform {
 
     const FIFO: ThreadSchedulePolicy = ThreadSchedulePolicy::Realtime(RealtimeThreadSchedulePolicy::Fifo);
     const NORMAL: ThreadSchedulePolicy = ThreadSchedulePolicy::Normal(NormalThreadSchedulePolicy::Other);
+
+    /// Bytes of the stack that are touched before the first cycle, so that no page of it is missing later.
+    const STACK_BYTES: usize = 256 * 1024;
 
     /// Value that the crate translates to niceness 0.
     const NICENESS_0: u8 = 48;

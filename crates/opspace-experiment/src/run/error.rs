@@ -66,7 +66,7 @@ pub enum RunError {
          that mend it"
     )]
     NotRealTime {
-        /// What the machine allows, and what it does not.
+        /// Scheduling that the machine allows, and the part that it does not.
         words: String,
     },
     /// The real robot is not at the start position of the task.

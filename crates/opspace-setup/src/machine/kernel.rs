@@ -1,6 +1,6 @@
 //! Kernel, clock, swap, and hints of a virtual machine or a container.
 
-use super::MachineFinding;
+use super::finding::MachineFinding;
 use super::root::Root;
 
 const KERNEL: &str = "kernel";

@@ -1,6 +1,6 @@
 //! Permissions for real-time scheduling and locked memory.
 
-use super::MachineFinding;
+use super::finding::MachineFinding;
 use super::process::{CAP_IPC_LOCK, CAP_SYS_NICE, Limit, Process};
 use super::root::Root;
 use opspace_loop::real_time::PRIORITY;

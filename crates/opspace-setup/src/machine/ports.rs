@@ -1,6 +1,6 @@
 //! Serial ports of servo buses.
 
-use super::MachineFinding;
+use super::finding::MachineFinding;
 use super::process::{CAP_DAC_OVERRIDE, Process};
 use super::root::{Root, is_plain};
 use std::os::unix::fs::MetadataExt;
@@ -28,7 +28,7 @@ fn serial_port(root: &Root<'_>, process: &Process, port: &str) -> Option<Machine
     let text = format!(
         "/dev/{port} cannot be opened: this user is not in group {group}, or has not logged in since it is"
     );
-    Some(MachineFinding::missing(SERIAL_PORTS, text).mended_by(joined(&group)).mended_by(LOGIN))
+    Some(MachineFinding::missing(SERIAL_PORTS, text).mended_by(membership(&group)).mended_by(LOGIN))
 }
 
 fn without_ports(root: &Root<'_>, process: &Process) -> MachineFinding {
@@ -38,7 +38,7 @@ fn without_ports(root: &Root<'_>, process: &Process) -> MachineFinding {
     match number {
         Some((_, number)) if !process.is_in_group(number) && !process.has_capability(CAP_DAC_OVERRIDE) => {
             let text = format!("{TEXT}; this user is not in group {group}, which may open one");
-            MachineFinding::note(SERIAL_PORTS, text).mended_by(joined(&group)).mended_by(LOGIN)
+            MachineFinding::note(SERIAL_PORTS, text).mended_by(membership(&group)).mended_by(LOGIN)
         }
         _ => MachineFinding::note(SERIAL_PORTS, TEXT),
     }
@@ -46,7 +46,7 @@ fn without_ports(root: &Root<'_>, process: &Process) -> MachineFinding {
 
 const LOGIN: &str = "logout   # groups count from the next login on";
 
-fn joined(group: &str) -> String {
+fn membership(group: &str) -> String {
     format!("sudo usermod -aG {group} \"$USER\"")
 }
 

@@ -1,6 +1,6 @@
 //! Frequency, idle states and isolation of the processors.
 
-use super::MachineFinding;
+use super::finding::MachineFinding;
 use super::process::Process;
 use super::root::Root;
 use std::collections::{BTreeMap, BTreeSet};

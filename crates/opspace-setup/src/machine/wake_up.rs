@@ -1,6 +1,6 @@
 //! Measurement of the time by which a thread that sleeps wakes up late.
 
-use super::MachineFinding;
+use super::finding::MachineFinding;
 use opspace_loop::{Pacer, RealTime, RealTimeMode, RealTimeParameters};
 use serde::Serialize;
 use std::sync::Arc;
