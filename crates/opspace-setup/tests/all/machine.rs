@@ -34,6 +34,9 @@ const GOOD: [(&str, &str); 17] = [
     ("sys/bus/usb-serial/devices/ttyUSB0/latency_timer", "1\n"),
 ];
 
+/// Paths of files with their texts.
+type Files<'a> = &'a [(&'a str, &'a str)];
+
 /// Machine with these files; later ones replace earlier ones.
 fn machine(files: &[(&str, &str)]) -> TempDir {
     let root = tempfile::tempdir().expect("a folder");
@@ -87,7 +90,7 @@ fn each_lack_is_named_with_its_command() {
     const LIMITS: &str = "proc/self/limits";
     const CLOCK: &str = "sys/devices/system/clocksource/clocksource0/current_clocksource";
     const KERNEL: &str = "proc/sys/kernel/version";
-    let table: [(&str, &[(&str, &str)], &str); 11] = [
+    let table: [(&str, Files<'_>, &str); 11] = [
         ("priority-limit", &[(LIMITS, "Max realtime priority  0  0\n")], "rtprio 99"),
         ("priority-limit", &[(LIMITS, "Max realtime priority  20  20\n")], "usermod -aG realtime"),
         ("memory-limit", &[(LIMITS, "Max locked memory  8388608  8388608  bytes\n")], "memlock unlimited"),
