@@ -42,7 +42,7 @@ impl Progress {
     ///
     /// # Errors
     /// If the scheduling is required, and the machine does not allow it.
-    pub fn driving_in_real_time<T>(
+    pub(crate) fn driving_in_real_time<T>(
         &self,
         parameters: Option<RealTimeParameters>,
         body: impl FnOnce() -> T,
