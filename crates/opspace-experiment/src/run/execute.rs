@@ -251,7 +251,8 @@ impl Experiment {
         Ok(())
     }
 
-    /// Real-time scheduling for a robot with these capabilities; `None` if it is simulated.
+    /// Real-time scheduling for a robot with these capabilities; `None` if it is simulated, or has no driver: then it is the
+    /// matter of the program that drives it.
     ///
     /// # Errors
     /// A wrong value in `[driver]`.
@@ -260,8 +261,8 @@ impl Experiment {
         capabilities: &Capabilities,
     ) -> Result<Option<RealTimeParameters>, RunError> {
         match capabilities.world {
-            World::Simulated => Ok(None),
-            World::Real => Ok(Some(self.robot().real_time()?)),
+            World::Real if self.has_driver() => Ok(Some(self.robot().real_time()?)),
+            _ => Ok(None),
         }
     }
 

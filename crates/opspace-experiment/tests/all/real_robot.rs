@@ -93,6 +93,10 @@ impl Driver for OneArm {
     }
 }
 
+/// Settings that select the driver. Its arm is simulated and never waits: as a real-time thread, the control thread would keep the one
+/// that writes the log from its work.
+const ONE_ARM: [&str; 2] = ["robot.driver.name=one-arm", "robot.driver.real_time=off"];
+
 const ROBOT: &str = "robots/asimo-arm/robot.toml";
 const BACKENDS: [CommandKind; 3] = [CommandKind::Position, CommandKind::Velocity, CommandKind::Torque];
 
@@ -166,7 +170,7 @@ fn real_robot_moves_slowly_to_start_first() {
     const WINDOW_S: f64 = 0.05;
     const AT_START_RAD: f64 = 0.02;
     for backend in BACKENDS {
-        let experiment = experiment("tasks/joint-tracking.toml", backend, &["robot.driver.name=one-arm"]);
+        let experiment = experiment("tasks/joint-tracking.toml", backend, &ONE_ARM);
         let start = experiment.arm_config().unwrap().start;
         let (arm, extensions) = arm_away_from_start(&experiment, 0.3);
         let progress = Progress::default();
@@ -238,8 +242,8 @@ fn one_of_coupled_robots_is_real() {
         let settings = if name == "teleop-wall" { [&own[..], settings].concat() } else { settings.to_vec() };
         load(&project(&format!("tasks/experiments/{name}.toml")), &settings)
     };
-    let driver = "leader.robot.driver.name=one-arm";
-    let experiment = load("teleop-wall", &[driver]);
+    let driver = ["leader.robot.driver.name=one-arm", "leader.robot.driver.real_time=off"];
+    let experiment = load("teleop-wall", &driver);
     assert_eq!(experiment.real_robots(), ["leader"]);
     let simulated = run(&experiment);
     let folder = tempfile::tempdir().unwrap();
