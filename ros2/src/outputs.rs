@@ -10,12 +10,12 @@ use crate::messages::{
 use crate::node::{Participants, RosNode};
 use crate::pace::Pace;
 use opspace_backend::signal_names::{
-    ERROR, FAULT, MISSED_CYCLES, ORIENTATION, PHASE, POSITION, REFERENCE, REFERENCE_ORIENTATION, STATUS,
-    TICK_CHANNEL, VELOCITY, WRENCH,
+    ERROR, FAULT, MISSED_CYCLES, ORIENTATION, PHASE, POSITION, REFERENCE, REFERENCE_ORIENTATION,
+    RESPONSE_TIME, SAMPLE_INTERVAL, STATUS, TICK_CHANNEL, TIMING_CHANNEL, VELOCITY, WRENCH,
 };
 use opspace_backend::{DriverError, ForceSensor, Layout};
 use opspace_log::{ViewerReceiver, ViewerTopic};
-use opspace_loop::Phase;
+use opspace_loop::{LateCommands, Phase};
 use ros2_client::Publisher;
 use std::ops::Range;
 use std::sync::Arc;
@@ -57,8 +57,11 @@ pub struct Outputs {
     frames: Publisher<TfMessage>,
     diagnostics: Publisher<DiagnosticArray>,
     tick: Option<usize>,
+    timing: Option<usize>,
     columns: Columns,
     pace: Pace,
+    response: Pace,
+    late: LateCommands,
     last_s: f64,
     last_diagnostics_s: f64,
 }
@@ -128,6 +131,7 @@ impl Outputs {
         let frames = node.publisher("/tf", &profile(true, 100))?;
         let diagnostics = node.publisher("/diagnostics", &profile(true, 10))?;
         let pace = Pace::new(plan.period_s);
+        let late = LateCommands::new(plan.period_s);
         Ok(Self {
             plan,
             _node: node,
@@ -136,8 +140,11 @@ impl Outputs {
             frames,
             diagnostics,
             tick: None,
+            timing: None,
             columns: Columns::default(),
+            response: pace.clone(),
             pace,
+            late,
             last_s: f64::NEG_INFINITY,
             last_diagnostics_s: f64::NEG_INFINITY,
         })
@@ -208,6 +215,11 @@ impl Outputs {
             ("period_mean_ms", ms(self.pace.mean_s())),
             ("period_99_percent_ms", ms(self.pace.quantile_s(0.99))),
             ("period_longest_ms", ms(self.pace.longest_s())),
+            ("response_mean_ms", ms(self.response.mean_s())),
+            ("response_99_percent_ms", ms(self.response.quantile_s(0.99))),
+            ("response_longest_ms", ms(self.response.longest_s())),
+            ("late_commands", self.late.count().to_string()),
+            ("longest_lateness_ms", ms(self.late.longest_s())),
             ("targets_accepted", counts.accepted.load(Ordering::Relaxed).to_string()),
             ("targets_refused", counts.refused.load(Ordering::Relaxed).to_string()),
             ("last_refusal", counts.last_refusal()),
@@ -228,6 +240,13 @@ impl Outputs {
 impl ViewerReceiver for Outputs {
     fn begin(&mut self, _topics: &[ViewerTopic], rows: &[&Layout]) {
         self.tick = rows.iter().position(|layout| layout.channel == TICK_CHANNEL);
+        // Of the channel `timing`, the rows of this version have these columns.
+        let has_times = |layout: &Layout| {
+            layout.channel == TIMING_CHANNEL
+                && layout.columns(SAMPLE_INTERVAL) == Some(1..2)
+                && layout.columns(RESPONSE_TIME) == Some(2..3)
+        };
+        self.timing = rows.iter().position(|layout| has_times(layout));
         let Some(layout) = self.tick.map(|tick| rows[tick]) else { return };
         let find = |name: &str| {
             let mut at = 0;
@@ -265,6 +284,10 @@ impl ViewerReceiver for Outputs {
     fn message(&mut self, _topic: usize, _log_time_ns: u64, _data: &[u8]) {}
 
     fn row(&mut self, channel: usize, time_s: f64, row: &[f64]) {
+        if let (true, &[_, interval_ns, response_ns]) = (self.timing == Some(channel), row) {
+            self.response.add(1e-9 * response_ns);
+            self.late.add(1e-9 * interval_ns, 1e-9 * response_ns);
+        }
         if self.tick != Some(channel) {
             return;
         }

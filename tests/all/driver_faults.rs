@@ -354,3 +354,23 @@ fn declared_period_is_compared() {
         assert!(ended.summary.is_none() && !folder.path().join("out/run.mcap").exists(), "{period}");
     }
 }
+
+/// Compared: the late commands of a run whose driver blocks for 0.1 s once, with that time, in summary, log and page.
+#[test]
+fn late_commands_are_counted_logged_and_shown() {
+    const BLOCKS_MS: f64 = 100.0;
+    let folder = scratch();
+    let ended = start(folder.path(), "at = 400, blocks_s = 0.1, real_time = \"off\"", &[]).end().exits(0);
+    let summary = ended.summary.unwrap();
+    let of = |key: &str| summary["real_time"][key].clone();
+    assert_eq!(of("scheduling"), "real-time scheduling is off");
+    assert!(of("late_cycles").as_u64().unwrap() >= 1);
+    assert!(of("longest_lateness_ms").as_f64().unwrap() >= BLOCKS_MS - 2.0, "{summary}");
+    assert!(of("period_ms")["max"].as_f64().unwrap() >= BLOCKS_MS - 1.0);
+    let log = Recording::read(folder.path().join("out/run.mcap")).unwrap();
+    let intervals_ns = log.channel("timing").unwrap().signal("sample_interval").unwrap();
+    let longest_ns = intervals_ns.rows().map(|row| row[0]).fold(0.0, f64::max);
+    assert!(longest_ns >= 1e6 * (BLOCKS_MS - 1.0), "{longest_ns} ns");
+    assert!(read(folder.path().join("out/report.html")).contains(" commands were late ("));
+    opspace(folder.path(), &["replay", "out"]).exits(0);
+}

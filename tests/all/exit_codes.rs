@@ -18,6 +18,7 @@ const ROWS: &[(&str, fn())] = &[
     ("one of these in a run of `bench`, or in a robot of an experiment", in_a_suite_and_an_experiment),
     ("`replay` or `log diff` found a difference", difference),
     ("`check --strict` found a problem", strict),
+    ("`doctor` found that the machine lacks something for real-time control", lacking),
     ("wrong arguments, or a mistake in a file", bad),
     ("done, but rows were lost, a log is damaged, or a disk is full", damaged),
     ("interrupted: the robot is stopped, and the log is closed", interrupted),
@@ -140,6 +141,26 @@ fn strict() {
     assert_eq!([check(&[]), check(&["--strict"])], [0, 1]);
 }
 
+#[cfg(target_os = "linux")]
+fn lacking() {
+    let folder = scratch();
+    let examine = || opspace(folder.path(), &["doctor", "--root", "root", "--duration-s", "0"]);
+    // Files that are missing tell nothing.
+    let said = examine().exits(0);
+    assert!(said.stdout.contains("note     kernel: "), "{}", said.stdout);
+    let limits = folder.path().join("root/proc/self");
+    std::fs::create_dir_all(&limits).expect("a folder");
+    std::fs::write(limits.join("limits"), "Max realtime priority     0     0\n").expect("a file");
+    let said = examine().exits(1);
+    assert!(said.stdout.contains("missing  priority-limit: "), "{}", said.stdout);
+    assert!(said.stdout.contains("/etc/security/limits.d/"), "{}", said.stdout);
+}
+
+#[cfg(not(target_os = "linux"))]
+fn lacking() {
+    opspace(Path::new("."), &["doctor"]).exits(2);
+}
+
 fn bad() {
     exits("compliant-x", &["--set", "task.hand.cartesian.damping=20"], 2);
     exits("compliant-x", &["--no-such-option"], 2);
@@ -215,6 +236,7 @@ tests! {
     failure_in_a_suite_or_experiment_is_1 in_a_suite_and_an_experiment,
     difference_is_1 difference,
     strict_check_is_1 strict,
+    lacking_machine_is_1 lacking,
     mistake_is_2 bad,
     damage_is_3 damaged,
     interruption_is_130 interrupted,

@@ -19,6 +19,10 @@ pub const EXTERNAL_CHANNEL: &str = "external";
 
 /// Wall-clock duration of a control cycle, ns. It differs from run to run.
 pub const TICK_TIME: &str = "tick_time";
+/// Wall-clock time between the arrivals of this sample and of the one before, ns; NaN in the first cycle.
+pub const SAMPLE_INTERVAL: &str = "sample_interval";
+/// Wall-clock time from the arrival of the sample until the command is written, ns.
+pub const RESPONSE_TIME: &str = "response_time";
 /// 1 in the cycle in which a stop was requested.
 pub const STOP_REQUESTED: &str = "stop_requested";
 /// 1 in the row of a device fault, which is recorded instead of a sample.

@@ -59,7 +59,7 @@ Terms:
 Exit codes:
   0    done
   1    the run failed: STOPPED or FAILED, or the robot could not be reached; or a replay differs, or
-       `check --strict` found a problem
+       `check --strict` found a problem, or `doctor` found that something is missing
   2    invalid arguments or an invalid file
   3    done, but data was lost or a log is damaged; or a disk is full
   130  interrupted by a signal, log closed";
@@ -90,6 +90,40 @@ Example:
   opspace driver simulate examples/so101/hold-and-yield.toml --link /tmp/so101 --option latency_ms=1
   opspace run examples/so101/hold-and-yield.toml       in another terminal, with port = \"/tmp/so101\" in [driver]")]
     Simulate(DriverSimulateArgs),
+}
+
+/// Examine what this machine lacks for real-time control, and print the commands that mend it.
+#[derive(Debug, Parser)]
+#[command(
+    name = "doctor",
+    after_help = "\
+Examines limits, kernel, clock, processors and serial ports, and measures how late a thread wakes up, without and with real-time \
+scheduling. Changes nothing. Items are `ok`, `missing` or, for information, `note`. Only on Linux.
+
+Exit code 0 if nothing is missing, 1 otherwise.
+
+Example: opspace doctor --duration-s 10"
+)]
+pub struct DoctorArgs {
+    /// Duration of each of the two measurements, s; 0 measures nothing.
+    #[arg(long, value_name = "S", value_parser = measured_s, default_value = "2", allow_negative_numbers = true)]
+    pub duration_s: f64,
+
+    /// Root of the file system to examine, for tests.
+    #[arg(long, value_name = "FOLDER", hide = true)]
+    pub root: Option<PathBuf>,
+
+    #[command(flatten)]
+    pub json: JsonArgs,
+}
+
+/// Parses the duration of a measurement.
+fn measured_s(text: &str) -> Result<f64, String> {
+    const LONGEST_S: f64 = 600.0;
+    match text.parse::<f64>() {
+        Ok(value) if (0.0..=LONGEST_S).contains(&value) => Ok(value),
+        _ => Err(format!("expected a number of seconds from 0 to {LONGEST_S}")),
+    }
 }
 
 #[derive(Debug, Args)]

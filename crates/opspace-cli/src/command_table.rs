@@ -1,12 +1,12 @@
 //! Table of the commands.
 
 use crate::cli::{
-    BenchArgs, CheckArgs, Cli, CompletionArgs, DriverArgs, ExplainArgs, IdentifyArgs, LogArgs, MergeArgs,
-    ModelArgs, NewArgs, ReplayArgs, ReportArgs, RunArgs, SchemaArgs, ViewLogArgs, with_names,
+    BenchArgs, CheckArgs, Cli, CompletionArgs, DoctorArgs, DriverArgs, ExplainArgs, IdentifyArgs, LogArgs,
+    MergeArgs, ModelArgs, NewArgs, ReplayArgs, ReportArgs, RunArgs, SchemaArgs, ViewLogArgs, with_names,
 };
 use crate::commands::{
-    bench, check, completion, driver, explain, identify, log, merge, model, new, replay, report, run, schema,
-    view,
+    bench, check, completion, doctor, driver, explain, identify, log, merge, model, new, replay, report, run,
+    schema, view,
 };
 use crate::console::{self, Console, Exit, Outcome};
 use clap::{ArgMatches, CommandFactory, FromArgMatches};
@@ -87,7 +87,7 @@ impl fmt::Debug for Command {
 }
 
 /// The built-in commands, in the order of the help.
-static BUILT_IN: [Command; 15] = [
+static BUILT_IN: [Command; 16] = [
     Command::built_in::<RunArgs>("run", |m, extensions, console| run::run(&args(m)?, extensions, console)),
     Command::built_in::<BenchArgs>("bench", |m, extensions, console| {
         bench::bench(&args(m)?, extensions, console)
@@ -115,6 +115,7 @@ static BUILT_IN: [Command; 15] = [
     Command::built_in::<DriverArgs>("driver", |m, extensions, console| {
         driver::driver(&args::<DriverArgs>(m)?.command, extensions, console)
     }),
+    Command::built_in::<DoctorArgs>("doctor", |m, _, console| doctor::doctor(&args(m)?, console)),
     Command::built_in::<ModelArgs>("model", |m, _, console| model::model(&args(m)?, console)),
     Command::built_in::<NewArgs>("new", |m, extensions, console| new::new(&args(m)?, extensions, console)),
     Command::built_in::<SchemaArgs>("schema", |m, extensions, _| schema::schema(&args(m)?, extensions)),

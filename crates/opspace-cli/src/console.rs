@@ -219,6 +219,8 @@ fn result(console: Console, run: &Summary, metrics: &[Metric]) -> String {
     run.findings.notes().for_each(|finding| text += &note(finding));
     final_notes(run).iter().for_each(|note| text += &format!("NOTE {note}\n"));
     replay_notes(runs).iter().for_each(|note| text += &format!("NOTE {note}\n"));
+    let real_time = run.real_time.iter().flat_map(|real_time| real_time.sentences());
+    real_time.for_each(|sentence| text += &wrapped(&sentence));
     text += &format!("\n{}\n", run_title(run));
     let tables = [run_table(run, metrics), task_table(run), response_table(run), joint_table(run)];
     let drawn: Vec<String> = tables.iter().filter(|table| !table.rows.is_empty()).map(render).collect();

@@ -24,6 +24,8 @@ pub struct OutcomeRecord {
     pub device_fault: Option<DeviceFault>,
     /// Commands of a run on a log, compared with those of the log; `None` for any other robot.
     pub replay: Option<ReplayedCommands>,
+    /// Scheduling of the thread that drove a real robot, and what the machine does not allow.
+    pub real_time: Option<String>,
 }
 
 /// Commands of a run on a log, compared with those of the log.
@@ -56,6 +58,7 @@ impl OutcomeRecord {
                 EQUAL => Some(ReplayedCommands::Equal),
                 after_s => after_s.parse().ok().map(ReplayedCommands::PartAfter),
             }),
+            real_time: entry("real_time").cloned(),
         }
     }
 
@@ -79,6 +82,7 @@ impl OutcomeRecord {
             entries.extend(value.map(|value| (key.to_owned(), value)));
         };
         put("fault", self.fault.clone());
+        put("real_time", self.real_time.clone());
         put("time_s", self.time_s.map(|time| time.to_string()));
         put("device_code", self.device_fault.as_ref().map(|fault| fault.code.to_string()));
         put("device_words", self.device_fault.as_ref().map(|fault| fault.words.to_string()));

@@ -147,9 +147,11 @@ fn cycle(
     };
     if let Some(command) = command
         && !calls.panicked()
-        && let Err(fault) = calls.write(backend, command)
     {
-        run.refuse(fault);
+        match calls.write(backend, command) {
+            Ok(()) => run.command_written(),
+            Err(fault) => run.refuse(fault),
+        }
     }
     if calls.panicked() {
         run.abandon();

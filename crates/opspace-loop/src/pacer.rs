@@ -118,6 +118,7 @@ pub struct Pacer<C = SystemClock> {
     start: Option<Start>,
     /// Time of the cycles that a step lets pass, s.
     stepped_s: f64,
+    late_s: f64,
 }
 
 /// Moment from which the times of cycles are counted.
@@ -140,7 +141,7 @@ impl<C: SteadyClock> Pacer<C> {
     /// Returns a pacer as [`new`](Pacer::new) does, on this clock.
     #[must_use]
     pub fn with_clock(clock: C, control: Arc<PaceControl>, period_s: f64) -> Self {
-        Self { clock, control, period_s, start: None, stepped_s: f64::NEG_INFINITY }
+        Self { clock, control, period_s, start: None, stepped_s: f64::NEG_INFINITY, late_s: 0.0 }
     }
 
     /// Waits until the cycle at `time_s` (s, on the clock of the robots) is due. `is_over` is called every few milliseconds meanwhile;
@@ -171,6 +172,12 @@ impl<C: SteadyClock> Pacer<C> {
         }
     }
 
+    /// Time by which the last cycle began later than it should, s.
+    #[must_use]
+    pub fn late_s(&self) -> f64 {
+        self.late_s
+    }
+
     /// Counts time from the next cycle on, whatever its time: for cycles that jump to another time.
     pub fn restart(&mut self) {
         self.start = None;
@@ -188,6 +195,7 @@ impl<C: SteadyClock> Pacer<C> {
 
     /// Counts a cycle that is late by `late_s` (s), and gives up time that would take too long to catch up.
     fn count(&mut self, late_s: f64, time_s: f64) {
+        self.late_s = late_s;
         if late_s > self.period_s / self.control.speed() {
             self.control.late.fetch_add(1, Ordering::Relaxed);
         }

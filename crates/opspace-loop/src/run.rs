@@ -6,7 +6,7 @@ use crate::control_loop::ControlLoop;
 use crate::fault::Fault;
 use crate::phase::Phase;
 use crate::target_stream::TargetReceiver;
-use opspace_backend::signal_names::{TIMING_CHANNEL, TORQUE_DESIRED};
+use opspace_backend::signal_names::{RESPONSE_TIME, SAMPLE_INTERVAL, TIMING_CHANNEL, TORQUE_DESIRED};
 use opspace_backend::{
     Command, DEVICE_FAILED, DeviceFault, EXTERNAL, GroundTruth, Layout, MAX_DELAY_CYCLES, SERVO,
     STOP_REQUESTED, Sample, Signal, SignalRecorder, Sink, TICK, TICK_TIME, TIMING, TRUTH, TruthLayouts,
@@ -58,6 +58,10 @@ pub struct Run<'a> {
     outcome: Option<RunOutcome>,
     /// True if a row was recorded since the last call of the sink's `between_ticks`.
     recorded: bool,
+    /// Arrival of the last sample.
+    arrived: Option<Instant>,
+    /// Row of `timing` of the last cycle, with its time (s), until the command is written.
+    timing: Option<(f64, [f64; 3])>,
     history: History,
     row: Vec<f64>,
     servo_row: Vec<f64>,
@@ -81,6 +85,8 @@ impl<'a> Run<'a> {
             aftermath_cycles: cycles(AFTERMATH_S),
             outcome: None,
             recorded: false,
+            arrived: None,
+            timing: None,
             stop_request: None,
             abort_request: None,
             stream: None,
@@ -149,9 +155,12 @@ impl<'a> Run<'a> {
     }
 
     /// Computes one interface cycle and returns the command for the robot, if there is one. Write at most one command
-    /// per cycle.
+    /// per cycle. Call it as soon as the sample has arrived.
     pub fn cycle(&mut self, sample: &Sample) -> Option<Command<'_>> {
+        let arrived = Instant::now();
         self.between_cycles();
+        let before = self.arrived.replace(arrived);
+        let interval_ns = before.map_or(f64::NAN, |before| (arrived - before).as_nanos() as f64);
         if is_set(self.abort_request.as_ref()) {
             self.end_without_cycles(|time_s| RunOutcome::Interrupted { time_s });
         }
@@ -169,7 +178,8 @@ impl<'a> Run<'a> {
         let elapsed_ns = began.elapsed().as_nanos() as f64;
         self.record([flag(stop_requested), 0.0]);
         if !(faulted || is_ending) {
-            self.sink.row(TIMING, self.control.clock_s(), &[elapsed_ns]);
+            let response_ns = arrived.elapsed().as_nanos() as f64;
+            self.timing = Some((self.control.clock_s(), [elapsed_ns, interval_ns, response_ns]));
         }
         if stopped {
             self.aftermath_cycles -= 1;
@@ -215,8 +225,18 @@ impl<'a> Run<'a> {
         self.end_faulted();
     }
 
+    /// Notes that the command of this cycle was just written, for the response time. Without this call, it ends with the computation.
+    pub fn command_written(&mut self) {
+        if let (Some((_, [_, _, response_ns])), Some(arrived)) = (&mut self.timing, self.arrived) {
+            *response_ns = arrived.elapsed().as_nanos() as f64;
+        }
+    }
+
     /// Lets the sink work between two cycles: call it after the command was written. The next cycle calls it otherwise.
     pub fn between_cycles(&mut self) {
+        if let Some((time_s, row)) = self.timing.take() {
+            self.sink.row(TIMING, time_s, &row);
+        }
         if std::mem::take(&mut self.recorded) {
             self.sink.between_ticks();
         }
@@ -292,6 +312,9 @@ impl<'a> Run<'a> {
 
     /// Ends the run as [`finish`](Self::finish) does, and drops its sink, for an owner that cannot part with it.
     pub fn end(&mut self) -> RunOutcome {
+        if let Some((time_s, row)) = self.timing.take() {
+            self.sink.row(TIMING, time_s, &row);
+        }
         self.sink = Box::new(());
         let time_s = self.time_s();
         self.outcome.get_or_insert(RunOutcome::Interrupted { time_s }).clone()
@@ -348,7 +371,8 @@ fn tick_layout(control: &ControlLoop) -> Layout {
 }
 
 fn timing_layout() -> Layout {
-    Layout { channel: TIMING_CHANNEL.to_owned(), signals: vec![Signal::scalar(TICK_TIME, "ns")] }
+    let signals = [TICK_TIME, SAMPLE_INTERVAL, RESPONSE_TIME].map(|name| Signal::scalar(name, "ns"));
+    Layout { channel: TIMING_CHANNEL.to_owned(), signals: signals.into() }
 }
 
 /// Writes the row of a servo tick: the desired torque, then the signals of the simulation.

@@ -104,6 +104,9 @@ impl RunSection {
         let metadata = recording.metadata(log_header::RUN).into_iter().flatten();
         let facts = metadata.filter(|(key, value)| is_shown(key) && !value.is_empty());
         let logged = facts.map(|(key, value)| (key.clone(), value.clone()));
+        let sentences = summary.real_time.iter().flat_map(|real_time| real_time.sentences());
+        let real_time: Vec<(String, String)> =
+            ["late commands", "times"].map(str::to_owned).into_iter().zip(sentences).collect();
         let tasks = experiment.task().tasks_of_the_run().into_iter().map(|(name, _)| name.to_owned());
         let joints = experiment.robot().model.joints().iter().map(|joint| joint.name.clone());
         Self {
@@ -119,7 +122,7 @@ impl RunSection {
             pictures,
             summary,
             warnings,
-            facts: logged.chain(facts_of(experiment)).collect(),
+            facts: logged.chain(real_time).chain(facts_of(experiment)).collect(),
         }
     }
 }

@@ -196,6 +196,7 @@ fn close_left_behind<W>(
         time_s: Some(passed_s - rest_s.fold(0.0, f64::max)),
         ..OutcomeRecord::default()
     };
+    let record = logs.first().map_or_else(|| record.clone(), |log| log.with_scheduling(record.clone()));
     logs.iter().try_for_each(|log| log.abandon(record.clone()))?;
     Ok(record)
 }

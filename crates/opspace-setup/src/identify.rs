@@ -9,7 +9,7 @@ mod toml_output;
 
 use nalgebra::DMatrix;
 use opspace_backend::quantity::Positive;
-use opspace_backend::{Backend, CommandKind};
+use opspace_backend::{Backend, CommandKind, World};
 use opspace_experiment::evaluate::table::{Cell, Table};
 use opspace_experiment::files::robot::RobotDefinition;
 use opspace_experiment::files::source::FileError;
@@ -21,6 +21,7 @@ use opspace_identify::session::{AbortReason, ExcitationSession};
 use opspace_identify::static_identification::Evaluation;
 use opspace_identify::static_identification::plan::{PlanFailure, SweepPlan};
 use opspace_identify::{ExcitationPlan, Identification, KnownParameters, TorqueScale, identify};
+use opspace_loop::RealTime;
 use opspace_model::{Data, JointKind, crba, kinematics};
 use opspace_sim::parameters::SimulatedParameters;
 use opspace_sim::{ArmConfig, SimulatedArm};
@@ -279,6 +280,14 @@ impl IdentificationJob {
         Err(FileError::at_key(&self.robot.source, "simulated", message, Some(help.to_owned())))
     }
 
+    /// Real-time scheduling as `[driver]` asks for it, while a real robot is driven.
+    fn real_time(&self, robot: &dyn Backend) -> Option<RealTime> {
+        let is_real = robot.capabilities().world == World::Real;
+        // A wrong value is refused before the robot is opened.
+        let parameters = self.robot.real_time().ok().filter(|_| is_real);
+        parameters.map(RealTime::enter)
+    }
+
     /// Identifies the joints one after the other, on any robot that is in the start posture of the identification.
     /// Calls `begun` with the name of each joint before its identification.
     ///
@@ -295,6 +304,7 @@ impl IdentificationJob {
             watch.interrupt.load(Ordering::Relaxed)
         };
         let kinds: Vec<JointKind> = self.robot.model.joints().iter().map(|joint| joint.kind).collect();
+        let _real_time = self.real_time(robot);
         let mut session = ExcitationSession::begin(robot, &kinds, &ended)?;
         let mut joints = Vec::new();
         let evaluations = self.run_static(&mut session, &mut begun)?;

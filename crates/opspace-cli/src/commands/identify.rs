@@ -2,6 +2,7 @@
 
 use crate::cli::IdentifyArgs;
 use crate::commands::posture::first_task;
+use crate::commands::run::note_missing_real_time;
 use crate::console::{Console, Exit, Failure, Outcome, render};
 use crate::interrupt;
 use crate::output::{pretty, write};
@@ -95,6 +96,7 @@ fn identify_real_robot(
         let start_rad = joints.zip(positions(arm)?).collect();
         let identifying = IdentificationJob::new(robot.clone(), Request { start_rad, ..request(args) })?;
         say_plan(&identifying, console);
+        note_missing_real_time(robot, console)?;
         console.note("the arm moves now: keep its workspace clear; Ctrl-C stops it");
         let identified = with_progress(&identifying, console, |begun| identifying.run(arm, &watch, begun));
         let Ok(mut results) = identified else { return Ok(identified) };

@@ -3,6 +3,7 @@
 pub mod bench;
 pub mod check;
 pub mod completion;
+pub mod doctor;
 pub mod driver;
 pub mod explain;
 pub mod export_path;

@@ -15,6 +15,7 @@ use crate::run_progress::{exit_code, exit_code_of_robot, with_bar};
 use opspace_experiment::evaluate::headline::headline;
 use opspace_experiment::evaluate::notes::final_notes;
 use opspace_experiment::files::origin::Kind;
+use opspace_experiment::files::robot::RobotDefinition;
 use opspace_experiment::metrics::columns::default_columns;
 use opspace_experiment::run::result_files::{LOG, REPORT, SUMMARY};
 use opspace_experiment::{
@@ -71,6 +72,11 @@ pub fn run(args: &RunArgs, extensions: &Extensions, console: Console) -> Outcome
     let progress = if real.is_some() { interrupt::watch_with_robots() } else { interrupt::watch() };
     scenario.experiments().filter_map(large_log).for_each(|text| console.note(&text));
     console.note(&start_text(&scenario)?);
+    if real.is_some() {
+        for experiment in scenario.experiments().filter(|experiment| experiment.has_driver()) {
+            note_missing_real_time(experiment.robot(), console)?;
+        }
+    }
     let columns = default_columns(extensions.added());
     let view = RunView { scenario: &scenario, args, columns: &columns, progress: &progress, console };
     if let Some(experiment) = scenario.single().filter(|_| args.move_to_start)
@@ -101,6 +107,15 @@ pub fn run(args: &RunArgs, extensions: &Extensions, console: Console) -> Outcome
         }
     })?;
     view.say(&summary, folder)
+}
+
+/// Says what this machine does not allow of real-time scheduling.
+pub fn note_missing_real_time(robot: &RobotDefinition, console: Console) -> Result<(), FileError> {
+    if let Some(missing) = robot.missing_real_time()? {
+        let text = format!("note: {missing}: cycles may be late; `opspace doctor` says how to mend it");
+        console.note(&text);
+    }
+    Ok(())
 }
 
 /// Data with which the results of a run are shown, also in the thread that watches the robots.

@@ -21,6 +21,7 @@ mod joints;
 mod limited_references;
 mod near_pairs;
 mod objects;
+pub mod real_time;
 pub mod response;
 mod ripple;
 pub mod run_log;
@@ -54,6 +55,7 @@ use joints::JointTorques;
 use limited_references::LimitedReferences;
 use objects::Objects;
 use opspace_log::Recording;
+use real_time::RealTimeCycles;
 use run_log::{Control, Run};
 use saturated_torques::saturated_torques;
 use tasks::Tasks;
@@ -102,6 +104,7 @@ pub(crate) struct Evaluator<'a> {
     damped: DampedDirections<'a>,
     interruptions: Interruptions,
     times: CycleTimes,
+    real_time: RealTimeCycles,
     added: Vec<(&'static str, Box<dyn LogMetric>)>,
 }
 
@@ -111,6 +114,7 @@ pub(crate) struct Evaluated {
     pub(crate) findings: Findings,
     pub(crate) interruptions: Interruptions,
     pub(crate) times: CycleTimes,
+    pub(crate) real_time: RealTimeCycles,
 }
 
 impl<'a> Evaluator<'a> {
@@ -134,6 +138,7 @@ impl<'a> Evaluator<'a> {
             damped: DampedDirections::new(experiment),
             interruptions: Interruptions::default(),
             times: CycleTimes::default(),
+            real_time: RealTimeCycles::new(experiment.profile().1.period_s()),
             added: added.filter_map(|metric| Some((metric.key, metric.start()?))).collect(),
         }
     }
@@ -143,6 +148,7 @@ impl<'a> Evaluator<'a> {
         self.held_joints.add(segment);
         self.interruptions.add(segment);
         self.times.add(segment);
+        self.real_time.add(segment);
         let Some(run) = Run::new(self.experiment, segment, &mut self.control, is_last) else {
             self.torque_errors.skip(segment);
             return;
@@ -218,7 +224,8 @@ impl<'a> Evaluator<'a> {
         let mut damped = self.damped.finish();
         damped.retain(|damped| !is_said(damped));
         findings.extend(damped);
-        Evaluated { evaluation, findings, interruptions: self.interruptions, times: self.times }
+        let Self { interruptions, times, real_time, .. } = self;
+        Evaluated { evaluation, findings, interruptions, times, real_time }
     }
 }
 

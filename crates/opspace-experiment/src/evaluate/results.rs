@@ -404,6 +404,7 @@ pub(crate) mod tests {
             resumed: 0,
             metrics: crate::Metrics::default(),
             timing: crate::Timing::default(),
+            real_time: None,
         };
         summary.metrics.pose.position_rms_m = Some(position);
         summary

@@ -3,6 +3,7 @@
 use crate::codes::AllowedRefusal;
 use crate::codes::Code;
 use crate::evaluate::findings::Findings;
+use crate::evaluate::metrics::real_time::RealTimeStatistics;
 use crate::evaluate::metrics::{Evaluated, Evaluator, JointMetrics, Metrics, TaskMetrics, Timing};
 use crate::files::controller_kind::ControllerKind;
 use crate::finding::{Finding, Place};
@@ -101,6 +102,9 @@ pub struct Summary {
     pub joint_order: Vec<String>,
     /// Computing times of the run; they are not reproducible.
     pub timing: Timing,
+    /// Period, jitter and late cycles of a run on a real robot; they are not reproducible.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub real_time: Option<RealTimeStatistics>,
 }
 
 /// Commands of a run on a log, compared with those of the log.
@@ -219,7 +223,8 @@ impl Experiment {
         outcome: &OutcomeRecord,
         realtime_factor: Option<f64>,
     ) -> Summary {
-        let Evaluated { evaluation, mut findings, interruptions, times } = evaluated;
+        let Evaluated { evaluation, mut findings, interruptions, times, real_time } = evaluated;
+        let is_driven = is_real(recording) && !self.is_on_log();
         findings.extend(self.ignored_compliance());
         findings.extend(self.damped_by_servos());
         findings.extend(self.deflected_springs(&evaluation.tasks, outcome));
@@ -259,6 +264,7 @@ impl Experiment {
             task_order: self.task().tasks_of_the_run().into_iter().map(|(name, _)| name.to_owned()).collect(),
             joint_order: self.robot().model.joints().iter().map(|joint| joint.name.clone()).collect(),
             timing: times.timing(realtime_factor),
+            real_time: real_time.statistics(outcome.real_time.as_ref()).filter(|_| is_driven),
         }
     }
 }

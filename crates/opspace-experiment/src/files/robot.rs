@@ -105,7 +105,9 @@ pub struct RobotFile {
     #[serde(default)]
     pub safety: SafetyParameters,
     /// Connection to the real robot: `name` selects a driver in the program, the other keys are settings of the
-    /// driver. If absent, the robot is simulated.
+    /// driver. If absent, the robot is simulated. Every driver has `real_time`, the scheduling of the control thread: "auto" takes
+    /// SCHED_FIFO and locked memory where the machine allows them (default), "required" refuses any other machine, "off" asks for
+    /// nothing; and `real_time_priority`, 1 to 99 (default 80).
     pub driver: Option<BTreeMap<String, Setting>>,
     /// Parameters of the simulated robot; if absent, the robot cannot be simulated.
     pub simulated: Option<SimulatedParameters>,

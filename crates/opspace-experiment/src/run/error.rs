@@ -60,6 +60,15 @@ pub enum RunError {
         /// Cause, a sentence without a full stop.
         words: String,
     },
+    /// A machine that does not allow the real-time scheduling that robot.toml requires.
+    #[error(
+        "[driver] states real_time = \"required\", but this machine does not allow it: {words}; `opspace doctor` names the commands \
+         that mend it"
+    )]
+    NotRealTime {
+        /// Scheduling that the machine allows, and the part that it does not.
+        words: String,
+    },
     /// The real robot is not at the start position of the task.
     #[error(
         "joint '{joint}' is at {q_rad:.3} rad (m), but the task starts at {start_rad:.3}; use --move-to-start to move the robot there slowly, or change start_rad [{}]",

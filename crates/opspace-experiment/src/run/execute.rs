@@ -7,10 +7,12 @@ use opspace_log::{
     Channel, LogError, LoggedTargets, OutcomeRecord, Pace, Recorder, Recording, ReplayBackend,
     ReplayedCommands, ViewerReceiver, WriteStats, Writer, record_with,
 };
-use opspace_loop::{ControlLoop, Fault, Run, RunOutcome, drive, drive_with};
+use opspace_loop::{
+    ControlLoop, Fault, RealTime, RealTimeMode, RealTimeParameters, Run, RunOutcome, drive, drive_with,
+};
 use std::io::{self, Write};
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 
 /// Progress and stop requests of a run, shared with other threads.
@@ -24,6 +26,8 @@ pub struct Progress {
     pub ticks: Arc<AtomicU64>,
     /// Number of scenarios whose robots are being driven.
     driven: AtomicUsize,
+    /// Scheduling of the thread that drives real robots, once it does.
+    real_time: Arc<Mutex<Option<String>>>,
 }
 
 impl Progress {
@@ -31,6 +35,23 @@ impl Progress {
     #[must_use]
     pub fn is_driving(&self) -> bool {
         self.driven.load(Ordering::Acquire) > 0
+    }
+
+    /// Calls `body`, in which real robots are driven, with the real-time scheduling that is asked for; without, as
+    /// [`driving`](Self::driving).
+    ///
+    /// # Errors
+    /// If the scheduling is required, and the machine does not allow it.
+    pub(crate) fn driving_in_real_time<T>(
+        &self,
+        parameters: Option<RealTimeParameters>,
+        body: impl FnOnce() -> T,
+    ) -> Result<T, RunError> {
+        let Some(parameters) = parameters else { return Ok(self.driving(body)) };
+        let real_time = RealTime::enter(parameters);
+        check_real_time(parameters, &real_time)?;
+        *lock(&self.real_time) = Some(real_time.text());
+        Ok(self.driving(body))
     }
 
     /// Calls `body`, in which robots are driven.
@@ -45,6 +66,19 @@ impl Progress {
         let _driving = Driving(&self.driven);
         body()
     }
+}
+
+/// Refuses a machine that does not allow what is required.
+pub(crate) fn check_real_time(parameters: RealTimeParameters, real_time: &RealTime) -> Result<(), RunError> {
+    if parameters.mode == RealTimeMode::Required && !real_time.is_complete() {
+        return Err(RunError::NotRealTime { words: real_time.text() });
+    }
+    Ok(())
+}
+
+/// Locks a value, whatever became of another thread.
+fn lock<T>(value: &Mutex<T>) -> MutexGuard<'_, T> {
+    value.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// Result of a finished run.
@@ -70,6 +104,8 @@ struct Shared<W> {
     /// Number of rows, once the log has all of them.
     rows: AtomicU64,
     began: Instant,
+    /// Scheduling of the thread that drives a real robot; of a simulated one, `None`.
+    real_time: Option<Arc<Mutex<Option<String>>>>,
 }
 
 /// Closes the log of a run once the run, which may own the log, is gone; or from another thread, if the run cannot end.
@@ -90,7 +126,13 @@ impl<W> LogCloser<W> {
     /// # Errors
     /// As [`close`](Self::close).
     pub fn abandon(&self, record: OutcomeRecord) -> Result<(), RunError> {
-        self.writer()?.finish_with(record).map(|_written| ()).map_err(RunError::from)
+        self.writer()?.finish_with(self.with_scheduling(record)).map(|_written| ()).map_err(RunError::from)
+    }
+
+    /// Returns the record with the scheduling of the thread that drove the robot.
+    pub fn with_scheduling(&self, record: OutcomeRecord) -> OutcomeRecord {
+        let real_time = self.0.real_time.as_ref().and_then(|real_time| lock(real_time).clone());
+        OutcomeRecord { real_time, ..record }
     }
 
     /// Closes the log with `record`, which describes `outcome`.
@@ -100,6 +142,7 @@ impl<W> LogCloser<W> {
         outcome: RunOutcome,
         record: OutcomeRecord,
     ) -> Result<RunResult<W>, RunError> {
+        let record = self.with_scheduling(record);
         let robot_s = self.0.cycles.load(Ordering::Relaxed) as f64 * experiment.profile().1.period_s();
         let realtime_factor = robot_s / self.0.began.elapsed().as_secs_f64();
         match self.writer()?.finish_with(record.clone()) {
@@ -191,7 +234,12 @@ impl Experiment {
         self.check_robot(backend)?;
         let capabilities = backend.capabilities().clone();
         let truth = backend.ground_truth().map(GroundTruth::layouts);
-        self.run_with(&capabilities, truth, sink, progress, |run| drive(backend, run))
+        let real_time = self.real_time(&capabilities)?;
+        let mut refused = Ok(());
+        let result = self.run_with(&capabilities, truth, sink, progress, |run| {
+            refused = progress.driving_in_real_time(real_time, || drive(backend, run));
+        });
+        refused.and(result)
     }
 
     /// Checks that a real robot is the one of robot.toml, and at the start position of the task.
@@ -201,6 +249,21 @@ impl Experiment {
             self.check_start(backend)?;
         }
         Ok(())
+    }
+
+    /// Real-time scheduling for a robot with these capabilities; `None` if it is simulated, or has no driver: then it is the
+    /// matter of the program that drives it.
+    ///
+    /// # Errors
+    /// A wrong value in `[driver]`.
+    pub(crate) fn real_time(
+        &self,
+        capabilities: &Capabilities,
+    ) -> Result<Option<RealTimeParameters>, RunError> {
+        match capabilities.world {
+            World::Real if self.has_driver() => Ok(Some(self.robot().real_time()?)),
+            _ => Ok(None),
+        }
     }
 
     /// Drives a robot with the targets and stop requests of a log, and records to `sink`. The run ends with the log at the latest.
@@ -313,6 +376,7 @@ impl Experiment {
             cycles: AtomicU64::new(0),
             rows: AtomicU64::new(0),
             began: Instant::now(),
+            real_time: (capabilities.world == World::Real).then(|| Arc::clone(&progress.real_time)),
         };
         let progress = Arc::clone(&progress.ticks);
         Ok((control, OpenLog { recorder, shared: Arc::new(shared), progress, rows: 0 }))
@@ -366,7 +430,7 @@ impl Experiment {
                     Fault::Device(fault) => Some(fault.clone()),
                     _ => None,
                 },
-                replay: None,
+                ..OutcomeRecord::default()
             },
         }
     }

@@ -5,17 +5,21 @@ use crate::extensions::Extensions;
 use crate::files::robot::RobotDefinition;
 use crate::files::source::FileError;
 use crate::run::error::RunError;
-use crate::run::execute::{Progress, RunResult};
+use crate::run::execute::{Progress, RunResult, check_real_time};
 use crate::run::experiment::Experiment;
 use crate::suggest::choices;
 use opspace_backend::{Backend, CommandKind, Driver, DriverError, Setting, Settings};
 use opspace_loop::driver_calls::stop;
+use opspace_loop::{RealTime, RealTimeMode, RealTimeParameters};
 use std::io::Write;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
 
 /// Key of `[driver]` that selects the driver.
 const NAME: &str = "name";
+/// Keys of `[driver]` for the scheduling of the control thread, which every driver has.
+const REAL_TIME: &str = "real_time";
+const REAL_TIME_PRIORITY: &str = "real_time_priority";
 
 impl Experiment {
     /// True if robot.toml selects a driver, that is, if the robot is real.
@@ -82,6 +86,10 @@ impl RobotDefinition {
         body: impl FnOnce(&mut dyn Backend) -> Result<T, RunError>,
     ) -> Result<T, RunError> {
         let driver = self.driver(extensions)?;
+        let real_time = self.real_time()?;
+        if real_time.mode == RealTimeMode::Required {
+            check_real_time(real_time, &RealTime::enter(real_time))?;
+        }
         let (mut body, mut result) = (Some(body), None);
         let mut run = |backend: &mut dyn Backend| {
             // A driver calls this closure once.
@@ -138,6 +146,55 @@ impl RobotDefinition {
         })
     }
 
+    /// Scheduling of the control thread that `[driver]` asks for: `real_time` and `real_time_priority`.
+    ///
+    /// # Errors
+    /// Values that are not allowed.
+    pub fn real_time(&self) -> Result<RealTimeParameters, FileError> {
+        let key = |key: &str| {
+            self.file.driver.iter().flatten().find(|(other, _)| *other == key).map(|(_, value)| value)
+        };
+        let mistake = |key: &str, message: String, help: Option<String>| {
+            FileError::at_key(&self.source, ["driver", key], message, help)
+        };
+        let mut parameters = RealTimeParameters::default();
+        match key(REAL_TIME) {
+            None => {}
+            Some(Setting::Text(text)) => {
+                let found = RealTimeMode::ALL.into_iter().find(|mode| mode.name() == text);
+                let help = || choices(text, RealTimeMode::ALL.map(RealTimeMode::name));
+                let mode = found.ok_or_else(|| {
+                    mistake(REAL_TIME, format!("no scheduling is called '{text}'"), Some(help()))
+                })?;
+                parameters = parameters.with_mode(mode);
+            }
+            Some(_) => {
+                let message = "`real_time` must be \"auto\", \"required\" or \"off\"".to_owned();
+                return Err(mistake(REAL_TIME, message, None));
+            }
+        }
+        match key(REAL_TIME_PRIORITY) {
+            None => {}
+            Some(Setting::Number(number)) if number.fract() == 0.0 && (1.0..=99.0).contains(number) => {
+                parameters = parameters.with_priority(*number as u8);
+            }
+            Some(_) => {
+                let message = "`real_time_priority` must be an integer from 1 to 99".to_owned();
+                return Err(mistake(REAL_TIME_PRIORITY, message, None));
+            }
+        }
+        Ok(parameters)
+    }
+
+    /// States what this machine does not allow of the scheduling that `[driver]` asks for; `None` if it allows all.
+    ///
+    /// # Errors
+    /// As [`real_time`](Self::real_time).
+    pub fn missing_real_time(&self) -> Result<Option<String>, FileError> {
+        let real_time = RealTime::enter(self.real_time()?);
+        Ok((!real_time.is_complete()).then(|| real_time.text()))
+    }
+
     /// Settings with which a driver opens the robot for these commands, at this interface period (s).
     #[must_use]
     pub fn driver_settings(&self, command: CommandKind, period_s: f64) -> Settings {
@@ -147,7 +204,12 @@ impl RobotDefinition {
             .measuring(&self.file.interface.measured)
             .with_force_sensors(self.capabilities(command, period_s).force_sensors)
             .in_folder(folder);
-        let keys = self.file.driver.iter().flatten().filter(|(key, _)| *key != NAME);
+        let keys = self
+            .file
+            .driver
+            .iter()
+            .flatten()
+            .filter(|(key, _)| ![NAME, REAL_TIME, REAL_TIME_PRIORITY].contains(&key.as_str()));
         keys.fold(settings, |settings, (key, value)| settings.with(key, value.clone()))
     }
 

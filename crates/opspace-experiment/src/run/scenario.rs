@@ -25,7 +25,9 @@ use crate::run::membership::Membership;
 use crate::transformers::check_name;
 use opspace_backend::{Backend, Capabilities, CommandKind, GroundTruth, Sink, TruthLayouts};
 use opspace_log::ViewerReceiver;
-use opspace_loop::{ControlLoop, Driven, Run, RunOutcome, Timeline, TimelineError, drive_together_with};
+use opspace_loop::{
+    ControlLoop, Driven, RealTimeParameters, Run, RunOutcome, Timeline, TimelineError, drive_together_with,
+};
 use opspace_sim::{
     ArmConfig, HeldObjectConfig, HeldObjectParameters, Key, PhysicsEngine, SimulatedArm, SimulationConfig,
     SimulationError,
@@ -356,6 +358,10 @@ impl Scenario {
             loops.push(control);
             sinks.push(sink);
         }
+        let mut real_time = None;
+        for (experiment, robot) in self.experiments().zip(robots.iter()) {
+            real_time = stricter(real_time, experiment.real_time(robot.capabilities())?);
+        }
         let mut before = |robot: usize, cycle: u64, run: &mut Run<'_>| {
             companion.before_cycle(robot, cycle as f64 * periods_s[robot], run)
         };
@@ -378,7 +384,9 @@ impl Scenario {
             .zip(&mut runs)
             .map(|(robot, run)| Driven { backend: &mut **robot, run })
             .collect();
-        progress.driving(|| drive_together_with(&mut driven, &mut links, &mut timeline, &mut before));
+        progress.driving_in_real_time(real_time, || {
+            drive_together_with(&mut driven, &mut links, &mut timeline, &mut before);
+        })?;
         drop(driven);
         let outcomes: Vec<RunOutcome> = runs.into_iter().map(Run::finish).collect();
         Ok(sinks.into_iter().zip(outcomes).collect())
@@ -439,6 +447,15 @@ impl Scenario {
         }
         Ok(())
     }
+}
+
+/// Scheduling of a thread that drives two robots: the stricter request, and the higher priority.
+fn stricter(
+    one: Option<RealTimeParameters>,
+    other: Option<RealTimeParameters>,
+) -> Option<RealTimeParameters> {
+    let (Some(a), Some(b)) = (one, other) else { return one.or(other) };
+    Some(a.with_mode(a.mode.max(b.mode)).with_priority(a.priority.max(b.priority)))
 }
 
 fn robot_names(source: &Source) -> Result<Vec<String>, FileError> {

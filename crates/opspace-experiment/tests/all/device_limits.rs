@@ -66,7 +66,12 @@ impl Driver for ArmDriver {
 fn experiment(settings: &[&str]) -> Experiment {
     let options =
         RunOptions { controller: ControllerKind::Ik, duration_s: Some(1.0), ..RunOptions::default() };
-    let own = ["robot.driver.name=limited", "robot.interface.measured=[\"position\"]", "settle_s=0.2"];
+    let own = [
+        "robot.driver.name=limited",
+        "robot.driver.real_time=off",
+        "robot.interface.measured=[\"position\"]",
+        "settle_s=0.2",
+    ];
     let settings: Vec<String> = own.iter().chain(settings).map(|&setting| setting.to_owned()).collect();
     let task = Path::new("tasks/joint-tracking.toml");
     Experiment::load(Files::Embedded, task, None, options, &settings).unwrap()

@@ -10,7 +10,7 @@ use opspace_backend::{
 use opspace_experiment::run::replay::replay;
 use opspace_experiment::run::result_files::ResultFolder;
 use opspace_experiment::{Experiment, Extensions, Files, Metrics, Progress, RunError, RunOptions};
-use opspace_log::Recording;
+use opspace_log::{OutcomeRecord, Recording};
 use opspace_report::move_to_start;
 use opspace_report::run_on_drivers;
 use opspace_sim::SimulatedArm;
@@ -93,6 +93,10 @@ impl Driver for OneArm {
     }
 }
 
+/// Settings that select the driver. Its arm is simulated and never waits: as a real-time thread, the control thread would keep the one
+/// that writes the log from its work.
+const ONE_ARM: [&str; 2] = ["robot.driver.name=one-arm", "robot.driver.real_time=off"];
+
 const ROBOT: &str = "robots/asimo-arm/robot.toml";
 const BACKENDS: [CommandKind; 3] = [CommandKind::Position, CommandKind::Velocity, CommandKind::Torque];
 
@@ -166,7 +170,7 @@ fn real_robot_moves_slowly_to_start_first() {
     const WINDOW_S: f64 = 0.05;
     const AT_START_RAD: f64 = 0.02;
     for backend in BACKENDS {
-        let experiment = experiment("tasks/joint-tracking.toml", backend, &["robot.driver.name=one-arm"]);
+        let experiment = experiment("tasks/joint-tracking.toml", backend, &ONE_ARM);
         let start = experiment.arm_config().unwrap().start;
         let (arm, extensions) = arm_away_from_start(&experiment, 0.3);
         let progress = Progress::default();
@@ -238,8 +242,8 @@ fn one_of_coupled_robots_is_real() {
         let settings = if name == "teleop-wall" { [&own[..], settings].concat() } else { settings.to_vec() };
         load(&project(&format!("tasks/experiments/{name}.toml")), &settings)
     };
-    let driver = "leader.robot.driver.name=one-arm";
-    let experiment = load("teleop-wall", &[driver]);
+    let driver = ["leader.robot.driver.name=one-arm", "leader.robot.driver.real_time=off"];
+    let experiment = load("teleop-wall", &driver);
     assert_eq!(experiment.real_robots(), ["leader"]);
     let simulated = run(&experiment);
     let folder = tempfile::tempdir().unwrap();
@@ -275,4 +279,69 @@ fn one_of_coupled_robots_is_real() {
     let refused =
         run_on_drivers(&carry, &Extensions::default(), &results, &Progress::default(), &|_| {}).unwrap_err();
     assert!(refused.to_string().contains("robot 'left' is real"), "{refused}");
+}
+
+/// Compared: the scheduling that the outcome states with what this machine allows; the statistics in the summary of a run on a real
+/// robot, with those of its log; and a simulation, which has none.
+#[test]
+fn only_a_real_robot_is_driven_in_real_time() {
+    for (mode, says) in [("auto", "memory"), ("off", "real-time scheduling is off")] {
+        let mode = format!("robot.driver.real_time=\"{mode}\"");
+        let settings = ["robot.driver.name=one-arm", &mode, "robot.driver.real_time_priority=5"];
+        let experiment = experiment("tasks/joint-tracking.toml", CommandKind::Position, &settings);
+        let (_, extensions) = arm_away_from_start(&experiment, 0.0);
+        let progress = Progress::default();
+        let result = experiment.run_on_driver(&extensions, Cursor::new(Vec::new()), &progress).unwrap();
+        let recording = Recording::from_bytes(&result.sink.into_inner()).unwrap();
+        let logged = OutcomeRecord::of(&recording);
+        assert!(logged.real_time.as_ref().is_some_and(|text| text.contains(says)), "{logged:?}");
+        let statistics = experiment.summary(&recording, &logged, None).real_time.unwrap();
+        assert_eq!(
+            (statistics.scheduling, result.record.real_time),
+            (logged.real_time.clone(), logged.real_time)
+        );
+        let rows = recording.channel("timing").unwrap().signal("response_time").unwrap();
+        assert_eq!(statistics.cycles, rows.rows().count() as u64);
+        let longest_ms = rows.rows().fold(0.0_f64, |longest, row| longest.max(1e-6 * row[0]));
+        assert!((statistics.response_ms.max - longest_ms).abs() <= 1e-3 * longest_ms + 1e-6);
+        let simulated = experiment.run(Cursor::new(Vec::new()), &progress).unwrap();
+        assert_eq!(simulated.record.real_time, None);
+        let recording = Recording::from_bytes(&simulated.sink.into_inner()).unwrap();
+        assert_eq!(experiment.summary(&recording, &simulated.record, None).real_time, None);
+    }
+}
+
+#[test]
+fn wrong_scheduling_of_a_driver_is_refused_with_the_choices() {
+    for (setting, says) in [
+        ("robot.driver.real_time=\"always\"", "auto, off, required"),
+        ("robot.driver.real_time=true", "\"required\""),
+        ("robot.driver.real_time_priority=0", "1 to 99"),
+        ("robot.driver.real_time_priority=1.5", "1 to 99"),
+        ("robot.driver.real_time_priority=100", "1 to 99"),
+    ] {
+        let settings = ["robot.driver.name=one-arm", setting];
+        let experiment = experiment("tasks/joint-tracking.toml", CommandKind::Position, &settings);
+        let (_, extensions) = arm_away_from_start(&experiment, 0.0);
+        let refused = experiment.run_on_driver(&extensions, Cursor::new(Vec::new()), &Progress::default());
+        let RunError::File(error) = refused.map(|_| ()).unwrap_err() else { panic!("{setting}") };
+        let words = format!("{error} {}", error.help().unwrap_or_default());
+        assert!(words.contains(says), "{words}");
+    }
+}
+
+/// Compared: what this machine allows, and whether a robot that requires real-time scheduling is driven.
+#[test]
+fn required_scheduling_is_granted_or_refused_before_the_robot_is_opened() {
+    let settings = ["robot.driver.name=one-arm", "robot.driver.real_time=\"required\""];
+    let experiment = experiment("tasks/joint-tracking.toml", CommandKind::Position, &settings);
+    let missing = experiment.robot().missing_real_time().unwrap();
+    let (_, extensions) = arm_away_from_start(&experiment, 0.0);
+    let driven = experiment.run_on_driver(&extensions, Cursor::new(Vec::new()), &Progress::default());
+    match (driven, missing) {
+        (Ok(result), None) => assert_eq!(result.record.fault, None),
+        (Err(RunError::NotRealTime { words }), Some(missing)) => assert_eq!(words, missing),
+        (Ok(_), Some(missing)) => panic!("it is driven without {missing}"),
+        (Err(error), _) => panic!("{error}"),
+    }
 }

@@ -16,6 +16,7 @@ mod measurement;
 mod oscillation;
 mod panic;
 mod parts;
+mod real_time;
 mod setpoints;
 mod shells;
 mod stop;

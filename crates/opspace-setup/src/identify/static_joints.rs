@@ -278,6 +278,7 @@ impl IdentificationJob {
         };
         let (model, Ok(weighted)) = (&self.robot.model, self.weighted_model()) else { return Ok(()) };
         let kinds: Vec<JointKind> = model.joints().iter().map(|joint| joint.kind).collect();
+        let _real_time = self.real_time(robot);
         let mut session = ExcitationSession::begin(robot, &kinds, &ended)?;
         let mut evaluations = std::mem::take(&mut results.evaluations);
         for (joint, servo) in self.static_joints() {
