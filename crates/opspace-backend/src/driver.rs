@@ -123,6 +123,8 @@ pub enum Setting {
     Flag(bool),
     /// An array.
     List(Vec<Setting>),
+    /// A table.
+    Table(BTreeMap<String, Setting>),
 }
 
 impl Settings {
@@ -205,6 +207,61 @@ impl Settings {
             Setting::Number(number) => Some(*number),
             _ => None,
         })
+    }
+
+    /// Returns the number of each joint (n), from an array of n numbers, or from a table by the names of joints; `None` for a joint
+    /// that the table leaves out, and for all joints if the key is missing.
+    ///
+    /// # Errors
+    /// If the value is neither of these, a number is not finite, or a joint is unknown.
+    pub fn numbers_by_joint(&self, key: &str) -> Result<Vec<Option<f64>>, DriverError> {
+        let numbers = self.by_joint(key, "an array of numbers, or a table by joint", |setting| match setting {
+            Setting::Number(number) => Some(*number),
+            _ => None,
+        })?;
+        if numbers.iter().flatten().any(|number| !number.is_finite()) {
+            return Err(DriverError::at(key, format!("'{key}' must have finite numbers")));
+        }
+        Ok(numbers)
+    }
+
+    /// Returns the string of each joint (n), like [`numbers_by_joint`](Self::numbers_by_joint).
+    ///
+    /// # Errors
+    /// If the value is no array of n strings and no table of strings, or a joint is unknown.
+    pub fn texts_by_joint(&self, key: &str) -> Result<Vec<Option<&str>>, DriverError> {
+        self.by_joint(key, "an array of strings, or a table by joint", |setting| match setting {
+            Setting::Text(text) => Some(text.as_str()),
+            _ => None,
+        })
+    }
+
+    fn by_joint<'a, T>(
+        &'a self,
+        key: &str,
+        expected: &str,
+        element: impl Fn(&'a Setting) -> Option<T>,
+    ) -> Result<Vec<Option<T>>, DriverError> {
+        let joints = &self.joints;
+        let element = |value| element(value).map(Some).ok_or_else(|| wrong(key, expected, value));
+        match self.values.get(key) {
+            None => Ok(joints.iter().map(|_| None).collect()),
+            Some(Setting::List(values)) if values.len() == joints.len() => values.iter().map(element).collect(),
+            Some(Setting::List(values)) => {
+                let (found, names) = (values.len(), joints.join(", "));
+                let words = format!("'{key}' has {found} values; the robot has {} joints: {names}", joints.len());
+                Err(DriverError::at(key, words))
+            }
+            Some(Setting::Table(values)) => {
+                if let Some(unknown) = values.keys().find(|name| !joints.contains(name)) {
+                    let words =
+                        format!("'{key}' has an unknown joint '{unknown}'; the joints are: {}", joints.join(", "));
+                    return Err(DriverError::at(key, words));
+                }
+                joints.iter().map(|joint| values.get(joint).map_or(Ok(None), &element)).collect()
+            }
+            Some(other) => Err(wrong(key, expected, other)),
+        }
     }
 
     fn list<'a, T>(
@@ -303,6 +360,7 @@ fn wrong(key: &str, expected: &str, found: &Setting) -> DriverError {
         Setting::Number(number) => number.to_string(),
         Setting::Flag(flag) => flag.to_string(),
         Setting::List(_) => "an array".to_owned(),
+        Setting::Table(_) => "a table".to_owned(),
     };
     DriverError::at(key, format!("'{key}' must be {expected}, not {found}"))
 }
@@ -354,7 +412,7 @@ impl<'de> serde::Deserialize<'de> for Setting {
             type Value = Setting;
 
             fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-                f.write_str("a string, a number, true or false, or an array of these")
+                f.write_str("a string, a number, true or false, or an array or table of these")
             }
 
             fn visit_str<E: serde::de::Error>(self, text: &str) -> Result<Setting, E> {
@@ -380,6 +438,14 @@ impl<'de> serde::Deserialize<'de> for Setting {
                 }
                 Ok(Setting::List(list))
             }
+
+            fn visit_map<A: serde::de::MapAccess<'s>>(self, mut entries: A) -> Result<Setting, A::Error> {
+                let mut table = BTreeMap::new();
+                while let Some((key, value)) = entries.next_entry()? {
+                    table.insert(key, value);
+                }
+                Ok(Setting::Table(table))
+            }
         }
 
         deserializer.deserialize_any(AnySetting)
@@ -394,9 +460,10 @@ impl schemars::JsonSchema for Setting {
 
     fn json_schema(_: &mut schemars::SchemaGenerator) -> schemars::Schema {
         schemars::json_schema!({
-            "description": "A string, a number, true or false, or an array of these.",
-            "type": ["string", "number", "boolean", "array"],
-            "items": { "type": ["string", "number", "boolean"] }
+            "description": "A string, a number, true or false, or an array or table of these.",
+            "type": ["string", "number", "boolean", "array", "object"],
+            "items": { "type": ["string", "number", "boolean"] },
+            "additionalProperties": { "type": ["string", "number", "boolean"] }
         })
     }
 }

@@ -184,11 +184,7 @@ fn servos(
     path: &Path,
 ) -> Result<Vec<ServoConfig>, DriverError> {
     let joints = &settings.joints;
-    let motors = match settings.texts("motors")? {
-        None => joints.iter().map(String::as_str).collect(),
-        Some(motors) if motors.len() == joints.len() => motors,
-        Some(motors) => return Err(wrong_number("motors", motors.len(), joints)),
-    };
+    let motors = settings.texts_by_joint("motors")?;
     let inverted = settings.texts("inverted")?.unwrap_or_default();
     if let Some(unknown) = inverted.iter().find(|name| !joints.iter().any(|joint| joint == *name)) {
         return Err(DriverError::at(
@@ -196,21 +192,22 @@ fn servos(
             format!("unknown joint '{unknown}'; the joints are: {}", joints.join(", ")),
         ));
     }
-    let zeros = numbers(settings, "zeros_rad")?;
-    let ids = numbers(settings, "ids")?;
+    let zeros = settings.numbers_by_joint("zeros_rad")?;
+    let ids = settings.numbers_by_joint("ids")?;
     let mut servos = Vec::with_capacity(joints.len());
-    for (index, (joint, motor)) in joints.iter().zip(&motors).enumerate() {
+    for (index, joint) in joints.iter().enumerate() {
+        let motor = motors[index].unwrap_or(joint);
         let found = calibration.motor(motor).ok_or_else(|| {
             let names: Vec<&str> = calibration.names().collect();
             let words = format!(
-                "{} has no motor '{motor}' for joint '{joint}'; its motors are: {}. State the motors in the order of the \
-                 joints: motors = [\"…\", \"…\"]",
+                "{} has no motor '{motor}' for joint '{joint}'; its motors are: {}. State the motor of \
+                 each joint: motors = {{ {joint} = \"…\" }}",
                 path.display(),
                 names.join(", ")
             );
             DriverError::at("calibration", words)
         })?;
-        if let Some(id) = ids.as_ref().map(|ids| ids[index])
+        if let Some(id) = ids[index]
             && id != f64::from(found.id)
         {
             let words =
@@ -220,7 +217,7 @@ fn servos(
         let is_inverted = (found.drive_mode == 1) != inverted.contains(&joint.as_str());
         let sign = if is_inverted { -1.0 } else { 1.0 };
         let middle = f64::from(found.range_min + found.range_max) / 2.0;
-        let zero_rad = zeros.as_ref().map_or(0.0, |zeros| zeros[index]);
+        let zero_rad = zeros[index].unwrap_or(0.0);
         let scale = CountScale {
             // The joint is at zero_rad in the middle of its calibrated range.
             zero: middle - sign * zero_rad / RAD_PER_COUNT,
@@ -264,24 +261,4 @@ fn gain(settings: &Settings, key: &str) -> Result<u8, DriverError> {
 
 fn optional_text<'a>(settings: &'a Settings, key: &str) -> Result<Option<&'a str>, DriverError> {
     if settings.contains(key) { settings.text(key).map(Some) } else { Ok(None) }
-}
-
-/// Returns one number for each joint, if the key exists.
-fn numbers(settings: &Settings, key: &str) -> Result<Option<Vec<f64>>, DriverError> {
-    let numbers = settings.numbers(key)?;
-    match &numbers {
-        Some(numbers) if numbers.len() != settings.joints.len() => {
-            Err(wrong_number(key, numbers.len(), &settings.joints))
-        }
-        Some(numbers) if numbers.iter().any(|number| !number.is_finite()) => {
-            Err(DriverError::at(key, format!("'{key}' must have finite numbers")))
-        }
-        _ => Ok(numbers),
-    }
-}
-
-fn wrong_number(key: &str, found: usize, joints: &[String]) -> DriverError {
-    let words =
-        format!("'{key}' has {found} values; the robot has {} joints: {}", joints.len(), joints.join(", "));
-    DriverError::at(key, words)
 }
