@@ -3,6 +3,7 @@
 use crate::backend::Backend;
 use crate::capabilities::{ForceSensor, Measured};
 use crate::command::CommandKind;
+use crate::driver_key::{DriverKey, KeyValue};
 use crate::fault::DeviceFault;
 use std::collections::BTreeMap;
 use std::error::Error;
@@ -19,6 +20,24 @@ const LONGEST_S: f64 = 3600.0;
 pub trait Driver {
     /// Returns the name of the driver in `[driver]` of robot.toml.
     fn name(&self) -> &str;
+
+    /// Returns the keys of `[driver]` other than `name`, for checks and pages; none if the driver does not declare them.
+    fn keys(&self) -> &[DriverKey] {
+        &[]
+    }
+
+    /// Checks settings like [`with`](Self::with), but opens nothing and needs no robot. Returns warnings: what will refuse the
+    /// robot unless it changes before a run, such as a port that is not there, or what is probably not intended. Without an
+    /// implementation of the driver's own, its [`keys`](Self::keys) are checked.
+    ///
+    /// # Errors
+    /// If settings are missing or wrong.
+    fn check(&self, settings: &Settings) -> Result<Vec<DriverWarning>, DriverError> {
+        match self.keys() {
+            [] => Ok(Vec::new()),
+            keys => settings.expect(keys).map(|()| Vec::new()),
+        }
+    }
 
     /// Opens the robot with these settings, calls `run` once with its backend, and closes the robot.
     ///
@@ -349,6 +368,34 @@ impl Settings {
         }
     }
 
+    /// Checks the settings against the keys of a driver: none is unknown, none that is required is missing, and each has a value of
+    /// its kind.
+    ///
+    /// # Errors
+    /// The first key that is not so.
+    pub fn expect(&self, keys: &[DriverKey]) -> Result<(), DriverError> {
+        let names: Vec<&str> = keys.iter().map(|key| key.name).collect();
+        self.expect_only(&names)?;
+        for key in keys {
+            if !self.contains(key.name) {
+                match key.is_required {
+                    true => self.value(key.name)?,
+                    false => continue,
+                };
+            }
+            match key.value {
+                KeyValue::Text => self.text(key.name).map(drop)?,
+                KeyValue::Number => self.number(key.name).map(drop)?,
+                KeyValue::Flag => self.flag(key.name).map(drop)?,
+                KeyValue::Texts => self.texts(key.name).map(drop)?,
+                KeyValue::Numbers => self.numbers(key.name).map(drop)?,
+                KeyValue::TextsByJoint => self.texts_by_joint(key.name).map(drop)?,
+                KeyValue::NumbersByJoint => self.numbers_by_joint(key.name).map(drop)?,
+            }
+        }
+        Ok(())
+    }
+
     fn value(&self, key: &str) -> Result<&Setting, DriverError> {
         self.values.get(key).ok_or_else(|| DriverError::at(key, format!("the key '{key}' is missing")))
     }
@@ -386,6 +433,30 @@ impl DriverError {
     #[must_use]
     pub fn at(key: impl Into<String>, words: impl Into<String>) -> Self {
         Self { key: Some(key.into()), words: words.into() }
+    }
+}
+
+/// Warning about settings with which a robot may be opened.
+#[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct DriverWarning {
+    /// Key of `[driver]` that it concerns.
+    pub key: String,
+    /// Warning, a sentence without a full stop.
+    pub words: String,
+}
+
+impl DriverWarning {
+    /// Returns a warning about the value of a key.
+    #[must_use]
+    pub fn at(key: impl Into<String>, words: impl Into<String>) -> Self {
+        Self { key: key.into(), words: words.into() }
+    }
+}
+
+impl fmt::Display for DriverWarning {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.words)
     }
 }
 

@@ -54,6 +54,7 @@ pub mod backend;
 pub mod capabilities;
 pub mod command;
 pub mod driver;
+pub mod driver_key;
 pub mod fault;
 pub mod ground_truth;
 pub mod low_pass;
@@ -69,7 +70,10 @@ pub use capabilities::{
     StopMethod, World,
 };
 pub use command::{Command, CommandKind};
-pub use driver::{Driver, DriverError, FoundDevice, Setting, Settings, SimulatedDevices};
+pub use driver::{
+    Driver, DriverError, DriverWarning, FoundDevice, Setting, Settings, SimulatedDevices,
+};
+pub use driver_key::{DriverKey, KeyValue};
 pub use fault::DeviceFault;
 pub use ground_truth::{GroundTruth, TruthLayouts, TruthRow};
 pub use low_pass::LowPass;

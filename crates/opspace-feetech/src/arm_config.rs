@@ -2,30 +2,70 @@
 
 use crate::calibration::{Calibration, MotorCalibration};
 use crate::counts::{CountScale, RAD_PER_COUNT};
-use opspace_backend::{CommandKind, DriverError, Measured, Settings};
+use opspace_backend::{CommandKind, DriverError, DriverKey, KeyValue, Measured, Settings};
 use std::path::Path;
 use std::time::Duration;
 
 /// Keys of `[driver]`.
-pub const KEYS: [&str; 18] = [
-    "port",
-    "baud_hz",
-    "calibration",
-    "motors",
-    "ids",
-    "inverted",
-    "zeros_rad",
-    "p",
-    "i",
-    "d",
-    "goal_speed_rad_per_s",
-    "acceleration_rad_per_s2",
-    "torque_per_current_nm_per_a",
-    "torque_per_load_nm",
-    "silence_s",
-    "at_end",
-    "lowering_speed_rad_per_s",
-    "lowering_s",
+pub const KEYS: [DriverKey; 18] = [
+    DriverKey::new("port", KeyValue::Text, "Serial port, such as `/dev/ttyACM0`.").required(),
+    DriverKey::new("baud_hz", KeyValue::Number, "Baud rate, 1200 to 4000000.").with_default("1000000"),
+    DriverKey::new(
+        "calibration",
+        KeyValue::Text,
+        "Calibration that LeRobot has written; the path refers to the folder of robot.toml.",
+    )
+    .required(),
+    DriverKey::new("motors", KeyValue::TextsByJoint, "Names of the motors in the calibration.")
+        .with_default("names of the joints"),
+    DriverKey::new("ids", KeyValue::NumbersByJoint, "Identifiers of the servos, compared with the calibration.")
+        .with_default("not compared"),
+    DriverKey::new(
+        "inverted",
+        KeyValue::Texts,
+        "Joints whose positive direction is the other one than `drive_mode` of the calibration says.",
+    )
+    .with_default("none"),
+    DriverKey::new(
+        "zeros_rad",
+        KeyValue::NumbersByJoint,
+        "Angles of the joints in the middle of their calibrated ranges, rad.",
+    )
+    .with_default("0"),
+    DriverKey::new("p", KeyValue::Number, "Proportional gain, the content of register P_Coefficient.").required(),
+    DriverKey::new("i", KeyValue::Number, "Integral gain, the content of register I_Coefficient.").required(),
+    DriverKey::new("d", KeyValue::Number, "Derivative gain, the content of register D_Coefficient.").required(),
+    DriverKey::new("goal_speed_rad_per_s", KeyValue::Number, "Speed limit of the servo's profile.")
+        .with_default("no limit"),
+    DriverKey::new("acceleration_rad_per_s2", KeyValue::Number, "Acceleration of the servo's profile.")
+        .with_default("no limit"),
+    DriverKey::new(
+        "torque_per_current_nm_per_a",
+        KeyValue::Number,
+        "Motor torque per motor current, if `measured` of `[interface]` has `\"motor-current\"`.",
+    ),
+    DriverKey::new(
+        "torque_per_load_nm",
+        KeyValue::Number,
+        "Torque at rest and full voltage, in place of the torque per current: motor torques are those of the duty cycle of the \
+         motor voltage.",
+    ),
+    DriverKey::new(
+        "silence_s",
+        KeyValue::Number,
+        "Duration without complete answers that is a fault; not above `max_dropout_s` of `[safety]`.",
+    )
+    .with_default("0.2"),
+    DriverKey::new(
+        "at_end",
+        KeyValue::Text,
+        "After a run, `\"hold\"` keeps torque on; `\"lower\"` lowers the arm, and switches torque off when it lies.",
+    )
+    .with_default("`\"hold\"`"),
+    DriverKey::new("lowering_speed_rad_per_s", KeyValue::Number, "Speed of each joint that is lowered.")
+        .with_default("0.3"),
+    DriverKey::new("lowering_s", KeyValue::Number, "Duration after which an arm that does not lie is held.")
+        .with_default("20"),
 ];
 
 /// Configuration of an arm.
@@ -105,7 +145,7 @@ impl ArmConfig {
     /// # Errors
     /// If a key is missing, unknown or wrong, or if the calibration cannot be read.
     pub fn from_settings(settings: &Settings) -> Result<Self, DriverError> {
-        settings.expect_only(&KEYS)?;
+        settings.expect_only(&KEYS.map(|key| key.name))?;
         if settings.command != CommandKind::Position {
             return Err(DriverError::new(format!(
                 "servos of this bus accept joint positions, not {}: use the backend position",
@@ -118,18 +158,25 @@ impl ArmConfig {
         if let Some(sensor) = settings.force_sensors.first() {
             return Err(DriverError::new(format!("this bus has no force sensor '{}'", sensor.name)));
         }
+        let gains = Gains { p: gain(settings, "p")?, i: gain(settings, "i")?, d: gain(settings, "d")? };
+        let goal_speed_rad_per_s = settings.positive("goal_speed_rad_per_s")?;
+        let acceleration_rad_per_s2 = settings.positive("acceleration_rad_per_s2")?;
+        let motor_torque = torque_source(settings)?;
+        let silence = settings.seconds("silence_s", 0.2)?;
+        let at_end = at_end(settings)?;
+        // Last: without this file, all other values have been checked.
         let path = settings.path("calibration")?;
         let calibration = read_calibration(&path).map_err(|words| DriverError::at("calibration", words))?;
         Ok(Self {
             servos: servos(settings, &calibration, &path)?,
             period_s: settings.period_s,
-            gains: Gains { p: gain(settings, "p")?, i: gain(settings, "i")?, d: gain(settings, "d")? },
-            goal_speed_rad_per_s: settings.positive("goal_speed_rad_per_s")?,
-            acceleration_rad_per_s2: settings.positive("acceleration_rad_per_s2")?,
+            gains,
+            goal_speed_rad_per_s,
+            acceleration_rad_per_s2,
             measures_velocity: settings.measured.contains(&Measured::Velocity),
-            motor_torque: torque_source(settings)?,
-            silence: settings.seconds("silence_s", 0.2)?,
-            at_end: at_end(settings)?,
+            motor_torque,
+            silence,
+            at_end,
         })
     }
 }

@@ -1,7 +1,7 @@
 //! The driver `feetech` of `[driver]` in robot.toml.
 
 use crate::arm::FeetechArm;
-use crate::arm_config::{ArmConfig, AtEnd};
+use crate::arm_config::{ArmConfig, AtEnd, KEYS};
 #[cfg(target_os = "linux")]
 use crate::bus::Bus;
 #[cfg(target_os = "linux")]
@@ -11,12 +11,12 @@ use crate::scan::{self, FoundServo};
 #[cfg(target_os = "linux")]
 use crate::simulated::{PseudoTerminal, bus_with_arm};
 use crate::transport::Transport;
-use opspace_backend::{Backend, Driver, DriverError, Settings};
+use opspace_backend::{Backend, Driver, DriverError, DriverKey, DriverWarning, Settings};
 #[cfg(target_os = "linux")]
 use opspace_backend::{FoundDevice, SimulatedDevices};
+use std::path::Path;
 
 /// Baud rate of the servos' factory settings.
-#[cfg(target_os = "linux")]
 const DEFAULT_BAUD_HZ: f64 = 1e6;
 
 /// Driver of arms on Feetech's servo bus. Its keys are [`KEYS`](crate::arm_config::KEYS).
@@ -28,13 +28,36 @@ impl Driver for FeetechDriver {
         "feetech"
     }
 
+    fn keys(&self) -> &[DriverKey] {
+        &KEYS
+    }
+
+    /// A calibration or a port that is not there is a warning: an arm may be calibrated and connected later.
+    fn check(&self, settings: &Settings) -> Result<Vec<DriverWarning>, DriverError> {
+        let port = port_of(settings)?;
+        let mut warnings = Vec::new();
+        if let Err(error) = ArmConfig::from_settings(settings) {
+            let is_absent = settings.path("calibration").is_ok_and(|path| !path.exists());
+            if !is_absent || error.key.as_deref() != Some("calibration") {
+                return Err(error);
+            }
+            warnings.push(DriverWarning::at("calibration", error.words));
+        }
+        if !Path::new(port.path).exists() {
+            let words = format!("{} does not exist: connect the adapter, or see `opspace driver scan`", port.path);
+            warnings.push(DriverWarning::at("port", words));
+        }
+        Ok(warnings)
+    }
+
     fn with(&self, settings: &Settings, run: &mut dyn FnMut(&mut dyn Backend)) -> Result<(), DriverError> {
+        let port = port_of(settings)?;
         let config = ArmConfig::from_settings(settings)?;
         #[cfg(target_os = "linux")]
-        return with_transport(open(settings)?, config, run);
+        return with_transport(open_port(port.path, port.baud_hz)?, config, run);
         #[cfg(not(target_os = "linux"))]
         {
-            let _ = (config, run);
+            let _ = (port.baud_hz, config, run);
             Err(DriverError::new("serial ports are supported on Linux only so far"))
         }
     }
@@ -118,15 +141,22 @@ pub fn with_transport<T: Transport>(
     Ok(())
 }
 
-#[cfg(target_os = "linux")]
-fn open(settings: &Settings) -> Result<crate::serial_port::SerialPort, DriverError> {
+/// Port that `[driver]` states.
+struct StatedPort<'a> {
+    path: &'a str,
+    baud_hz: u32,
+}
+
+/// Reads the keys of the port, after the keys of all else are known to be there.
+fn port_of(settings: &Settings) -> Result<StatedPort<'_>, DriverError> {
+    settings.expect(&KEYS)?;
     let path = settings.text("port")?;
     let baud_hz = if settings.contains("baud_hz") { settings.number("baud_hz")? } else { DEFAULT_BAUD_HZ };
     if baud_hz.fract() != 0.0 || !(1200.0..=4e6).contains(&baud_hz) {
         let words = format!("'baud_hz' must be a whole number of 1200 to 4000000, not {baud_hz}");
         return Err(DriverError::at("baud_hz", words));
     }
-    open_port(path, baud_hz as u32)
+    Ok(StatedPort { path, baud_hz: baud_hz as u32 })
 }
 
 #[cfg(target_os = "linux")]

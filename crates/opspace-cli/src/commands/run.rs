@@ -18,7 +18,7 @@ use opspace_experiment::files::origin::Kind;
 use opspace_experiment::metrics::columns::default_columns;
 use opspace_experiment::run::result_files::{LOG, REPORT, SUMMARY};
 use opspace_experiment::{
-    ControllerKind, Experiment, Extensions, FileError, Files, Metric, Progress, RunError, RunSummary,
+    Code, ControllerKind, Experiment, Extensions, FileError, Files, Metric, Progress, RunError, RunSummary,
     Scenario, Summary,
 };
 use opspace_live::ViewKind;
@@ -64,6 +64,9 @@ pub fn run(args: &RunArgs, extensions: &Extensions, console: Console) -> Outcome
     scenario.single().into_iter().for_each(|experiment| say_details(experiment, console));
     let scenario = if real.is_some() { checked_for_real_robots(scenario)? } else { scenario };
     scenario.allowed().iter().for_each(|refusal| console.note(&format!("warning: {refusal}")));
+    if real.is_some() {
+        note_doubts_of_drivers(&scenario, extensions, console)?;
+    }
     note_problems(&scenario, args, extensions, console);
     let default = default_folder(&scenario, &args.plant);
     let results = prepare(&args.output, &default, &file_names(&scenario), &scenario.input_paths(), console)?;
@@ -276,6 +279,23 @@ fn note_problems(scenario: &Scenario, args: &RunArgs, extensions: &Extensions, c
         let what = if lines.len() == 1 { "this problem" } else { "these problems" };
         console.note(&format!("note: `opspace check {}`{options} explains {what}", args.task.display()));
     }
+}
+
+/// Prints the warnings of drivers before anything is opened.
+fn note_doubts_of_drivers(
+    scenario: &Scenario,
+    extensions: &Extensions,
+    console: Console,
+) -> Result<(), FileError> {
+    for experiment in scenario.experiments() {
+        for doubt in experiment.check_driver(extensions)? {
+            // Opening the robot names a driver that is missing, too.
+            if doubt.code != Code::MissingDriver {
+                console.note(&format!("warning: {doubt} [{}]", doubt.code));
+            }
+        }
+    }
+    Ok(())
 }
 
 /// True if `opspace check` needs options to examine the same run.

@@ -4,10 +4,11 @@ use crate::codes::Code;
 use crate::extensions::Extensions;
 use crate::files::robot::RobotDefinition;
 use crate::files::source::FileError;
+use crate::finding::Finding;
 use crate::run::error::RunError;
 use crate::run::execute::{Progress, RunResult};
 use crate::run::experiment::Experiment;
-use crate::suggest::choices;
+use crate::suggest::{choices, nearest};
 use opspace_backend::{Backend, CommandKind, Driver, DriverError, Setting, Settings};
 use opspace_loop::driver_calls::stop;
 use std::io::Write;
@@ -63,6 +64,20 @@ impl Experiment {
         self.robot.with_driver(extensions, &settings, body)
     }
 
+    /// Checks `[driver]` without opening the robot. Returns warnings; none for a robot without a driver.
+    ///
+    /// # Errors
+    /// Settings that the driver refuses, at their key.
+    pub fn check_driver(&self, extensions: &Extensions) -> Result<Vec<Finding>, FileError> {
+        self.robot.check_driver(extensions, &self.driver_settings())
+    }
+
+    /// True if the robot accepts the commands that robot.toml declares, and not others that an option chose.
+    #[must_use]
+    pub fn is_as_declared(&self) -> bool {
+        self.command_kind() == self.robot.file.interface.command
+    }
+
     /// Settings with which a driver opens the robot of the experiment.
     #[must_use]
     pub fn driver_settings(&self) -> Settings {
@@ -99,13 +114,39 @@ impl RobotDefinition {
                     "it panicked while it closed the robot; the message was printed to standard error";
                 Err(RunError::AfterRun { words: words.to_owned() })
             }
-            (None, Ok(Err(error))) => Err(self.driver_error(&error).into()),
+            (None, Ok(Err(error))) => Err(self.driver_error(driver, &error).into()),
             (None, Err(_)) => Err(RunError::Panicked { place: "the driver, while it opened the robot," }),
             (None, Ok(Ok(()))) => {
                 let error = DriverError::new("the driver opened the robot but did not run it");
-                Err(self.driver_error(&error).into())
+                Err(self.driver_error(driver, &error).into())
             }
         }
+    }
+
+    /// Checks `[driver]` without opening the robot, with the settings of a run. Returns warnings: those of the driver, and a driver
+    /// that this program does not have, since a program of the user's may have it. None for a robot without `[driver]`.
+    ///
+    /// # Errors
+    /// Settings that the driver refuses, at their key.
+    pub fn check_driver(&self, extensions: &Extensions, settings: &Settings) -> Result<Vec<Finding>, FileError> {
+        if self.file.driver.is_none() {
+            return Ok(Vec::new());
+        }
+        let driver = match self.driver(extensions) {
+            Ok(driver) => driver,
+            Err(error) if error.code() == Some(Code::MissingDriver) => {
+                let help = error.help().unwrap_or_default().to_owned();
+                let message = error.message().to_owned();
+                return Ok(vec![Finding::new(Code::MissingDriver, &["driver", NAME], message, help).of_robot()]);
+            }
+            Err(error) => return Err(error),
+        };
+        let warnings = driver.check(settings).map_err(|error| self.driver_error(driver, &error))?;
+        let finding = |warning: opspace_backend::DriverWarning| {
+            let key = ["driver", &warning.key];
+            Finding::new(Code::DriverDoubt, &key, warning.words, String::new()).of_robot()
+        };
+        Ok(warnings.into_iter().map(finding).collect())
     }
 
     /// Driver that `[driver]` selects.
@@ -138,6 +179,13 @@ impl RobotDefinition {
         })
     }
 
+    /// Settings with which a driver opens the robot as robot.toml declares it; `None` without a profile that is the default.
+    #[must_use]
+    pub fn default_driver_settings(&self) -> Option<Settings> {
+        let (_, profile) = self.profile(None).ok()?;
+        Some(self.driver_settings(self.file.interface.command, profile.period_s()))
+    }
+
     /// Settings with which a driver opens the robot for these commands, at this interface period (s).
     #[must_use]
     pub fn driver_settings(&self, command: CommandKind, period_s: f64) -> Settings {
@@ -151,12 +199,15 @@ impl RobotDefinition {
         keys.fold(settings, |settings, (key, value)| settings.with(key, value.clone()))
     }
 
-    /// Error of a driver, at its key in `[driver]`.
-    pub(crate) fn driver_error(&self, error: &DriverError) -> FileError {
-        match &error.key {
-            Some(key) => FileError::at_key(&self.source, ["driver", key], error.words.clone(), None),
-            None => FileError::at_key(&self.source, "driver", error.words.clone(), None),
-        }
+    /// Error of a driver, at its key in `[driver]`. An unknown key that is similar to a known one is probably that one.
+    pub(crate) fn driver_error(&self, driver: &dyn Driver, error: &DriverError) -> FileError {
+        let Some(key) = &error.key else {
+            return FileError::at_key(&self.source, "driver", error.words.clone(), None);
+        };
+        let known: Vec<&str> = driver.keys().iter().map(|key| key.name).collect();
+        let meant = if known.contains(&key.as_str()) { None } else { nearest(key, known) };
+        let help = meant.map(|meant| format!("did you mean `{meant}`?"));
+        FileError::at_key(&self.source, ["driver", key], error.words.clone(), help)
     }
 }
 

@@ -50,7 +50,7 @@ impl Experiment {
         devices.options = options(devices.options);
         devices.link = link;
         let settings = self.driver_settings();
-        driver.simulate(&settings, devices, serve).map_err(|error| self.robot().driver_error(&error))
+        driver.simulate(&settings, devices, serve).map_err(|error| self.robot().driver_error(driver, &error))
     }
 
     /// Arm of the experiment for simulated devices.
