@@ -55,9 +55,13 @@ fn check_warns_of_a_port_and_a_calibration_that_are_absent() {
 #[test]
 fn wrong_settings_of_a_driver_are_errors_at_their_line() {
     let cases: [(&str, &str, &[&str]); 6] = [
-        ("p = 16", "p = 16\nbaudrate = 1000000", &["unknown key 'baudrate'", "the keys are: port, baud_hz"]),
-        ("p = 16", "p = 16\ngoal_sped_rad_per_s = 1.0", &["unknown key 'goal_sped_rad_per_s'", "did you mean `goal_speed_rad_per_s`?"]),
-        ("p = 16", "p = 300", &["'p' is the content of a register, a whole number of 0 to 255, not 300"]),
+        ("i = 0", "i = 0\nbaudrate = 1000000", &["unknown key 'baudrate'", "the keys are: port, baud_hz"]),
+        (
+            "i = 0",
+            "i = 0\ngoal_sped_rad_per_s = 1.0",
+            &["unknown key 'goal_sped_rad_per_s'", "did you mean `goal_speed_rad_per_s`?"],
+        ),
+        ("\np = 16", "\np = 300", &["'p' is the content of a register, a whole number of 0 to 255, not 300"]),
         ("d = 32", "d = \"32\"", &["'d' must be a number, not \"32\""]),
         ("d = 32", "d = 32\nat_end = \"drop\"", &["'at_end' must be \"hold\" or \"lower\", not \"drop\""]),
         ("i = 0", "", &["the key 'i' is missing"]),
@@ -95,4 +99,28 @@ fn unknown_driver_is_a_problem_with_the_names_of_the_others() {
         let words = ["no driver 'feetec'", "did you mean 'feetech'?", "[missing-driver]", "robot.toml:"];
         check(&folder, file).exits(0).prints(&words);
     }
+}
+
+/// By hand: twice the gain of a proportional servo is twice its stiffness, 2 · 8.9 Nm/rad.
+#[test]
+fn gain_that_the_stiffness_does_not_belong_to_is_refused() {
+    let folder = so101(&[("\np = 16", "\np = 32")]);
+    let words = [
+        "p = 32, but the stiffness in [profile], 8.9 Nm/rad, is stated for P = 16; at P = 32 it would be 17.8 Nm/rad",
+        "stiffness_at_p = 32, or p = 16",
+        "robot.toml:",
+    ];
+    check(&folder, "hold-and-yield.toml").exits(2).says(&words);
+    opspace(folder.path(), &["run", "hold-and-yield.toml"]).exits(2).says(&words);
+    let both =
+        so101(&[("\np = 16", "\np = 32"), ("at_p = 16", "at_p = 32"), ("stiffness_nm_per_rad = 8.9", "stiffness_nm_per_rad = 17.8")]);
+    check(&both, "hold-and-yield.toml").exits(0);
+}
+
+#[test]
+fn gains_that_the_model_does_not_have_are_warned_of() {
+    let folder = so101(&[("\ni = 0", "\ni = 5")]);
+    check(&folder, "hold-and-yield.toml").exits(0).prints(&["i = 5, but the servos of [profile] have no integral"]);
+    let folder = so101(&[("stiffness_at_p = 16\n", "")]);
+    check(&folder, "hold-and-yield.toml").exits(0).prints(&["nothing says for which P", "state stiffness_at_p"]);
 }

@@ -123,11 +123,22 @@ pub struct Settings {
     pub force_sensors: Vec<ForceSensor>,
     /// Quantities that samples contain, as `measured` of `[interface]` states them.
     pub measured: Vec<Measured>,
+    /// Position servos of the joints, as robot.toml states them (n); empty if it states none.
+    pub servos: Vec<StatedServo>,
     /// Folder of robot.toml, to which relative paths refer; empty for the working folder.
     pub folder: PathBuf,
     /// True if another run follows at once: a robot that is let go of after a run is held in between.
     pub is_followed: bool,
     values: BTreeMap<String, Setting>,
+}
+
+/// Position servo of a joint, as robot.toml states it, for a driver that writes gains.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct StatedServo {
+    /// Stiffness, Nm/rad (N/m).
+    pub stiffness_nm_per_rad: f64,
+    /// True if its law has an integral.
+    pub has_integral: bool,
 }
 
 /// Value of a key in `[driver]`.
@@ -156,6 +167,7 @@ impl Settings {
             period_s,
             force_sensors: Vec::new(),
             measured: vec![Measured::Position],
+            servos: Vec::new(),
             folder: PathBuf::new(),
             is_followed: false,
             values: BTreeMap::new(),
@@ -166,6 +178,12 @@ impl Settings {
     #[must_use]
     pub fn measuring(self, measured: &[Measured]) -> Self {
         Self { measured: measured.to_vec(), ..self }
+    }
+
+    /// Sets the position servos of the joints (n).
+    #[must_use]
+    pub fn with_servos(self, servos: Vec<StatedServo>) -> Self {
+        Self { servos, ..self }
     }
 
     /// Sets the folder of robot.toml.

@@ -71,7 +71,7 @@ pub use capabilities::{
 };
 pub use command::{Command, CommandKind};
 pub use driver::{
-    Driver, DriverError, DriverWarning, FoundDevice, Setting, Settings, SimulatedDevices,
+    Driver, DriverError, DriverWarning, FoundDevice, Setting, Settings, SimulatedDevices, StatedServo,
 };
 pub use driver_key::{DriverKey, KeyValue};
 pub use fault::DeviceFault;

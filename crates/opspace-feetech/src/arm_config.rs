@@ -2,12 +2,12 @@
 
 use crate::calibration::{Calibration, MotorCalibration};
 use crate::counts::{CountScale, RAD_PER_COUNT};
-use opspace_backend::{CommandKind, DriverError, DriverKey, KeyValue, Measured, Settings};
+use opspace_backend::{CommandKind, DriverError, DriverKey, DriverWarning, KeyValue, Measured, Settings};
 use std::path::Path;
 use std::time::Duration;
 
 /// Keys of `[driver]`.
-pub const KEYS: [DriverKey; 18] = [
+pub const KEYS: [DriverKey; 19] = [
     DriverKey::new("port", KeyValue::Text, "Serial port, such as `/dev/ttyACM0`.").required(),
     DriverKey::new("baud_hz", KeyValue::Number, "Baud rate, 1200 to 4000000.").with_default("1000000"),
     DriverKey::new(
@@ -33,6 +33,12 @@ pub const KEYS: [DriverKey; 18] = [
     )
     .with_default("0"),
     DriverKey::new("p", KeyValue::Number, "Proportional gain, the content of register P_Coefficient.").required(),
+    DriverKey::new(
+        "stiffness_at_p",
+        KeyValue::Number,
+        "The `p` for which `stiffness_nm_per_rad` of the servos is stated: another `p` is refused.",
+    )
+    .with_default("not compared"),
     DriverKey::new("i", KeyValue::Number, "Integral gain, the content of register I_Coefficient.").required(),
     DriverKey::new("d", KeyValue::Number, "Derivative gain, the content of register D_Coefficient.").required(),
     DriverKey::new("goal_speed_rad_per_s", KeyValue::Number, "Speed limit of the servo's profile.")
@@ -159,6 +165,7 @@ impl ArmConfig {
             return Err(DriverError::new(format!("this bus has no force sensor '{}'", sensor.name)));
         }
         let gains = Gains { p: gain(settings, "p")?, i: gain(settings, "i")?, d: gain(settings, "d")? };
+        expect_stiffness_of(settings, gains)?;
         let goal_speed_rad_per_s = settings.positive("goal_speed_rad_per_s")?;
         let acceleration_rad_per_s2 = settings.positive("acceleration_rad_per_s2")?;
         let motor_torque = torque_source(settings)?;
@@ -179,6 +186,68 @@ impl ArmConfig {
             at_end,
         })
     }
+}
+
+/// Warnings about gains that the servos of robot.toml probably do not have.
+pub(crate) fn doubts_of_gains(settings: &Settings) -> Result<Vec<DriverWarning>, DriverError> {
+    let mut doubts = Vec::new();
+    let is_stated = settings.servos.first().is_some_and(|servo| servo.stiffness_nm_per_rad > 0.0);
+    if is_stated && !settings.contains(STIFFNESS_AT_P) {
+        let words = format!(
+            "nothing says for which P the stiffness of [profile] was measured, so that it cannot be compared with p = {}: state \
+             {STIFFNESS_AT_P}",
+            gain(settings, "p")?
+        );
+        doubts.push(DriverWarning::at("p", words));
+    }
+    let i = gain(settings, "i")?;
+    if i > 0 && settings.servos.iter().any(|servo| !servo.has_integral) {
+        let words = format!(
+            "i = {i}, but the servos of [profile] have no integral: the servos would add torques that no transformer knows; \
+             state i = 0"
+        );
+        doubts.push(DriverWarning::at("i", words));
+    }
+    Ok(doubts)
+}
+
+/// Key of the gain for which the stiffness is stated.
+const STIFFNESS_AT_P: &str = "stiffness_at_p";
+
+/// Compares P with the one for which robot.toml states the stiffness. Nothing is scaled: the stiffness may be a measured one.
+fn expect_stiffness_of(settings: &Settings, gains: Gains) -> Result<(), DriverError> {
+    if !settings.contains(STIFFNESS_AT_P) {
+        return Ok(());
+    }
+    let at_p = gain(settings, STIFFNESS_AT_P)?;
+    if at_p == gains.p {
+        return Ok(());
+    }
+    if at_p == 0 {
+        let words = format!("'{STIFFNESS_AT_P}' must be above 0: a servo whose P is 0 has no stiffness");
+        return Err(DriverError::at(STIFFNESS_AT_P, words));
+    }
+    let stiffnesses = || settings.servos.iter().map(|servo| servo.stiffness_nm_per_rad);
+    let in_words = |factor: f64| {
+        let (least, most) =
+            stiffnesses().fold((f64::INFINITY, 0.0), |(least, most): (f64, f64), one| (least.min(one), most.max(one)));
+        let round = |stiffness: f64| (stiffness * factor * 1e3).round() / 1e3;
+        match round(most) {
+            most if most == round(least) => format!("{most} Nm/rad"),
+            most => format!("{} to {most} Nm/rad", round(least)),
+        }
+    };
+    let p = gains.p;
+    let words = match stiffnesses().next() {
+        None => format!("p = {p}, but the stiffness is stated for P = {at_p}"),
+        Some(_) => format!(
+            "p = {p}, but the stiffness in [profile], {}, is stated for P = {at_p}; at P = {p} it would be {}. State this stiffness and \
+             {STIFFNESS_AT_P} = {p}, or p = {at_p}",
+            in_words(1.0),
+            in_words(f64::from(p) / f64::from(at_p))
+        ),
+    };
+    Err(DriverError::at("p", words))
 }
 
 /// Source of motor torques, if robot.toml states that they are measured.

@@ -1,7 +1,7 @@
 //! The driver `feetech` of `[driver]` in robot.toml.
 
 use crate::arm::FeetechArm;
-use crate::arm_config::{ArmConfig, AtEnd, KEYS};
+use crate::arm_config::{ArmConfig, AtEnd, KEYS, doubts_of_gains};
 #[cfg(target_os = "linux")]
 use crate::bus::Bus;
 #[cfg(target_os = "linux")]
@@ -35,7 +35,7 @@ impl Driver for FeetechDriver {
     /// A calibration or a port that is not there is a warning: an arm may be calibrated and connected later.
     fn check(&self, settings: &Settings) -> Result<Vec<DriverWarning>, DriverError> {
         let port = port_of(settings)?;
-        let mut warnings = Vec::new();
+        let mut warnings = doubts_of_gains(settings)?;
         if let Err(error) = ArmConfig::from_settings(settings) {
             let is_absent = settings.path("calibration").is_ok_and(|path| !path.exists());
             if !is_absent || error.key.as_deref() != Some("calibration") {

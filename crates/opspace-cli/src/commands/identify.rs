@@ -88,7 +88,7 @@ fn identify_real_robot(
         return Err(Failure::Other(text.to_owned(), Exit::Bad));
     }
     let (_, profile) = robot.profile(args.profile.as_deref())?;
-    let settings = robot.driver_settings(CommandKind::Position, profile.period_s());
+    let settings = robot.driver_settings(CommandKind::Position, profile);
     let watch = interrupt::watch_with_robots();
     let identified = robot.with_driver(extensions, &settings, |arm| {
         let joints = robot.model.joints().iter().map(|joint| joint.name.clone());

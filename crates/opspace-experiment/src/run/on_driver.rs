@@ -9,8 +9,11 @@ use crate::run::error::RunError;
 use crate::run::execute::{Progress, RunResult};
 use crate::run::experiment::Experiment;
 use crate::suggest::{choices, nearest};
-use opspace_backend::{Backend, CommandKind, Driver, DriverError, Setting, Settings};
+use opspace_backend::{
+    Backend, CommandKind, Driver, DriverError, DriverWarning, Setting, Settings, StatedServo,
+};
 use opspace_loop::driver_calls::stop;
+use opspace_transformer::{ProfileParameters, ServoParameters};
 use std::io::Write;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
@@ -81,7 +84,7 @@ impl Experiment {
     /// Settings with which a driver opens the robot of the experiment.
     #[must_use]
     pub fn driver_settings(&self) -> Settings {
-        self.robot.driver_settings(self.command_kind(), self.profile.period_s())
+        self.robot.driver_settings(self.command_kind(), &self.profile)
     }
 }
 
@@ -142,7 +145,7 @@ impl RobotDefinition {
             Err(error) => return Err(error),
         };
         let warnings = driver.check(settings).map_err(|error| self.driver_error(driver, &error))?;
-        let finding = |warning: opspace_backend::DriverWarning| {
+        let finding = |warning: DriverWarning| {
             let key = ["driver", &warning.key];
             Finding::new(Code::DriverDoubt, &key, warning.words, String::new()).of_robot()
         };
@@ -183,17 +186,21 @@ impl RobotDefinition {
     #[must_use]
     pub fn default_driver_settings(&self) -> Option<Settings> {
         let (_, profile) = self.profile(None).ok()?;
-        Some(self.driver_settings(self.file.interface.command, profile.period_s()))
+        Some(self.driver_settings(self.file.interface.command, profile))
     }
 
-    /// Settings with which a driver opens the robot for these commands, at this interface period (s).
+    /// Settings with which a driver opens the robot for these commands, with this profile.
     #[must_use]
-    pub fn driver_settings(&self, command: CommandKind, period_s: f64) -> Settings {
+    pub fn driver_settings(&self, command: CommandKind, profile: &ProfileParameters) -> Settings {
+        let period_s = profile.period_s();
+        let servos = self.model.joints().iter().map_while(|joint| profile.servo.get(&joint.name));
+        let servos = servos.map(|servo| stated_servo(servo, profile.servo_period_s())).collect();
         let joints = self.model.joints().iter().map(|joint| joint.name.clone()).collect();
         let folder = Path::new(self.source.name()).parent().unwrap_or(Path::new(""));
         let settings = Settings::new(command, joints, period_s)
             .measuring(&self.file.interface.measured)
             .with_force_sensors(self.capabilities(command, period_s).force_sensors)
+            .with_servos(servos)
             .in_folder(folder);
         let keys = self.file.driver.iter().flatten().filter(|(key, _)| *key != NAME);
         keys.fold(settings, |settings, (key, value)| settings.with(key, value.clone()))
@@ -209,6 +216,16 @@ impl RobotDefinition {
         let help = meant.map(|meant| format!("did you mean `{meant}`?"));
         FileError::at_key(&self.source, ["driver", key], error.words.clone(), help)
     }
+}
+
+/// Servo of a joint for a driver that writes gains. What a transfer function integrates is not known.
+fn stated_servo(servo: &ServoParameters, period_s: f64) -> StatedServo {
+    let has_integral = match servo {
+        ServoParameters::Pid(servo) => servo.integral_nm_per_rad_s.get() > 0.0,
+        ServoParameters::Cascaded(servo) => servo.velocity_integral_time_s.is_some(),
+        _ => true,
+    };
+    StatedServo { stiffness_nm_per_rad: servo.gains(period_s).stiffness, has_integral }
 }
 
 /// Calls `body`; after an error or a panic, the robot is stopped.
