@@ -171,14 +171,14 @@ fn open_port(path: &str, baud_hz: u32) -> Result<crate::serial_port::SerialPort,
 
 #[cfg(target_os = "linux")]
 fn remedy(error: &crate::serial_port::PortError) -> &'static str {
-    use crate::serial_port::PortError::Open;
-    use std::io::ErrorKind::{NotFound, PermissionDenied, ResourceBusy};
+    use crate::serial_port::PortError::{Open, Used};
+    use std::io::ErrorKind::{NotFound, PermissionDenied};
 
     match error {
         Open(error) if error.kind() == PermissionDenied => {
             "; add yourself to the group of the file (dialout), and log in again"
         }
-        Open(error) if error.kind() == ResourceBusy => "; another program uses the port",
+        Used { .. } => "; end it first",
         Open(error) if error.kind() == NotFound => {
             "; ports of USB adapters are /dev/ttyACM0, /dev/ttyUSB0 and so on"
         }
