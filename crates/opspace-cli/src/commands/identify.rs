@@ -119,6 +119,10 @@ fn say_plan(identifying: &IdentificationJob, console: Console) {
     for (joint, motion) in identifying.planned_motions() {
         console.note(&format!("{joint} will move {motion}"));
     }
+    let planned_s = identifying.planned_s();
+    if planned_s > 0.0 {
+        console.note(&format!("all of these motions take some {planned_s:.0} s"));
+    }
 }
 
 fn ended_early(stop: AbortReason) -> Failure {
