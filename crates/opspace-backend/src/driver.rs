@@ -5,6 +5,7 @@ use crate::capabilities::{ForceSensor, Measured};
 use crate::command::CommandKind;
 use crate::driver_key::{DriverKey, KeyValue};
 use crate::fault::DeviceFault;
+use crate::observed::{Observed, ObservedTorque};
 use std::collections::BTreeMap;
 use std::error::Error;
 use std::fmt;
@@ -45,6 +46,26 @@ pub trait Driver {
     /// If settings are missing or wrong, or if the robot cannot be opened.
     fn with(&self, settings: &Settings, run: &mut dyn FnMut(&mut dyn Backend)) -> Result<(), DriverError>;
 
+    /// Returns in words the state in which the robot is left after a run, also after one that a fault ended; `None` if the driver
+    /// does not say.
+    fn state_after_run(&self, _settings: &Settings) -> Option<String> {
+        None
+    }
+
+    /// Opens the robot to read it without commanding it, calls `observe` once, and closes it. Torques that are on stay on, unless they
+    /// are to be released.
+    ///
+    /// # Errors
+    /// As [`with`](Self::with); a robot that cannot be lowered; a driver that always commands its robot.
+    fn observe(
+        &self,
+        _settings: &Settings,
+        _torque: ObservedTorque,
+        _observe: &mut dyn FnMut(&mut dyn Observed),
+    ) -> Result<(), DriverError> {
+        Err(DriverError::new(format!("the driver '{}' reads no robot without commanding it", self.name())))
+    }
+
     /// Searches for devices, at a place such as a port, or everywhere. Writes nothing to them.
     ///
     /// # Errors
@@ -53,8 +74,8 @@ pub trait Driver {
         Err(DriverError::new(format!("the driver '{}' does not search for devices", self.name())))
     }
 
-    /// Serves simulated devices with the arm behind them, and calls `serve` once with their place; it returns when they are
-    /// to end. Programs of others reach them as they would reach real ones. Returns a sentence about how it went.
+    /// Serves simulated devices with the arm behind them, and calls `serve` once with their place and what was written for them; it
+    /// returns when they are to end. Programs of others reach them as they would reach real ones. Returns a sentence about how it went.
     ///
     /// # Errors
     /// If settings or options are wrong, or the devices cannot be served; a driver without simulated devices.
@@ -62,7 +83,7 @@ pub trait Driver {
         &self,
         _settings: &Settings,
         _devices: SimulatedDevices,
-        _serve: &mut dyn FnMut(&str),
+        _serve: &mut dyn FnMut(&ServedDevices),
     ) -> Result<String, DriverError> {
         Err(DriverError::new(format!("the driver '{}' has no simulated devices", self.name())))
     }
@@ -96,6 +117,24 @@ impl SimulatedDevices {
         let capabilities = arm.capabilities();
         let options = Settings::new(capabilities.command, capabilities.joints.clone(), capabilities.period_s);
         Self { arm, holding_torque_nm, position_ranges_rad, link: None, options }
+    }
+}
+
+/// Simulated devices that are served.
+#[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct ServedDevices {
+    /// Their place, such as the path of a port.
+    pub place: String,
+    /// Files that were written for them, each with its meaning in words.
+    pub written: Vec<(PathBuf, &'static str)>,
+}
+
+impl ServedDevices {
+    /// Returns devices at a place, for which nothing was written.
+    #[must_use]
+    pub fn new(place: impl Into<String>) -> Self {
+        Self { place: place.into(), written: Vec::new() }
     }
 }
 
@@ -252,10 +291,11 @@ impl Settings {
     /// # Errors
     /// If the value is neither of these, a number is not finite, or a joint is unknown.
     pub fn numbers_by_joint(&self, key: &str) -> Result<Vec<Option<f64>>, DriverError> {
-        let numbers = self.by_joint(key, "an array of numbers, or a table by joint", |setting| match setting {
-            Setting::Number(number) => Some(*number),
-            _ => None,
-        })?;
+        let numbers =
+            self.by_joint(key, "an array of numbers, or a table by joint", |setting| match setting {
+                Setting::Number(number) => Some(*number),
+                _ => None,
+            })?;
         if numbers.iter().flatten().any(|number| !number.is_finite()) {
             return Err(DriverError::at(key, format!("'{key}' must have finite numbers")));
         }
@@ -283,16 +323,21 @@ impl Settings {
         let element = |value| element(value).map(Some).ok_or_else(|| wrong(key, expected, value));
         match self.values.get(key) {
             None => Ok(joints.iter().map(|_| None).collect()),
-            Some(Setting::List(values)) if values.len() == joints.len() => values.iter().map(element).collect(),
+            Some(Setting::List(values)) if values.len() == joints.len() => {
+                values.iter().map(element).collect()
+            }
             Some(Setting::List(values)) => {
                 let (found, names) = (values.len(), joints.join(", "));
-                let words = format!("'{key}' has {found} values; the robot has {} joints: {names}", joints.len());
+                let words =
+                    format!("'{key}' has {found} values; the robot has {} joints: {names}", joints.len());
                 Err(DriverError::at(key, words))
             }
             Some(Setting::Table(values)) => {
                 if let Some(unknown) = values.keys().find(|name| !joints.contains(name)) {
-                    let words =
-                        format!("'{key}' has an unknown joint '{unknown}'; the joints are: {}", joints.join(", "));
+                    let words = format!(
+                        "'{key}' has an unknown joint '{unknown}'; the joints are: {}",
+                        joints.join(", ")
+                    );
                     return Err(DriverError::at(key, words));
                 }
                 joints.iter().map(|joint| values.get(joint).map_or(Ok(None), &element)).collect()

@@ -229,8 +229,8 @@ fn expect_stiffness_of(settings: &Settings, gains: Gains) -> Result<(), DriverEr
     }
     let stiffnesses = || settings.servos.iter().map(|servo| servo.stiffness_nm_per_rad);
     let in_words = |factor: f64| {
-        let (least, most) =
-            stiffnesses().fold((f64::INFINITY, 0.0), |(least, most): (f64, f64), one| (least.min(one), most.max(one)));
+        let (least, most) = stiffnesses()
+            .fold((f64::INFINITY, 0.0), |(least, most): (f64, f64), one| (least.min(one), most.max(one)));
         let round = |stiffness: f64| (stiffness * factor * 1e3).round() / 1e3;
         match round(most) {
             most if most == round(least) => format!("{most} Nm/rad"),

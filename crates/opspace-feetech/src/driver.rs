@@ -13,7 +13,7 @@ use crate::simulated::{PseudoTerminal, bus_with_arm};
 use crate::transport::Transport;
 use opspace_backend::{Backend, Driver, DriverError, DriverKey, DriverWarning, Settings};
 #[cfg(target_os = "linux")]
-use opspace_backend::{FoundDevice, SimulatedDevices};
+use opspace_backend::{FoundDevice, Observed, ObservedTorque, ServedDevices, SimulatedDevices};
 use std::path::Path;
 
 /// Baud rate of the servos' factory settings.
@@ -44,7 +44,8 @@ impl Driver for FeetechDriver {
             warnings.push(DriverWarning::at("calibration", error.words));
         }
         if !Path::new(port.path).exists() {
-            let words = format!("{} does not exist: connect the adapter, or see `opspace driver scan`", port.path);
+            let words =
+                format!("{} does not exist: connect the adapter, or see `opspace driver scan`", port.path);
             warnings.push(DriverWarning::at("port", words));
         }
         Ok(warnings)
@@ -60,6 +61,31 @@ impl Driver for FeetechDriver {
             let _ = (port.baud_hz, config, run);
             Err(DriverError::new("serial ports are supported on Linux only so far"))
         }
+    }
+
+    fn state_after_run(&self, settings: &Settings) -> Option<String> {
+        let is_lowered = settings.text("at_end").is_ok_and(|at_end| at_end == "lower");
+        let state = if is_lowered {
+            "the arm was lowered, and its torque is off"
+        } else {
+            "torque stays on, and the arm holds its last position: `opspace driver read ROBOT --release` lowers it and switches torque \
+             off"
+        };
+        Some(state.to_owned())
+    }
+
+    #[cfg(target_os = "linux")]
+    fn observe(
+        &self,
+        settings: &Settings,
+        torque: ObservedTorque,
+        observe: &mut dyn FnMut(&mut dyn Observed),
+    ) -> Result<(), DriverError> {
+        let port = port_of(settings)?;
+        let config = ArmConfig::from_settings(settings)?;
+        let mut arm = FeetechArm::observe(open_port(port.path, port.baud_hz)?, config, torque)?;
+        observe(&mut arm);
+        Ok(())
     }
 
     /// Searches a port, or all serial ports of USB adapters, at all baud rates: some 5 s for each of them without servos.
@@ -99,9 +125,11 @@ impl Driver for FeetechDriver {
         &self,
         settings: &Settings,
         devices: SimulatedDevices,
-        serve: &mut dyn FnMut(&str),
+        serve: &mut dyn FnMut(&ServedDevices),
     ) -> Result<String, DriverError> {
         let link = devices.link.clone();
+        let calibration = settings.path("calibration")?;
+        let is_absent = !calibration.exists();
         let bus = bus_with_arm(settings, devices)?;
         let failed = |error: std::io::Error| DriverError::new(format!("no pseudo-terminal: {error}"));
         let mut terminal = PseudoTerminal::open(bus).map_err(failed)?;
@@ -109,7 +137,14 @@ impl Driver for FeetechDriver {
             let failed = |error| DriverError::new(format!("{}: {error}", link.display()));
             terminal = terminal.with_link(link).map_err(failed)?;
         }
-        serve(&link.as_deref().unwrap_or(terminal.path()).display().to_string());
+        let mut served = ServedDevices::new(link.as_deref().unwrap_or(terminal.path()).display().to_string());
+        if is_absent {
+            served.written.push((
+                calibration,
+                "the calibration of the simulated arm; a real arm needs that of LeRobot",
+            ));
+        }
+        serve(&served);
         let pause_ms = terminal.longest_pause().as_secs_f64() * 1e3;
         let failure = terminal.bus().joints().failure().map(str::to_owned);
         match failure {

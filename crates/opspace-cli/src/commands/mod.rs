@@ -4,6 +4,7 @@ pub mod bench;
 pub mod check;
 pub mod completion;
 pub mod driver;
+pub mod driver_read;
 pub mod explain;
 pub mod export_path;
 pub mod identify;

@@ -10,7 +10,8 @@ use crate::run::execute::{Progress, RunResult};
 use crate::run::experiment::Experiment;
 use crate::suggest::{choices, nearest};
 use opspace_backend::{
-    Backend, CommandKind, Driver, DriverError, DriverWarning, Setting, Settings, StatedServo,
+    Backend, CommandKind, Driver, DriverError, DriverWarning, Observed, ObservedTorque, Setting, Settings,
+    StatedServo,
 };
 use opspace_loop::driver_calls::stop;
 use opspace_transformer::{ProfileParameters, ServoParameters};
@@ -65,6 +66,24 @@ impl Experiment {
         let mut settings = self.driver_settings();
         settings.is_followed = true;
         self.robot.with_driver(extensions, &settings, body)
+    }
+
+    /// Names the driver of `[driver]` and its port: `driver 'feetech', port /dev/ttyACM0`; `None` for a robot without one.
+    #[must_use]
+    pub fn driver_text(&self) -> Option<String> {
+        let keys = self.robot.file.driver.as_ref()?;
+        let text = |key: &str| match keys.get(key) {
+            Some(Setting::Text(text)) => Some(text.as_str()),
+            _ => None,
+        };
+        let port = text("port").map_or_else(String::new, |port| format!(", port {port}"));
+        Some(format!("driver '{}'{port}", text(NAME)?))
+    }
+
+    /// State in which the driver leaves the robot after a run, in words; `None` if it does not say.
+    #[must_use]
+    pub fn state_after_run(&self, extensions: &Extensions) -> Option<String> {
+        self.robot.driver(extensions).ok()?.state_after_run(&self.driver_settings())
     }
 
     /// Checks `[driver]` without opening the robot. Returns warnings; none for a robot without a driver.
@@ -126,12 +145,31 @@ impl RobotDefinition {
         }
     }
 
+    /// Opens the robot of `[driver]` to read it without commanding it, calls `observe`, and closes it.
+    ///
+    /// # Errors
+    /// An unknown driver or one that always commands its robot, invalid settings, or a robot that cannot be opened or lowered.
+    pub fn observe_on_driver(
+        &self,
+        extensions: &Extensions,
+        settings: &Settings,
+        torque: ObservedTorque,
+        observe: &mut dyn FnMut(&mut dyn Observed),
+    ) -> Result<(), FileError> {
+        let driver = self.driver(extensions)?;
+        driver.observe(settings, torque, observe).map_err(|error| self.driver_error(driver, &error))
+    }
+
     /// Checks `[driver]` without opening the robot, with the settings of a run. Returns warnings: those of the driver, and a driver
     /// that this program does not have, since a program of the user's may have it. None for a robot without `[driver]`.
     ///
     /// # Errors
     /// Settings that the driver refuses, at their key.
-    pub fn check_driver(&self, extensions: &Extensions, settings: &Settings) -> Result<Vec<Finding>, FileError> {
+    pub fn check_driver(
+        &self,
+        extensions: &Extensions,
+        settings: &Settings,
+    ) -> Result<Vec<Finding>, FileError> {
         if self.file.driver.is_none() {
             return Ok(Vec::new());
         }
@@ -140,7 +178,9 @@ impl RobotDefinition {
             Err(error) if error.code() == Some(Code::MissingDriver) => {
                 let help = error.help().unwrap_or_default().to_owned();
                 let message = error.message().to_owned();
-                return Ok(vec![Finding::new(Code::MissingDriver, &["driver", NAME], message, help).of_robot()]);
+                return Ok(vec![
+                    Finding::new(Code::MissingDriver, &["driver", NAME], message, help).of_robot(),
+                ]);
             }
             Err(error) => return Err(error),
         };

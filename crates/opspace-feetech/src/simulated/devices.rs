@@ -71,8 +71,8 @@ fn write_missing_calibration(settings: &Settings, devices: &SimulatedDevices) ->
     let motors = settings.texts_by_joint("motors")?;
     let motors = motors.into_iter().zip(&settings.joints).map(|(motor, joint)| motor.unwrap_or(joint));
     let ranges = devices.position_ranges_rad.iter().copied();
-    let calibration = Calibration::of_simulation(motors.zip(ranges))
-        .map_err(|error| failed(error.to_string()))?;
+    let calibration =
+        Calibration::of_simulation(motors.zip(ranges)).map_err(|error| failed(error.to_string()))?;
     let text = calibration.to_json().map_err(|error| failed(error.to_string()))?;
     write_new(&path, &text).map_err(|error| failed(error.to_string()))
 }
