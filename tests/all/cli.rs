@@ -221,9 +221,13 @@ fn quiet_prints_only_results() {
     let folder = scratch();
     let arguments = ["run", &task("compliant-x"), "--duration-s", "2", "-q"];
     let ran = opspace(folder.path(), &arguments).exits(0);
-    assert_eq!(ran.stderr, "");
-    assert!(ran.stdout.contains("compliant-x") && !ran.stdout.contains("simulation"), "{}", ran.stdout);
-    assert!(!ran.stdout.contains("`-v`"), "{}", ran.stdout);
+    assert_eq!((ran.stdout.as_str(), ran.stderr.as_str()), ("runs/compliant-x-asimo-arm-position\n", ""));
+    let bound = "expect={ position_max_m = { at_most = 1e-6 } }";
+    let failing = [&arguments[..], &["--force", "--set", bound]].concat();
+    let ran = opspace(folder.path(), &failing).exits(1);
+    let lines: Vec<&str> = ran.stdout.lines().collect();
+    assert!(lines[0].starts_with("FAILED ") && lines[0].contains("expectation missed"), "{lines:?}");
+    assert_eq!(lines[1..], ["runs/compliant-x-asimo-arm-position"]);
 }
 
 /// Checks that the result comes first, that joints are in the order of the robot, that no line of a table is long, and that

@@ -1,8 +1,13 @@
 //! `[driver]` of robot.toml on the command line: what is checked before anything is opened, and what is said about a robot.
 #![expect(clippy::unwrap_used, reason = "a test")]
 
-use crate::cli_common::{Ran, opspace, project, scratch};
+use crate::cli_common::{Ran, command, opspace, project, read, scratch};
+use opspace_experiment::{Experiment, Files, RunOptions};
+use opspace_feetech::simulated::{PseudoTerminal, bus_with_arm};
 use std::fs;
+use std::io::{BufRead, BufReader};
+use std::path::Path;
+use std::process::Stdio;
 use tempfile::TempDir;
 
 /// Folder with the files of the SO-101, and its `[driver]` with replacements.
@@ -41,7 +46,13 @@ fn check_warns_of_a_port_and_a_calibration_that_are_absent() {
     let folder = so101(&[("/dev/ttyACM0", "port")]);
     for file in ["hold-and-yield.toml", "robot.toml"] {
         let ran = check(&folder, file).exits(0);
-        ran.prints(&["so101.json", "lerobot-calibrate", "port does not exist", "[driver-doubt]", "robot.toml:7"]);
+        ran.prints(&[
+            "so101.json",
+            "lerobot-calibrate",
+            "port does not exist",
+            "[driver-doubt]",
+            "robot.toml:7",
+        ]);
     }
     fs::write(folder.path().join("so101.json"), CALIBRATION).unwrap();
     fs::write(folder.path().join("port"), "").unwrap();
@@ -112,15 +123,155 @@ fn gain_that_the_stiffness_does_not_belong_to_is_refused() {
     ];
     check(&folder, "hold-and-yield.toml").exits(2).says(&words);
     opspace(folder.path(), &["run", "hold-and-yield.toml"]).exits(2).says(&words);
-    let both =
-        so101(&[("\np = 16", "\np = 32"), ("at_p = 16", "at_p = 32"), ("stiffness_nm_per_rad = 8.9", "stiffness_nm_per_rad = 17.8")]);
+    let both = so101(&[
+        ("\np = 16", "\np = 32"),
+        ("at_p = 16", "at_p = 32"),
+        ("stiffness_nm_per_rad = 8.9", "stiffness_nm_per_rad = 17.8"),
+    ]);
     check(&both, "hold-and-yield.toml").exits(0);
 }
 
 #[test]
 fn gains_that_the_model_does_not_have_are_warned_of() {
     let folder = so101(&[("\ni = 0", "\ni = 5")]);
-    check(&folder, "hold-and-yield.toml").exits(0).prints(&["i = 5, but the servos of [profile] have no integral"]);
+    check(&folder, "hold-and-yield.toml")
+        .exits(0)
+        .prints(&["i = 5, but the servos of [profile] have no integral"]);
     let folder = so101(&[("stiffness_at_p = 16\n", "")]);
-    check(&folder, "hold-and-yield.toml").exits(0).prints(&["nothing says for which P", "state stiffness_at_p"]);
+    check(&folder, "hold-and-yield.toml")
+        .exits(0)
+        .prints(&["nothing says for which P", "state stiffness_at_p"]);
+}
+
+/// Serves the arm of a task of the folder behind a pseudo-terminal at the port that robot.toml states, with its calibration.
+fn serve(folder: &TempDir, task: &str) -> PseudoTerminal {
+    let path = folder.path().join(task);
+    let experiment = Experiment::load(Files::Disk, &path, None, RunOptions::default(), &[])
+        .unwrap_or_else(|error| panic!("{error}"));
+    let settings = experiment.driver_settings();
+    let bus = bus_with_arm(&settings, experiment.simulated_devices().unwrap());
+    let terminal = PseudoTerminal::open(bus.unwrap_or_else(|error| panic!("{error}"))).unwrap();
+    terminal.with_link(Path::new(settings.text("port").unwrap())).unwrap()
+}
+
+/// Folder of the SO-101 whose port is in the folder itself; a busy machine may keep its servos silent for two seconds.
+fn so101_at_a_link() -> TempDir {
+    let folder = so101(&[]);
+    let link = folder.path().join("port");
+    let robot = folder.path().join("robot.toml");
+    let text = read(&robot).replace("/dev/ttyACM0", link.to_str().unwrap());
+    fs::write(&robot, text + "silence_s = 2.0\n").unwrap();
+    let text = read(&robot).replace("tare_s = 0.2", "tare_s = 0.2\nmax_dropout_s = 2.0");
+    fs::write(&robot, text).unwrap();
+    folder
+}
+
+/// By hand: hold-and-yield starts at shoulder_lift -0.3 rad, 171.9 or 2048 - 195.6 counts.
+#[test]
+fn read_prints_angles_and_counts_and_marks_what_is_outside_limits() {
+    let folder = so101_at_a_link();
+    let text = read(folder.path().join("hold-and-yield.toml"));
+    let terminal = serve(&folder, "hold-and-yield.toml");
+    let lift = text.lines().find(|line| line.starts_with("start_rad")).unwrap();
+    let lift: f64 = lift
+        .split("shoulder_lift = ")
+        .nth(1)
+        .unwrap()
+        .split([',', ' ', '}'])
+        .next()
+        .unwrap()
+        .parse()
+        .unwrap();
+    for file in ["robot.toml", "hold-and-yield.toml"] {
+        let arguments = ["driver", "read", file, "--duration-s", "0.3"];
+        let ran = (0..10).map(|_| opspace(folder.path(), &arguments)).find(|ran| ran.code == 0).unwrap();
+        let line = ran.stdout.lines().next().unwrap();
+        for part in ["shoulder_pan ", " rad (", "°), ", " counts; ", "7.4 V, 30 °C, torque on"] {
+            assert!(line.contains(part), "{part}: {line}");
+        }
+        let read_lift = line.split("shoulder_lift ").nth(1).unwrap().split(' ').next().unwrap();
+        assert!((read_lift.parse::<f64>().unwrap() - lift).abs() < 0.003, "{line}");
+        assert!(!line.contains("OUTSIDE"), "{line}");
+    }
+    // The same posture with a zero that is wrong by 2 rad.
+    let robot = folder.path().join("robot.toml");
+    fs::write(&robot, read(&robot) + "zeros_rad = { shoulder_lift = 2.0 }\n").unwrap();
+    let arguments = ["driver", "read", "robot.toml", "--duration-s", "0.3"];
+    let ran = (0..10).map(|_| opspace(folder.path(), &arguments)).find(|ran| ran.code == 0).unwrap();
+    assert!(ran.stdout.contains("OUTSIDE its limits"), "{}", ran.stdout);
+    drop(terminal);
+    opspace(folder.path(), &arguments).exits(2).says(&["port", "robot.toml:"]);
+}
+
+/// First lines of a run: what it runs on. `--simulate`, no `[driver]`, and a driver.
+#[test]
+fn run_says_whether_the_robot_is_simulated() {
+    let folder = so101_at_a_link();
+    let run = ["run", "hold-and-yield.toml", "--duration-s", "0.5", "--out", "out", "--force"];
+    let simulated = opspace(folder.path(), &[&run[..], &["--simulate"]].concat()).exits(0);
+    let ran = simulated.says(&["hold-and-yield (simulated: --simulate asks for it) starts at"]);
+    ran.prints(&[", simulated\n"]);
+    let other = ["run", &project("tasks/compliant-x.toml"), "--duration-s", "2", "--out", "other"];
+    opspace(folder.path(), &other).exits(0).says(&["(simulated: robot.toml has no [driver])"]);
+}
+
+/// A run on a driver: what moves before it, and after it a verdict without tables, the state of the arm, and how it is let go of.
+#[test]
+fn run_on_a_driver_is_for_its_owner() {
+    let folder = so101_at_a_link();
+    let terminal = serve(&folder, "hold-and-yield.toml");
+    let run = ["run", "hold-and-yield.toml", "--duration-s", "0.5", "--out", "out", "--force"];
+    let away = ["--set", "start_rad.shoulder_pan=0.1", "--move-to-start"];
+    let arguments = [&run[..], &away].concat();
+    let ran = (0..5).map(|_| opspace(folder.path(), &arguments)).find(|ran| ran.code == 0).unwrap();
+    let ran = ran.says(&[
+        "(on the real robot: driver 'feetech', port ",
+        "moves to the start of the task within 2 s",
+        "torque stays on, and the arm holds its last position: `opspace driver read ROBOT --release`",
+    ]);
+    let ran = ran.prints(&["completed 0.5 s", "missed cycles: "]);
+    assert!(!ran.stdout.contains("───"), "{}", ran.stdout);
+    let quiet = [&arguments[..], &["--quiet"]].concat();
+    let ran = (0..5).map(|_| opspace(folder.path(), &quiet)).find(|ran| ran.code == 0).unwrap();
+    assert_eq!((ran.stdout.as_str(), ran.stderr.as_str()), ("out\n", ""));
+    drop(terminal);
+}
+
+/// The calibration of a simulated arm is announced where it is new, and one that exists stays as it is.
+#[test]
+fn simulated_bus_announces_the_calibration_that_it_writes() {
+    let folder = so101_at_a_link();
+    let link = folder.path().join("port");
+    let simulate = || {
+        let arguments = ["driver", "simulate", "hold-and-yield.toml", "--link", link.to_str().unwrap()];
+        let mut child = command(folder.path(), &[&arguments[..], &["--duration-s", "0.2"]].concat())
+            .stderr(Stdio::piped())
+            .stdout(Stdio::null())
+            .spawn()
+            .unwrap();
+        let said: Vec<String> =
+            BufReader::new(child.stderr.take().unwrap()).lines().map(Result::unwrap).collect();
+        assert!(child.wait().unwrap().success(), "{said:?}");
+        said.join("\n")
+    };
+    let said = simulate();
+    assert!(said.contains("so101.json: the calibration of the simulated arm"), "{said}");
+    let calibration = folder.path().join("so101.json");
+    assert!(read(&calibration).contains("shoulder_lift"));
+    fs::write(&calibration, CALIBRATION).unwrap();
+    assert!(!simulate().contains("calibration"));
+    assert_eq!(read(&calibration), CALIBRATION);
+}
+
+/// A spring that presses on a table is no spring that friction holds.
+#[test]
+fn spring_that_presses_is_said_to_press() {
+    let folder = so101(&[]);
+    let ran = opspace(folder.path(), &["run", "press.toml", "--simulate", "--out", "out"]).exits(0);
+    let note =
+        ran.stdout.lines().find(|line| line.contains("[spring-deflected]")).unwrap_or_default().to_owned();
+    assert!(
+        note.contains("presses with ") && note.contains("on 'table'") && !note.contains("friction"),
+        "{note}"
+    );
 }

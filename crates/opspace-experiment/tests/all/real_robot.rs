@@ -177,8 +177,9 @@ fn real_robot_moves_slowly_to_start_first() {
         assert!(refused.to_string().contains("--move-to-start"), "{refused}");
 
         let folder = tempfile::tempdir().unwrap();
-        let moved =
-            move_to_start(&experiment, &extensions, folder.path(), &progress, &|_| {}).unwrap().unwrap();
+        let moved = move_to_start(&experiment, &extensions, folder.path(), &progress, (&|_| {}, &|_| {}))
+            .unwrap()
+            .unwrap();
         assert_eq!(moved.faulted, None, "{backend:?}");
         let recording = Recording::read(folder.path().join("run.mcap")).unwrap();
         let q: Vec<&[f64]> = recording.tick().unwrap().signal("q").unwrap().rows().collect();
@@ -188,7 +189,10 @@ fn real_robot_moves_slowly_to_start_first() {
         for (q, start) in arm.borrow().arm.true_q().iter().zip(&start) {
             assert!((q - start).abs() < AT_START_RAD, "{backend:?}: {q} and {start}");
         }
-        assert_eq!(move_to_start(&experiment, &extensions, folder.path(), &progress, &|_| {}).unwrap(), None);
+        assert_eq!(
+            move_to_start(&experiment, &extensions, folder.path(), &progress, (&|_| {}, &|_| {})).unwrap(),
+            None
+        );
         assert_eq!(run().unwrap().record.fault, None, "{backend:?}");
     }
 }
@@ -221,8 +225,13 @@ fn comparison_options_are_refused_on_real_robot() {
 fn robot_without_driver_cannot_move_to_start() {
     let experiment = experiment("tasks/joint-tracking.toml", CommandKind::Position, &[]);
     let folder = tempfile::tempdir().unwrap();
-    let refused =
-        move_to_start(&experiment, &Extensions::default(), folder.path(), &Progress::default(), &|_| {});
+    let refused = move_to_start(
+        &experiment,
+        &Extensions::default(),
+        folder.path(),
+        &Progress::default(),
+        (&|_| {}, &|_| {}),
+    );
     let words = refused.map(|_| ()).unwrap_err().to_string();
     assert!(words.contains(ROBOT) && words.contains("no [driver]"), "{words}");
 }
@@ -248,7 +257,7 @@ fn one_of_coupled_robots_is_real() {
         let (arm, extensions) = arm_away_from_start(leader, offset_rad);
         arm.borrow_mut().clock_start_s = 0.0;
         let results = ResultFolder::open(folder.path()).unwrap();
-        run_on_drivers(&experiment, &extensions, &results, &Progress::default(), &|_| {})
+        run_on_drivers(&experiment, &extensions, &results, &Progress::default(), (&|_| {}, &|_| {}))
     };
     let away = on_drivers(0.3).unwrap_err().to_string();
     assert!(away.contains("start"), "{away}");
@@ -273,6 +282,7 @@ fn one_of_coupled_robots_is_real() {
     let carry = load("two-arms-carry", &["left.robot.driver.name=one-arm"]);
     let results = ResultFolder::open(folder.path()).unwrap();
     let refused =
-        run_on_drivers(&carry, &Extensions::default(), &results, &Progress::default(), &|_| {}).unwrap_err();
+        run_on_drivers(&carry, &Extensions::default(), &results, &Progress::default(), (&|_| {}, &|_| {}))
+            .unwrap_err();
     assert!(refused.to_string().contains("robot 'left' is real"), "{refused}");
 }
