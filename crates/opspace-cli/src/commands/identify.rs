@@ -89,6 +89,9 @@ fn identify_real_robot(
     }
     let (_, profile) = robot.profile(args.profile.as_deref())?;
     let settings = robot.driver_settings(CommandKind::Position, profile);
+    for doubt in robot.check_driver(extensions, &settings)? {
+        console.note(&format!("warning: {doubt} [{}]", doubt.code));
+    }
     let watch = interrupt::watch_with_robots();
     let identified = robot.with_driver(extensions, &settings, |arm| {
         let joints = robot.model.joints().iter().map(|joint| joint.name.clone());
@@ -111,6 +114,9 @@ fn identify_real_robot(
         }
         Ok(Ok(results))
     })?;
+    if let Some(state) = robot.driver(extensions)?.state_after_run(&settings) {
+        console.note(&state);
+    }
     identified.map_err(ended_early)
 }
 
