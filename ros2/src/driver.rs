@@ -7,9 +7,7 @@ use crate::messages::{Float64MultiArray, JointState, JointTrajectory, Text, Wren
 use crate::node::RobotTopics;
 use crate::program::Program;
 use crate::start;
-use opspace_backend::{
-    Backend, CommandKind, Driver, DriverError, DriverWarning, FoundDevice, Settings,
-};
+use opspace_backend::{Backend, CommandKind, Driver, DriverError, DriverWarning, FoundDevice, Settings};
 use std::time::{Duration, Instant};
 
 /// Time for which `scan` looks for topics.

@@ -51,7 +51,7 @@ fn check_warns_of_a_port_and_a_calibration_that_are_absent() {
             "lerobot-calibrate",
             "port does not exist",
             "[driver-doubt]",
-            "robot.toml:7",
+            "robot.toml:6",
         ]);
     }
     fs::write(folder.path().join("so101.json"), CALIBRATION).unwrap();
@@ -85,7 +85,7 @@ fn wrong_settings_of_a_driver_are_errors_at_their_line() {
         }
         opspace(folder.path(), &["run", "hold-and-yield.toml"]).exits(2).says(words).says(place);
         assert!(!folder.path().join("runs").exists());
-        opspace(folder.path(), &["run", "hold-and-yield.toml", "--simulate", "--duration-s", "0.5"]).exits(0);
+        opspace(folder.path(), &["run", "hold-and-yield.toml", "--simulate", "--duration-s", "1.0"]).exits(0);
     }
 }
 
@@ -193,9 +193,9 @@ fn read_prints_angles_and_counts_and_marks_what_is_outside_limits() {
         assert!((read_lift.parse::<f64>().unwrap() - lift).abs() < 0.003, "{line}");
         assert!(!line.contains("OUTSIDE"), "{line}");
     }
-    // The same posture with a zero that is wrong by 2 rad.
+    // The same posture with a zero that is wrong by 2.5 rad.
     let robot = folder.path().join("robot.toml");
-    fs::write(&robot, read(&robot) + "zeros_rad = { shoulder_lift = 2.0 }\n").unwrap();
+    fs::write(&robot, read(&robot) + "zeros_rad = { shoulder_lift = 2.5 }\n").unwrap();
     let arguments = ["driver", "read", "robot.toml", "--duration-s", "0.3"];
     let ran = (0..10).map(|_| opspace(folder.path(), &arguments)).find(|ran| ran.code == 0).unwrap();
     assert!(ran.stdout.contains("OUTSIDE its limits"), "{}", ran.stdout);
@@ -207,7 +207,7 @@ fn read_prints_angles_and_counts_and_marks_what_is_outside_limits() {
 #[test]
 fn run_says_whether_the_robot_is_simulated() {
     let folder = so101_at_a_link();
-    let run = ["run", "hold-and-yield.toml", "--duration-s", "0.5", "--out", "out", "--force"];
+    let run = ["run", "hold-and-yield.toml", "--duration-s", "1.0", "--out", "out", "--force"];
     let simulated = opspace(folder.path(), &[&run[..], &["--simulate"]].concat()).exits(0);
     let ran = simulated.says(&["hold-and-yield (simulated: --simulate asks for it) starts at"]);
     ran.prints(&[", simulated\n"]);
@@ -220,7 +220,7 @@ fn run_says_whether_the_robot_is_simulated() {
 fn run_on_a_driver_is_for_its_owner() {
     let folder = so101_at_a_link();
     let terminal = serve(&folder, "hold-and-yield.toml");
-    let run = ["run", "hold-and-yield.toml", "--duration-s", "0.5", "--out", "out", "--force"];
+    let run = ["run", "hold-and-yield.toml", "--duration-s", "1.0", "--out", "out", "--force"];
     let away = ["--set", "start_rad.shoulder_pan=0.1", "--move-to-start"];
     let arguments = [&run[..], &away].concat();
     let ran = (0..5).map(|_| opspace(folder.path(), &arguments)).find(|ran| ran.code == 0).unwrap();
@@ -229,7 +229,7 @@ fn run_on_a_driver_is_for_its_owner() {
         "moves to the start of the task within 2 s",
         "torque stays on, and the arm holds its last position: `opspace driver read ROBOT --release`",
     ]);
-    let ran = ran.prints(&["completed 0.5 s", "missed cycles: "]);
+    let ran = ran.prints(&["completed 1 s", "missed cycles: "]);
     assert!(!ran.stdout.contains("───"), "{}", ran.stdout);
     let quiet = [&arguments[..], &["--quiet"]].concat();
     let ran = (0..5).map(|_| opspace(folder.path(), &quiet)).find(|ran| ran.code == 0).unwrap();
@@ -265,13 +265,27 @@ fn simulated_bus_announces_the_calibration_that_it_writes() {
 
 /// A spring that presses on a table is no spring that friction holds.
 #[test]
-fn spring_that_presses_is_said_to_press() {
+fn spring_that_presses_is_not_held_by_friction() {
     let folder = so101(&[]);
     let ran = opspace(folder.path(), &["run", "press.toml", "--simulate", "--out", "out"]).exits(0);
     let note =
         ran.stdout.lines().find(|line| line.contains("[spring-deflected]")).unwrap_or_default().to_owned();
     assert!(
-        note.contains("presses with ") && note.contains("on 'table'") && !note.contains("friction"),
+        note.contains("pulls with ") && note.contains("against 'table'") && !note.contains("friction"),
         "{note}"
     );
+}
+
+/// An arm that lies on its end stops is slightly outside the limits of the URDF: it moves to its start from there.
+#[test]
+fn motion_to_the_start_begins_slightly_outside_of_limits() {
+    let task = project("examples/so101/hold-and-yield.toml");
+    let experiment = Experiment::load(Files::Disk, Path::new(&task), None, RunOptions::default(), &[]);
+    let experiment = experiment.unwrap_or_else(|error| panic!("{error}"));
+    let upper = experiment.robot().model.joints()[1].limits.upper;
+    let from = |lift: f64| experiment.motion_to_start(&[0.0, lift, 0.4, 0.5, 0.0]);
+    assert!(from(upper + 0.005).unwrap_or_else(|error| panic!("{error}")).is_some());
+    let error = from(upper + 0.05).err().unwrap();
+    assert!(error.message().contains("joint 'shoulder_lift' is at 1.795"), "{error}");
+    assert!(error.help().unwrap().contains("opspace driver read"));
 }

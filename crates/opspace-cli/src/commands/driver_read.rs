@@ -25,9 +25,10 @@ pub fn read(args: &DriverReadArgs, extensions: &Extensions, console: Console) ->
         console.note("an arm whose torque is on is lowered: keep its workspace clear");
     }
     let watch = interrupt::watch();
-    let end = args.duration_s.map(|duration_s| Instant::now() + Duration::from_secs_f64(duration_s));
     let mut shown = Ok(());
     robot.observe_on_driver(extensions, &settings, torque, &mut |arm| {
+        // After the arm was lowered.
+        let end = args.duration_s.map(|duration_s| Instant::now() + Duration::from_secs_f64(duration_s));
         shown = show(arm, robot.model.joints(), end, &watch, console);
     })?;
     shown?;

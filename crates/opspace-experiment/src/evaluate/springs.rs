@@ -95,15 +95,15 @@ impl Experiment {
             friction.as_ref().is_some_and(|friction| friction.friction_nm >= friction.spring_nm);
         if !environment.is_empty() && !is_held_by_friction {
             let message = format!(
-                "task '{name}': {} presses with {} on {} of the environment, {} from its goal at the end",
+                "task '{name}': {} pulls with {} against {} of the environment, {} from its goal at the end",
                 spring.text(),
                 spring.pull(),
                 environment.join(" or "),
                 errors(position_m, orientation_rad)
             );
             let help = format!(
-                "nothing, if it is to press: stiffness and `task.{name}.cartesian.reference` set the force; otherwise end the reference \
-                 before the surface"
+                "nothing, if it is to press or to yield: `task.{name}.cartesian.impedance.{key}` and the reference set the force; otherwise \
+                 end the reference before the object"
             );
             let finding =
                 Finding { help, ..Finding::of(Code::SpringDeflected, Place::Task(name.to_owned()), message) };
