@@ -40,7 +40,7 @@ fn check(folder: &TempDir, file: &str) -> Ran {
     opspace(folder.path(), &["check", file])
 }
 
-/// What is not there yet, a calibration and a port, is a warning; with both there is none.
+/// A calibration or a port that is not there yet is a warning; with both there is none.
 #[test]
 fn check_warns_of_a_port_and_a_calibration_that_are_absent() {
     let folder = so101(&[("/dev/ttyACM0", "port")]);

@@ -257,7 +257,7 @@ fn one_of_coupled_robots_is_real() {
         let (arm, extensions) = arm_away_from_start(leader, offset_rad);
         arm.borrow_mut().clock_start_s = 0.0;
         let results = ResultFolder::open(folder.path()).unwrap();
-        run_on_drivers(&experiment, &extensions, &results, &Progress::default(), (&|_| {}, &|_| {}))
+        run_on_drivers(&experiment, &extensions, &results, &Progress::default(), &|_| {})
     };
     let away = on_drivers(0.3).unwrap_err().to_string();
     assert!(away.contains("start"), "{away}");
@@ -282,7 +282,6 @@ fn one_of_coupled_robots_is_real() {
     let carry = load("two-arms-carry", &["left.robot.driver.name=one-arm"]);
     let results = ResultFolder::open(folder.path()).unwrap();
     let refused =
-        run_on_drivers(&carry, &Extensions::default(), &results, &Progress::default(), (&|_| {}, &|_| {}))
-            .unwrap_err();
+        run_on_drivers(&carry, &Extensions::default(), &results, &Progress::default(), &|_| {}).unwrap_err();
     assert!(refused.to_string().contains("robot 'left' is real"), "{refused}");
 }
