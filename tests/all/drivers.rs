@@ -215,25 +215,37 @@ fn run_says_whether_the_robot_is_simulated() {
     opspace(folder.path(), &other).exits(0).says(&["(simulated: robot.toml has no [driver])"]);
 }
 
-/// A run on a driver: what moves before it, and after it a verdict without tables, the state of the arm, and how it is let go of.
+/// A run on a driver: the motion before it, and after it a verdict without tables, the state of the arm, and how it is let go of. A
+/// busy machine misses cycles, for which a run may fail.
 #[test]
 fn run_on_a_driver_is_for_its_owner() {
     let folder = so101_at_a_link();
-    let terminal = serve(&folder, "hold-and-yield.toml");
-    let run = ["run", "hold-and-yield.toml", "--duration-s", "1.0", "--out", "out", "--force"];
-    let away = ["--set", "start_rad.shoulder_pan=0.1", "--move-to-start"];
-    let arguments = [&run[..], &away].concat();
-    let ran = (0..5).map(|_| opspace(folder.path(), &arguments)).find(|ran| ran.code == 0).unwrap();
+    // Without the table: nothing acts on the arm on its way.
+    let terminal = serve(&folder, "press.toml");
+    let run = ["run", "press.toml", "--duration-s", "1.0", "--out", "out", "--force"];
+    let settings = ["--set", "settle_s=0.2", "--set", "environment={}", "--move-to-start"];
+    let away = ["--set", "start_rad.shoulder_pan=0.1"];
+    let run = |options: &[&str]| {
+        let arguments = [&run[..], &settings, &away, options].concat();
+        let ends = || {
+            (0..5)
+                .map(|_| opspace(folder.path(), &arguments))
+                .find(|ran| ran.code < 2 && !ran.stdout.is_empty())
+        };
+        ends().unwrap_or_else(|| opspace(folder.path(), &arguments).exits(0))
+    };
+    let ran = run(&[]);
     let ran = ran.says(&[
         "(on the real robot: driver 'feetech', port ",
         "moves to the start of the task within 2 s",
         "torque stays on, and the arm holds its last position: `opspace driver read ROBOT --release`",
     ]);
-    let ran = ran.prints(&["completed 1 s", "missed cycles: "]);
+    let ran = ran.prints(&["completed 1 s", "missed cycles: ", "`-v` prints the tables"]);
     assert!(!ran.stdout.contains("───"), "{}", ran.stdout);
-    let quiet = [&arguments[..], &["--quiet"]].concat();
-    let ran = (0..5).map(|_| opspace(folder.path(), &quiet)).find(|ran| ran.code == 0).unwrap();
-    assert_eq!((ran.stdout.as_str(), ran.stderr.as_str()), ("out\n", ""));
+    let ran = run(&["--quiet"]);
+    let mut lines: Vec<&str> = ran.stdout.lines().collect();
+    assert_eq!((lines.pop(), ran.stderr.as_str()), (Some("out"), ""));
+    assert!(lines.iter().all(|line| line.starts_with("FAILED ")), "{lines:?}");
     drop(terminal);
 }
 
