@@ -39,7 +39,7 @@ pub fn read(args: &DriverReadArgs, extensions: &Extensions, console: Console) ->
 fn robot(args: &DriverReadArgs, extensions: &Extensions) -> Result<(RobotDefinition, Settings), Failure> {
     let path = &args.file;
     let is_robot =
-        path.is_dir() || Kind::of(Source::read(&Files::Disk.robot_file(path))?.text()) == Some(Kind::Robot);
+        path.is_dir() || Kind::of(Source::read(Files::Disk.robot_file(path))?.text()) == Some(Kind::Robot);
     if is_robot {
         let robot = RobotDefinition::load(Files::Disk, path, &args.set)?;
         let (_, profile) = robot.profile(None)?;
