@@ -7,7 +7,7 @@ use crate::messages::{Float64MultiArray, JointState, JointTrajectory, Text, Wren
 use crate::node::RobotTopics;
 use crate::program::Program;
 use crate::start;
-use opspace_backend::{Backend, CommandKind, Driver, DriverError, FoundDevice, Settings};
+use opspace_backend::{Backend, CommandKind, Driver, DriverError, DriverWarning, FoundDevice, Settings};
 use std::time::{Duration, Instant};
 
 /// Time for which `scan` looks for topics.
@@ -30,6 +30,10 @@ impl Ros2Driver {
 impl Driver for Ros2Driver {
     fn name(&self) -> &str {
         DRIVER
+    }
+
+    fn check(&self, settings: &Settings) -> Result<Vec<DriverWarning>, DriverError> {
+        RosConfig::from_settings(settings).map(|_| Vec::new())
     }
 
     fn with(&self, settings: &Settings, run: &mut dyn FnMut(&mut dyn Backend)) -> Result<(), DriverError> {

@@ -13,6 +13,7 @@ mod common;
 mod coupled;
 mod coupled_suites;
 mod driver_faults;
+mod drivers;
 mod dropout;
 mod encoders_within_a_turn;
 mod estimated_force;

@@ -425,7 +425,10 @@ fn servo_is_identified_over_the_bus() {
     let request = Request { joint, start_rad, ..Request::default() };
     let job =
         IdentificationJob::new(experiment.robot().clone(), request).unwrap_or_else(|error| panic!("{error}"));
+    let planned_s = job.planned_s();
     let results = job.run(&mut arm, &Progress::default(), |_| {}).unwrap();
+    println!("{planned_s:.0} s planned, {:.0} s of robot time", results.robot_s);
+    assert!((planned_s / results.robot_s - 1.0).abs() < 0.2, "{planned_s} {}", results.robot_s);
     let found = &results.joints[0].found;
     assert!(found.refused.is_none(), "{:?}", found.refused);
     let servo = found.static_servo.as_ref().unwrap();
@@ -519,7 +522,7 @@ fn moved(
     let bus = Rc::new(RefCell::new(SimulatedTransport::new(bus)));
     let extensions = Extensions::default().with_driver(InSimulatedTime(Rc::clone(&bus)));
     let results = folder.path().join("moved");
-    (move_to_start(&task, &extensions, &results, &Progress::default(), &|_| {}), bus)
+    (move_to_start(&task, &extensions, &results, &Progress::default(), (&|_| {}, &|_| {})), bus)
 }
 
 /// An arm that is lowered after runs is held between the motion to the start and the task.

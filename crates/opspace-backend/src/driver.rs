@@ -3,7 +3,9 @@
 use crate::backend::Backend;
 use crate::capabilities::{ForceSensor, Measured};
 use crate::command::CommandKind;
+use crate::driver_key::{DriverKey, KeyValue};
 use crate::fault::DeviceFault;
+use crate::observed::{Observed, ObservedTorque};
 use std::collections::BTreeMap;
 use std::error::Error;
 use std::fmt;
@@ -20,11 +22,49 @@ pub trait Driver {
     /// Returns the name of the driver in `[driver]` of robot.toml.
     fn name(&self) -> &str;
 
+    /// Returns the keys of `[driver]` other than `name`, for checks and pages; none if the driver does not declare them.
+    fn keys(&self) -> &[DriverKey] {
+        &[]
+    }
+
+    /// Checks settings like [`with`](Self::with), but opens nothing and needs no robot. Returns warnings: what will refuse the
+    /// robot unless it changes before a run, such as a port that is not there, or what is probably not intended. Without an
+    /// implementation of the driver's own, its [`keys`](Self::keys) are checked.
+    ///
+    /// # Errors
+    /// If settings are missing or wrong.
+    fn check(&self, settings: &Settings) -> Result<Vec<DriverWarning>, DriverError> {
+        match self.keys() {
+            [] => Ok(Vec::new()),
+            keys => settings.expect(keys).map(|()| Vec::new()),
+        }
+    }
+
     /// Opens the robot with these settings, calls `run` once with its backend, and closes the robot.
     ///
     /// # Errors
     /// If settings are missing or wrong, or if the robot cannot be opened.
     fn with(&self, settings: &Settings, run: &mut dyn FnMut(&mut dyn Backend)) -> Result<(), DriverError>;
+
+    /// Returns in words the state in which the robot is left after a run, also after one that a fault ended; `None` if the driver
+    /// does not say.
+    fn state_after_run(&self, _settings: &Settings) -> Option<String> {
+        None
+    }
+
+    /// Opens the robot to read it without commanding it, calls `observe` once, and closes it. Torques that are on stay on, unless they
+    /// are to be released.
+    ///
+    /// # Errors
+    /// As [`with`](Self::with); a robot that cannot be lowered; a driver that always commands its robot.
+    fn observe(
+        &self,
+        _settings: &Settings,
+        _torque: ObservedTorque,
+        _observe: &mut dyn FnMut(&mut dyn Observed),
+    ) -> Result<(), DriverError> {
+        Err(DriverError::new(format!("the driver '{}' reads no robot without commanding it", self.name())))
+    }
 
     /// Searches for devices, at a place such as a port, or everywhere. Writes nothing to them.
     ///
@@ -34,8 +74,8 @@ pub trait Driver {
         Err(DriverError::new(format!("the driver '{}' does not search for devices", self.name())))
     }
 
-    /// Serves simulated devices with the arm behind them, and calls `serve` once with their place; it returns when they are
-    /// to end. Programs of others reach them as they would reach real ones. Returns a sentence about how it went.
+    /// Serves simulated devices with the arm behind them, and calls `serve` once with their place and what was written for them; it
+    /// returns when they are to end. Programs of others reach them as they would reach real ones. Returns a sentence about how it went.
     ///
     /// # Errors
     /// If settings or options are wrong, or the devices cannot be served; a driver without simulated devices.
@@ -43,7 +83,7 @@ pub trait Driver {
         &self,
         _settings: &Settings,
         _devices: SimulatedDevices,
-        _serve: &mut dyn FnMut(&str),
+        _serve: &mut dyn FnMut(&ServedDevices),
     ) -> Result<String, DriverError> {
         Err(DriverError::new(format!("the driver '{}' has no simulated devices", self.name())))
     }
@@ -80,6 +120,24 @@ impl SimulatedDevices {
     }
 }
 
+/// Simulated devices that are served.
+#[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct ServedDevices {
+    /// Their place, such as the path of a port.
+    pub place: String,
+    /// Files that were written for them, each with its meaning in words.
+    pub written: Vec<(PathBuf, &'static str)>,
+}
+
+impl ServedDevices {
+    /// Returns devices at a place, for which nothing was written.
+    #[must_use]
+    pub fn new(place: impl Into<String>) -> Self {
+        Self { place: place.into(), written: Vec::new() }
+    }
+}
+
 /// Device that a driver has found.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct FoundDevice {
@@ -104,11 +162,22 @@ pub struct Settings {
     pub force_sensors: Vec<ForceSensor>,
     /// Quantities that samples contain, as `measured` of `[interface]` states them.
     pub measured: Vec<Measured>,
+    /// Position servos of the joints, as robot.toml states them (n); empty if it states none.
+    pub servos: Vec<StatedServo>,
     /// Folder of robot.toml, to which relative paths refer; empty for the working folder.
     pub folder: PathBuf,
     /// True if another run follows at once: a robot that is let go of after a run is held in between.
     pub is_followed: bool,
     values: BTreeMap<String, Setting>,
+}
+
+/// Position servo of a joint, as robot.toml states it, for a driver that writes gains.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct StatedServo {
+    /// Stiffness, Nm/rad (N/m).
+    pub stiffness_nm_per_rad: f64,
+    /// True if its law has an integral.
+    pub has_integral: bool,
 }
 
 /// Value of a key in `[driver]`.
@@ -123,6 +192,8 @@ pub enum Setting {
     Flag(bool),
     /// An array.
     List(Vec<Setting>),
+    /// A table.
+    Table(BTreeMap<String, Setting>),
 }
 
 impl Settings {
@@ -135,6 +206,7 @@ impl Settings {
             period_s,
             force_sensors: Vec::new(),
             measured: vec![Measured::Position],
+            servos: Vec::new(),
             folder: PathBuf::new(),
             is_followed: false,
             values: BTreeMap::new(),
@@ -145,6 +217,12 @@ impl Settings {
     #[must_use]
     pub fn measuring(self, measured: &[Measured]) -> Self {
         Self { measured: measured.to_vec(), ..self }
+    }
+
+    /// Sets the position servos of the joints (n).
+    #[must_use]
+    pub fn with_servos(self, servos: Vec<StatedServo>) -> Self {
+        Self { servos, ..self }
     }
 
     /// Sets the folder of robot.toml.
@@ -205,6 +283,67 @@ impl Settings {
             Setting::Number(number) => Some(*number),
             _ => None,
         })
+    }
+
+    /// Returns the number of each joint (n), from an array of n numbers, or from a table by the names of joints; `None` for a joint
+    /// that the table leaves out, and for all joints if the key is missing.
+    ///
+    /// # Errors
+    /// If the value is neither of these, a number is not finite, or a joint is unknown.
+    pub fn numbers_by_joint(&self, key: &str) -> Result<Vec<Option<f64>>, DriverError> {
+        let numbers =
+            self.by_joint(key, "an array of numbers, or a table by joint", |setting| match setting {
+                Setting::Number(number) => Some(*number),
+                _ => None,
+            })?;
+        if numbers.iter().flatten().any(|number| !number.is_finite()) {
+            return Err(DriverError::at(key, format!("'{key}' must have finite numbers")));
+        }
+        Ok(numbers)
+    }
+
+    /// Returns the string of each joint (n), like [`numbers_by_joint`](Self::numbers_by_joint).
+    ///
+    /// # Errors
+    /// If the value is no array of n strings and no table of strings, or a joint is unknown.
+    pub fn texts_by_joint(&self, key: &str) -> Result<Vec<Option<&str>>, DriverError> {
+        self.by_joint(key, "an array of strings, or a table by joint", |setting| match setting {
+            Setting::Text(text) => Some(text.as_str()),
+            _ => None,
+        })
+    }
+
+    fn by_joint<'a, T>(
+        &'a self,
+        key: &str,
+        expected: &str,
+        element: impl Fn(&'a Setting) -> Option<T>,
+    ) -> Result<Vec<Option<T>>, DriverError> {
+        let joints = &self.joints;
+        let element = |value| element(value).map(Some).ok_or_else(|| wrong(key, expected, value));
+        match self.values.get(key) {
+            None => Ok(joints.iter().map(|_| None).collect()),
+            Some(Setting::List(values)) if values.len() == joints.len() => {
+                values.iter().map(element).collect()
+            }
+            Some(Setting::List(values)) => {
+                let (found, names) = (values.len(), joints.join(", "));
+                let words =
+                    format!("'{key}' has {found} values; the robot has {} joints: {names}", joints.len());
+                Err(DriverError::at(key, words))
+            }
+            Some(Setting::Table(values)) => {
+                if let Some(unknown) = values.keys().find(|name| !joints.contains(name)) {
+                    let words = format!(
+                        "'{key}' has an unknown joint '{unknown}'; the joints are: {}",
+                        joints.join(", ")
+                    );
+                    return Err(DriverError::at(key, words));
+                }
+                joints.iter().map(|joint| values.get(joint).map_or(Ok(None), &element)).collect()
+            }
+            Some(other) => Err(wrong(key, expected, other)),
+        }
     }
 
     fn list<'a, T>(
@@ -292,6 +431,34 @@ impl Settings {
         }
     }
 
+    /// Checks the settings against the keys of a driver: none is unknown, none that is required is missing, and each has a value of
+    /// its kind.
+    ///
+    /// # Errors
+    /// The first key that is not so.
+    pub fn expect(&self, keys: &[DriverKey]) -> Result<(), DriverError> {
+        let names: Vec<&str> = keys.iter().map(|key| key.name).collect();
+        self.expect_only(&names)?;
+        for key in keys {
+            if !self.contains(key.name) {
+                match key.is_required {
+                    true => self.value(key.name)?,
+                    false => continue,
+                };
+            }
+            match key.value {
+                KeyValue::Text => self.text(key.name).map(drop)?,
+                KeyValue::Number => self.number(key.name).map(drop)?,
+                KeyValue::Flag => self.flag(key.name).map(drop)?,
+                KeyValue::Texts => self.texts(key.name).map(drop)?,
+                KeyValue::Numbers => self.numbers(key.name).map(drop)?,
+                KeyValue::TextsByJoint => self.texts_by_joint(key.name).map(drop)?,
+                KeyValue::NumbersByJoint => self.numbers_by_joint(key.name).map(drop)?,
+            }
+        }
+        Ok(())
+    }
+
     fn value(&self, key: &str) -> Result<&Setting, DriverError> {
         self.values.get(key).ok_or_else(|| DriverError::at(key, format!("the key '{key}' is missing")))
     }
@@ -303,6 +470,7 @@ fn wrong(key: &str, expected: &str, found: &Setting) -> DriverError {
         Setting::Number(number) => number.to_string(),
         Setting::Flag(flag) => flag.to_string(),
         Setting::List(_) => "an array".to_owned(),
+        Setting::Table(_) => "a table".to_owned(),
     };
     DriverError::at(key, format!("'{key}' must be {expected}, not {found}"))
 }
@@ -331,6 +499,30 @@ impl DriverError {
     }
 }
 
+/// Warning about settings with which a robot may be opened.
+#[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct DriverWarning {
+    /// Key of `[driver]` that it concerns.
+    pub key: String,
+    /// Warning, a sentence without a full stop.
+    pub words: String,
+}
+
+impl DriverWarning {
+    /// Returns a warning about the value of a key.
+    #[must_use]
+    pub fn at(key: impl Into<String>, words: impl Into<String>) -> Self {
+        Self { key: key.into(), words: words.into() }
+    }
+}
+
+impl fmt::Display for DriverWarning {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.words)
+    }
+}
+
 impl fmt::Display for DriverError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(&self.words)
@@ -354,7 +546,7 @@ impl<'de> serde::Deserialize<'de> for Setting {
             type Value = Setting;
 
             fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-                f.write_str("a string, a number, true or false, or an array of these")
+                f.write_str("a string, a number, true or false, or an array or table of these")
             }
 
             fn visit_str<E: serde::de::Error>(self, text: &str) -> Result<Setting, E> {
@@ -380,6 +572,14 @@ impl<'de> serde::Deserialize<'de> for Setting {
                 }
                 Ok(Setting::List(list))
             }
+
+            fn visit_map<A: serde::de::MapAccess<'s>>(self, mut entries: A) -> Result<Setting, A::Error> {
+                let mut table = BTreeMap::new();
+                while let Some((key, value)) = entries.next_entry()? {
+                    table.insert(key, value);
+                }
+                Ok(Setting::Table(table))
+            }
         }
 
         deserializer.deserialize_any(AnySetting)
@@ -394,9 +594,10 @@ impl schemars::JsonSchema for Setting {
 
     fn json_schema(_: &mut schemars::SchemaGenerator) -> schemars::Schema {
         schemars::json_schema!({
-            "description": "A string, a number, true or false, or an array of these.",
-            "type": ["string", "number", "boolean", "array"],
-            "items": { "type": ["string", "number", "boolean"] }
+            "description": "A string, a number, true or false, or an array or table of these.",
+            "type": ["string", "number", "boolean", "array", "object"],
+            "items": { "type": ["string", "number", "boolean"] },
+            "additionalProperties": { "type": ["string", "number", "boolean"] }
         })
     }
 }

@@ -55,9 +55,11 @@ pub mod capabilities;
 pub mod command;
 pub mod command_delay;
 pub mod driver;
+pub mod driver_key;
 pub mod fault;
 pub mod ground_truth;
 pub mod low_pass;
+pub mod observed;
 pub mod quantity;
 pub mod sample;
 pub mod signal;
@@ -71,10 +73,15 @@ pub use capabilities::{
 };
 pub use command::{Command, CommandKind};
 pub use command_delay::{CommandDelay, CommandsInForce, MAX_DELAY_CYCLES};
-pub use driver::{Driver, DriverError, FoundDevice, Setting, Settings, SimulatedDevices};
+pub use driver::{
+    Driver, DriverError, DriverWarning, FoundDevice, ServedDevices, Setting, Settings, SimulatedDevices,
+    StatedServo,
+};
+pub use driver_key::{DriverKey, KeyValue};
 pub use fault::DeviceFault;
 pub use ground_truth::{GroundTruth, TruthLayouts, TruthRow};
 pub use low_pass::LowPass;
+pub use observed::{Observed, ObservedTorque};
 pub use sample::{Sample, Status};
 pub use signal::{Layout, Observable, Signal, SignalName, SignalRecorder, Units};
 pub use signal_names::{DEVICE_FAILED, STOP_REQUESTED, TICK_TIME};

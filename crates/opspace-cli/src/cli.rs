@@ -80,6 +80,16 @@ pub enum DriverCommand {
     /// Search for devices, and print what they are. Nothing is written to them, and no arm moves.
     Scan(DriverScanArgs),
 
+    /// Print the angles of the joints while a person moves the arm, to check signs, zeros and limits. Nothing is commanded.
+    #[command(after_help = "\
+Ten times a second, each joint has its angle, what its device reports, and a mark if it is outside its limits of the URDF. Move \
+one joint after the other: its angle must rise in the direction of its axis in the URDF, and be 0 where the URDF has its zero. An arm \
+whose torque is on cannot be moved: --release lowers it and switches its torque off.
+
+Example:
+  opspace driver read my-so101")]
+    Read(DriverReadArgs),
+
     /// Simulate the devices of a robot's driver, with the simulated arm of a task behind them, until a signal.
     #[command(after_help = "\
 The arm, its friction and the environment of the task are simulated in real time; the devices have registers and answer \
@@ -134,6 +144,29 @@ pub struct DriverScanArgs {
     /// Search by this driver only.
     #[arg(long, value_name = "NAME")]
     pub driver: Option<String>,
+}
+
+#[derive(Debug, Args)]
+pub struct DriverReadArgs {
+    /// Robot, as its folder or its robot.toml, or a task file.
+    pub file: PathBuf,
+
+    /// Robot to use instead of the task's: its folder or its robot.toml.
+    #[arg(long)]
+    pub robot: Option<PathBuf>,
+
+    /// Lower the arm slowly if its torque is on, and switch its torque off.
+    #[arg(long)]
+    pub release: bool,
+
+    /// Duration, s [default: until a signal].
+    #[arg(long, value_name = "S", value_parser = positive, allow_negative_numbers = true)]
+    pub duration_s: Option<f64>,
+
+    /// Override a value of the robot file, or, with a task file, of the task file; with the prefix `robot.`, of its robot file. Can
+    /// be repeated.
+    #[arg(long, value_name = "KEY=VALUE")]
+    pub set: Vec<String>,
 }
 
 #[derive(Debug, Args)]

@@ -13,10 +13,11 @@ use opspace_experiment::evaluate::response_table::response_table;
 use opspace_experiment::evaluate::results::{failures, joint_table, table, task_table};
 use opspace_experiment::evaluate::run_table::{run_table, run_title};
 use opspace_experiment::evaluate::table::{Cell, Table};
-use opspace_experiment::{FileError, Finding, RunError, Summary};
+use opspace_experiment::{FileError, Finding, RunError, RunSummary, Summary};
 use opspace_log::LogError;
 use std::borrow::Cow;
 use std::io::{self, IsTerminal, Write};
+use std::path::Path;
 use std::process::ExitCode;
 
 /// Reason why a command failed.
@@ -198,17 +199,47 @@ pub fn results(console: Console, summaries: &[Summary], metrics: &[Metric]) -> S
     with_notes(console, text, &notes(summaries, metrics))
 }
 
+/// Renders what failed in a run, a line each, and the folder of its results.
+pub fn failures_and_folder(run: &RunSummary, folder: &Path) -> String {
+    let failed = match run.single() {
+        Some(robot) => {
+            let fault = robot.faulted.as_ref();
+            let time_s = robot.fault_time_s.unwrap_or(f64::NAN);
+            let fault = fault.map(|fault| format!("STOPPED at {time_s:.3} s: {fault}"));
+            let failed = failures(std::slice::from_ref(robot));
+            fault.into_iter().chain(failed.iter().map(|failure| format!("FAILED {failure}"))).collect()
+        }
+        None => run.failures().iter().map(|failure| format!("FAILED {failure}")).collect::<Vec<_>>(),
+    };
+    let folder = folder.display().to_string();
+    failed.into_iter().chain([folder]).map(|line| line + "\n").collect()
+}
+
+/// Renders the result of a run on a real robot: what became of it and its notes, without tables. `cycles` is their intended number.
+pub fn owner_result(console: Console, run: &Summary, cycles: u64) -> String {
+    let mut text = verdict(console, run);
+    text += &format!("missed cycles: {} of {cycles}\n", run.missed_cycles);
+    if run.metrics.torque_error_interval.is_some() {
+        text += &format!("\n{}", render(&joint_table(run)));
+    }
+    text += "`-v` prints the tables of all metrics, which the page has, too\n";
+    text
+}
+
+/// Renders the fault that stopped a run.
+fn stop(run: &Summary) -> Option<String> {
+    let fault = run.faulted.as_ref()?;
+    let time_s = run.fault_time_s.unwrap_or(f64::NAN);
+    Some(format!("STOPPED at {time_s:.3} s: {fault}. All values below are those until the stop.\n"))
+}
+
 /// Longest list of failures above the result of a run.
 const FIRST_FAILURES: usize = 2;
 
-/// Renders the result of one run: what became of it, its notes and its tables.
-fn result(console: Console, run: &Summary, metrics: &[Metric]) -> String {
+/// Renders what became of a run, and its notes.
+fn verdict(console: Console, run: &Summary) -> String {
     let runs = std::slice::from_ref(run);
-    let mut text = String::new();
-    if let Some(fault) = &run.faulted {
-        let time_s = run.fault_time_s.unwrap_or(f64::NAN);
-        text += &format!("STOPPED at {time_s:.3} s: {fault}. All values below are those until the stop.\n");
-    }
+    let mut text = stop(run).unwrap_or_default();
     let failures = failures(runs);
     let (first, more) = failures.split_at(failures.len().min(FIRST_FAILURES - text.lines().count()));
     first.iter().for_each(|failure| text += &format!("FAILED {failure}\n"));
@@ -221,6 +252,13 @@ fn result(console: Console, run: &Summary, metrics: &[Metric]) -> String {
     replay_notes(runs).iter().for_each(|note| text += &format!("NOTE {note}\n"));
     let real_time = run.real_time.iter().flat_map(|real_time| real_time.sentences());
     real_time.for_each(|sentence| text += &wrapped(&sentence));
+    text
+}
+
+/// Renders the result of one run: what became of it, its notes and its tables.
+fn result(console: Console, run: &Summary, metrics: &[Metric]) -> String {
+    let runs = std::slice::from_ref(run);
+    let mut text = verdict(console, run);
     text += &format!("\n{}\n", run_title(run));
     let tables = [run_table(run, metrics), task_table(run), response_table(run), joint_table(run)];
     let drawn: Vec<String> = tables.iter().filter(|table| !table.rows.is_empty()).map(render).collect();

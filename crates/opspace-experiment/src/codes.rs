@@ -155,6 +155,7 @@ codes! {
     ComparisonOnly "comparison-only" Effect::Never("it exists for comparisons in simulation and can damage a real robot"),
     AwayFromStart "away-from-start" Effect::Never("the first setpoint would jump"),
     MissingDriver "missing-driver" Effect::Never("without a driver there is nothing to run on"),
+    DriverDoubt "driver-doubt" Effect::Reported,
     NotSimulated "not-simulated" Effect::Never("without [simulated] there is nothing to simulate"),
     MissingValues "missing-values" Effect::Never("opspace guesses no value that results rest on"),
     // Models.

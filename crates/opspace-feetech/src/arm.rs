@@ -7,8 +7,8 @@ use crate::protocol::{ErrorFlags, Register};
 use crate::start::{self, ANSWER_SHARE};
 use crate::transport::Transport;
 use opspace_backend::{
-    Backend, Capabilities, Command, CommandKind, DeviceFault, DeviceLimits, DriverError, Measured, Sample,
-    Status,
+    Backend, Capabilities, Command, CommandKind, DeviceFault, DeviceLimits, DriverError, Measured, Observed,
+    ObservedTorque, Sample, Status,
 };
 use std::time::Duration;
 
@@ -24,6 +24,13 @@ const LENGTHS: usize = 3;
 
 /// Unit of register Present_Current, A.
 const CURRENT_A: f64 = 0.0065;
+
+/// Period of an arm that is observed, and its silence that is a fault: nothing depends on its answers.
+const OBSERVED_PERIOD: Duration = Duration::from_millis(100);
+const OBSERVED_SILENCE: Duration = Duration::from_secs(2);
+
+/// Speed at which an arm is lowered, and the longest duration of it, unless the configuration states others.
+const LOWERING: (f64, Duration) = (0.3, Duration::from_secs(20));
 
 /// Counts of what happened on the bus.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -66,6 +73,8 @@ pub struct FeetechArm<T> {
     misses: Misses,
     is_clamped: bool,
     counts: BusCounts,
+    /// For each servo, true if its torque was on when the arm was opened or released.
+    torque_on: Vec<bool>,
 }
 
 /// Cycles missed since the last complete one, by their causes.
@@ -90,16 +99,45 @@ impl<T: Transport> FeetechArm<T> {
     /// already stays on.
     pub fn start(transport: T, config: ArmConfig) -> Result<Self, DriverError> {
         let mut bus = Bus::new(transport);
-        // Up to Status, or up to Present_Current.
-        let last = match config.motor_torque {
-            Some(TorqueSource::Current(_)) => Register::PRESENT_CURRENT,
-            _ => Register::STATUS,
-        };
-        let length = usize::from(last.address + last.width - FIRST);
-        let (found, goals) = start::start(&mut bus, &config, FIRST, length)?;
+        let (found, goals) = start::start(&mut bus, &config, FIRST, length(&config))?;
+        let torque_on = vec![true; config.servos.len()];
+        Ok(Self::opened(bus, config, found, goals, torque_on))
+    }
+
+    /// Opens an arm that is to be read and not commanded: compares servos and calibration, and writes nothing. To release it, its
+    /// joints are lowered first if torque is on.
+    ///
+    /// # Errors
+    /// If a servo is missing, reports an error or contradicts the configuration, or if the arm does not come to lie.
+    pub fn observe(transport: T, config: ArmConfig, torque: ObservedTorque) -> Result<Self, DriverError> {
+        let mut bus = Bus::new(transport);
+        let (found, goals, torque_on) = start::observe(&mut bus, &config)?;
+        let mut arm = Self::opened(bus, config, found, goals, torque_on);
+        if torque == ObservedTorque::Released && arm.torque_on.contains(&true) {
+            let (speed_rad_per_s, duration) = match arm.config.at_end {
+                AtEnd::Lower { speed_rad_per_s, duration } => (speed_rad_per_s, duration),
+                AtEnd::Hold => LOWERING,
+            };
+            if !arm.lower(speed_rad_per_s, duration)? {
+                return Err(DriverError::new("the arm did not come to lie: it is held, with torque on"));
+            }
+            arm.torque_on.fill(false);
+        }
+        (arm.period, arm.next) = (OBSERVED_PERIOD.max(arm.period), None);
+        arm.config.silence = OBSERVED_SILENCE;
+        Ok(arm)
+    }
+
+    fn opened(
+        bus: Bus<T>,
+        config: ArmConfig,
+        found: start::Found,
+        goals: Vec<i32>,
+        torque_on: Vec<bool>,
+    ) -> Self {
         let n = config.servos.len();
         let servos = config.servos.iter().map(|servo| (servo.calibration.id, servo.joint.as_str()));
-        Ok(Self {
+        Self {
             texts: FaultTexts::new(servos),
             capabilities: capabilities(&config),
             ids: config.servos.iter().map(|servo| servo.calibration.id).collect(),
@@ -107,16 +145,17 @@ impl<T: Transport> FeetechArm<T> {
             goals,
             velocity_unit: found.velocity_unit,
             round: found.round,
-            length,
+            length: length(&config),
             request: 0,
             period: Duration::from_secs_f64(config.period_s),
             next: None,
             misses: Misses { of_servos: vec![[0; 3]; n], ..Misses::default() },
             is_clamped: false,
             counts: BusCounts::default(),
+            torque_on,
             bus,
             config,
-        })
+        }
     }
 
     /// Counts of what happened on the bus.
@@ -402,6 +441,37 @@ impl<T: Transport> Backend for FeetechArm<T> {
         // A bus that is gone cannot be stopped: the servos keep their goals.
         let _ = self.send_goals();
     }
+}
+
+impl<T: Transport> Observed for FeetechArm<T> {
+    fn raw(&self, joint: usize) -> Option<String> {
+        let answer = self.answers.get(joint)?;
+        Some(format!("{} counts", self.value(answer, Register::PRESENT_POSITION)))
+    }
+
+    /// Returns the lowest voltage, the highest temperature, and the joints whose torque was on when the arm was opened.
+    fn state(&self) -> Option<String> {
+        let values = |register| self.answers.iter().map(move |answer| self.value(answer, register));
+        let volts = values(Register::PRESENT_VOLTAGE).fold(f64::INFINITY, f64::min) / 10.0;
+        let celsius = values(Register::PRESENT_TEMPERATURE).fold(f64::NEG_INFINITY, f64::max);
+        let on = self.config.servos.iter().zip(&self.torque_on).filter(|(_, is_on)| **is_on);
+        let on: Vec<&str> = on.map(|(servo, _)| servo.joint.as_str()).collect();
+        let torque = match on.len() {
+            0 => "torque off".to_owned(),
+            all if all == self.ids.len() => "torque on".to_owned(),
+            _ => format!("torque on in {}", on.join(", ")),
+        };
+        Some(format!("{volts:.1} V, {celsius} °C, {torque}"))
+    }
+}
+
+/// Number of bytes that the shortest request reads of each servo: up to Status, or up to Present_Current.
+fn length(config: &ArmConfig) -> usize {
+    let last = match config.motor_torque {
+        Some(TorqueSource::Current(_)) => Register::PRESENT_CURRENT,
+        _ => Register::STATUS,
+    };
+    usize::from(last.address + last.width - FIRST)
 }
 
 fn capabilities(config: &ArmConfig) -> Capabilities {

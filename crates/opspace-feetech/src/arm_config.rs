@@ -2,30 +2,76 @@
 
 use crate::calibration::{Calibration, MotorCalibration};
 use crate::counts::{CountScale, RAD_PER_COUNT};
-use opspace_backend::{CommandKind, DriverError, Measured, Settings};
+use opspace_backend::{CommandKind, DriverError, DriverKey, DriverWarning, KeyValue, Measured, Settings};
 use std::path::Path;
 use std::time::Duration;
 
 /// Keys of `[driver]`.
-pub const KEYS: [&str; 18] = [
-    "port",
-    "baud_hz",
-    "calibration",
-    "motors",
-    "ids",
-    "inverted",
-    "zeros_rad",
-    "p",
-    "i",
-    "d",
-    "goal_speed_rad_per_s",
-    "acceleration_rad_per_s2",
-    "torque_per_current_nm_per_a",
-    "torque_per_load_nm",
-    "silence_s",
-    "at_end",
-    "lowering_speed_rad_per_s",
-    "lowering_s",
+pub const KEYS: [DriverKey; 19] = [
+    DriverKey::new("port", KeyValue::Text, "Serial port, such as `/dev/ttyACM0`.").required(),
+    DriverKey::new("baud_hz", KeyValue::Number, "Baud rate, 1200 to 4000000.").with_default("1000000"),
+    DriverKey::new(
+        "calibration",
+        KeyValue::Text,
+        "Calibration that LeRobot has written; the path refers to the folder of robot.toml.",
+    )
+    .required(),
+    DriverKey::new("motors", KeyValue::TextsByJoint, "Names of the motors in the calibration.")
+        .with_default("names of the joints"),
+    DriverKey::new("ids", KeyValue::NumbersByJoint, "Identifiers of the servos, compared with the calibration.")
+        .with_default("not compared"),
+    DriverKey::new(
+        "inverted",
+        KeyValue::Texts,
+        "Joints whose positive direction is the other one than `drive_mode` of the calibration says.",
+    )
+    .with_default("none"),
+    DriverKey::new(
+        "zeros_rad",
+        KeyValue::NumbersByJoint,
+        "Angles of the joints in the middle of their calibrated ranges, rad.",
+    )
+    .with_default("0"),
+    DriverKey::new("p", KeyValue::Number, "Proportional gain, the content of register P_Coefficient.").required(),
+    DriverKey::new(
+        "stiffness_at_p",
+        KeyValue::Number,
+        "The `p` for which `stiffness_nm_per_rad` of the servos is stated: another `p` is refused.",
+    )
+    .with_default("not compared"),
+    DriverKey::new("i", KeyValue::Number, "Integral gain, the content of register I_Coefficient.").required(),
+    DriverKey::new("d", KeyValue::Number, "Derivative gain, the content of register D_Coefficient.").required(),
+    DriverKey::new("goal_speed_rad_per_s", KeyValue::Number, "Speed limit of the servo's profile.")
+        .with_default("no limit"),
+    DriverKey::new("acceleration_rad_per_s2", KeyValue::Number, "Acceleration of the servo's profile.")
+        .with_default("no limit"),
+    DriverKey::new(
+        "torque_per_current_nm_per_a",
+        KeyValue::Number,
+        "Motor torque per motor current, if `measured` of `[interface]` has `\"motor-current\"`.",
+    ),
+    DriverKey::new(
+        "torque_per_load_nm",
+        KeyValue::Number,
+        "Torque at rest and full voltage, in place of the torque per current: motor torques are those of the duty cycle of the \
+         motor voltage.",
+    ),
+    DriverKey::new(
+        "silence_s",
+        KeyValue::Number,
+        "Duration without complete answers that is a fault; not above `max_dropout_s` of `[safety]`.",
+    )
+    .with_default("0.2"),
+    DriverKey::new(
+        "at_end",
+        KeyValue::Text,
+        "After a run, `\"hold\"` keeps torque on; `\"lower\"` lowers the arm, and switches torque off when it lies.",
+    )
+    .with_default("`\"hold\"`"),
+    DriverKey::new("lowering_speed_rad_per_s", KeyValue::Number, "Speed of each joint that is lowered.")
+        .with_default("0.3"),
+    DriverKey::new("lowering_s", KeyValue::Number, "Duration after which an arm that does not lie is held.")
+        .with_default("20"),
 ];
 
 /// Configuration of an arm.
@@ -105,7 +151,7 @@ impl ArmConfig {
     /// # Errors
     /// If a key is missing, unknown or wrong, or if the calibration cannot be read.
     pub fn from_settings(settings: &Settings) -> Result<Self, DriverError> {
-        settings.expect_only(&KEYS)?;
+        settings.expect_only(&KEYS.map(|key| key.name))?;
         if settings.command != CommandKind::Position {
             return Err(DriverError::new(format!(
                 "servos of this bus accept joint positions, not {}: use the backend position",
@@ -118,20 +164,90 @@ impl ArmConfig {
         if let Some(sensor) = settings.force_sensors.first() {
             return Err(DriverError::new(format!("this bus has no force sensor '{}'", sensor.name)));
         }
+        let gains = Gains { p: gain(settings, "p")?, i: gain(settings, "i")?, d: gain(settings, "d")? };
+        expect_stiffness_of(settings, gains)?;
+        let goal_speed_rad_per_s = settings.positive("goal_speed_rad_per_s")?;
+        let acceleration_rad_per_s2 = settings.positive("acceleration_rad_per_s2")?;
+        let motor_torque = torque_source(settings)?;
+        let silence = settings.seconds("silence_s", 0.2)?;
+        let at_end = at_end(settings)?;
+        // Last: without this file, all other values have been checked.
         let path = settings.path("calibration")?;
         let calibration = read_calibration(&path).map_err(|words| DriverError::at("calibration", words))?;
         Ok(Self {
             servos: servos(settings, &calibration, &path)?,
             period_s: settings.period_s,
-            gains: Gains { p: gain(settings, "p")?, i: gain(settings, "i")?, d: gain(settings, "d")? },
-            goal_speed_rad_per_s: settings.positive("goal_speed_rad_per_s")?,
-            acceleration_rad_per_s2: settings.positive("acceleration_rad_per_s2")?,
+            gains,
+            goal_speed_rad_per_s,
+            acceleration_rad_per_s2,
             measures_velocity: settings.measured.contains(&Measured::Velocity),
-            motor_torque: torque_source(settings)?,
-            silence: settings.seconds("silence_s", 0.2)?,
-            at_end: at_end(settings)?,
+            motor_torque,
+            silence,
+            at_end,
         })
     }
+}
+
+/// Warnings about gains that the servos of robot.toml probably do not have.
+pub(crate) fn doubts_of_gains(settings: &Settings) -> Result<Vec<DriverWarning>, DriverError> {
+    let mut doubts = Vec::new();
+    let is_stated = settings.servos.first().is_some_and(|servo| servo.stiffness_nm_per_rad > 0.0);
+    if is_stated && !settings.contains(STIFFNESS_AT_P) {
+        let words = format!(
+            "nothing says for which P the stiffness of [profile] was measured, so that it cannot be compared with p = {}: state \
+             {STIFFNESS_AT_P}",
+            gain(settings, "p")?
+        );
+        doubts.push(DriverWarning::at("p", words));
+    }
+    let i = gain(settings, "i")?;
+    if i > 0 && settings.servos.iter().any(|servo| !servo.has_integral) {
+        let words = format!(
+            "i = {i}, but the servos of [profile] have no integral: the servos would add torques that no transformer knows; \
+             state i = 0"
+        );
+        doubts.push(DriverWarning::at("i", words));
+    }
+    Ok(doubts)
+}
+
+/// Key of the gain for which the stiffness is stated.
+const STIFFNESS_AT_P: &str = "stiffness_at_p";
+
+/// Compares P with the one for which robot.toml states the stiffness. Nothing is scaled: the stiffness may be a measured one.
+fn expect_stiffness_of(settings: &Settings, gains: Gains) -> Result<(), DriverError> {
+    if !settings.contains(STIFFNESS_AT_P) {
+        return Ok(());
+    }
+    let at_p = gain(settings, STIFFNESS_AT_P)?;
+    if at_p == gains.p {
+        return Ok(());
+    }
+    if at_p == 0 {
+        let words = format!("'{STIFFNESS_AT_P}' must be above 0: a servo whose P is 0 has no stiffness");
+        return Err(DriverError::at(STIFFNESS_AT_P, words));
+    }
+    let stiffnesses = || settings.servos.iter().map(|servo| servo.stiffness_nm_per_rad);
+    let in_words = |factor: f64| {
+        let (least, most) = stiffnesses()
+            .fold((f64::INFINITY, 0.0), |(least, most): (f64, f64), one| (least.min(one), most.max(one)));
+        let round = |stiffness: f64| (stiffness * factor * 1e3).round() / 1e3;
+        match round(most) {
+            most if most == round(least) => format!("{most} Nm/rad"),
+            most => format!("{} to {most} Nm/rad", round(least)),
+        }
+    };
+    let p = gains.p;
+    let words = match stiffnesses().next() {
+        None => format!("p = {p}, but the stiffness is stated for P = {at_p}"),
+        Some(_) => format!(
+            "p = {p}, but the stiffness in [profile], {}, is stated for P = {at_p}; at P = {p} it would be {}. State this stiffness and \
+             {STIFFNESS_AT_P} = {p}, or p = {at_p}",
+            in_words(1.0),
+            in_words(f64::from(p) / f64::from(at_p))
+        ),
+    };
+    Err(DriverError::at("p", words))
 }
 
 /// Source of motor torques, if robot.toml states that they are measured.
@@ -184,11 +300,7 @@ fn servos(
     path: &Path,
 ) -> Result<Vec<ServoConfig>, DriverError> {
     let joints = &settings.joints;
-    let motors = match settings.texts("motors")? {
-        None => joints.iter().map(String::as_str).collect(),
-        Some(motors) if motors.len() == joints.len() => motors,
-        Some(motors) => return Err(wrong_number("motors", motors.len(), joints)),
-    };
+    let motors = settings.texts_by_joint("motors")?;
     let inverted = settings.texts("inverted")?.unwrap_or_default();
     if let Some(unknown) = inverted.iter().find(|name| !joints.iter().any(|joint| joint == *name)) {
         return Err(DriverError::at(
@@ -196,21 +308,22 @@ fn servos(
             format!("unknown joint '{unknown}'; the joints are: {}", joints.join(", ")),
         ));
     }
-    let zeros = numbers(settings, "zeros_rad")?;
-    let ids = numbers(settings, "ids")?;
+    let zeros = settings.numbers_by_joint("zeros_rad")?;
+    let ids = settings.numbers_by_joint("ids")?;
     let mut servos = Vec::with_capacity(joints.len());
-    for (index, (joint, motor)) in joints.iter().zip(&motors).enumerate() {
+    for (index, joint) in joints.iter().enumerate() {
+        let motor = motors[index].unwrap_or(joint);
         let found = calibration.motor(motor).ok_or_else(|| {
             let names: Vec<&str> = calibration.names().collect();
             let words = format!(
-                "{} has no motor '{motor}' for joint '{joint}'; its motors are: {}. State the motors in the order of the \
-                 joints: motors = [\"…\", \"…\"]",
+                "{} has no motor '{motor}' for joint '{joint}'; its motors are: {}. State the motor of \
+                 each joint: motors = {{ {joint} = \"…\" }}",
                 path.display(),
                 names.join(", ")
             );
             DriverError::at("calibration", words)
         })?;
-        if let Some(id) = ids.as_ref().map(|ids| ids[index])
+        if let Some(id) = ids[index]
             && id != f64::from(found.id)
         {
             let words =
@@ -220,7 +333,7 @@ fn servos(
         let is_inverted = (found.drive_mode == 1) != inverted.contains(&joint.as_str());
         let sign = if is_inverted { -1.0 } else { 1.0 };
         let middle = f64::from(found.range_min + found.range_max) / 2.0;
-        let zero_rad = zeros.as_ref().map_or(0.0, |zeros| zeros[index]);
+        let zero_rad = zeros[index].unwrap_or(0.0);
         let scale = CountScale {
             // The joint is at zero_rad in the middle of its calibrated range.
             zero: middle - sign * zero_rad / RAD_PER_COUNT,
@@ -264,24 +377,4 @@ fn gain(settings: &Settings, key: &str) -> Result<u8, DriverError> {
 
 fn optional_text<'a>(settings: &'a Settings, key: &str) -> Result<Option<&'a str>, DriverError> {
     if settings.contains(key) { settings.text(key).map(Some) } else { Ok(None) }
-}
-
-/// Returns one number for each joint, if the key exists.
-fn numbers(settings: &Settings, key: &str) -> Result<Option<Vec<f64>>, DriverError> {
-    let numbers = settings.numbers(key)?;
-    match &numbers {
-        Some(numbers) if numbers.len() != settings.joints.len() => {
-            Err(wrong_number(key, numbers.len(), &settings.joints))
-        }
-        Some(numbers) if numbers.iter().any(|number| !number.is_finite()) => {
-            Err(DriverError::at(key, format!("'{key}' must have finite numbers")))
-        }
-        _ => Ok(numbers),
-    }
-}
-
-fn wrong_number(key: &str, found: usize, joints: &[String]) -> DriverError {
-    let words =
-        format!("'{key}' has {found} values; the robot has {} joints: {}", joints.len(), joints.join(", "));
-    DriverError::at(key, words)
 }

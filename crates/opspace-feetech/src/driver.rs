@@ -1,7 +1,7 @@
 //! The driver `feetech` of `[driver]` in robot.toml.
 
 use crate::arm::FeetechArm;
-use crate::arm_config::{ArmConfig, AtEnd};
+use crate::arm_config::{ArmConfig, AtEnd, KEYS, doubts_of_gains};
 #[cfg(target_os = "linux")]
 use crate::bus::Bus;
 #[cfg(target_os = "linux")]
@@ -11,12 +11,12 @@ use crate::scan::{self, FoundServo};
 #[cfg(target_os = "linux")]
 use crate::simulated::{PseudoTerminal, bus_with_arm};
 use crate::transport::Transport;
-use opspace_backend::{Backend, Driver, DriverError, Settings};
+use opspace_backend::{Backend, Driver, DriverError, DriverKey, DriverWarning, Settings};
 #[cfg(target_os = "linux")]
-use opspace_backend::{FoundDevice, SimulatedDevices};
+use opspace_backend::{FoundDevice, Observed, ObservedTorque, ServedDevices, SimulatedDevices};
+use std::path::Path;
 
 /// Baud rate of the servos' factory settings.
-#[cfg(target_os = "linux")]
 const DEFAULT_BAUD_HZ: f64 = 1e6;
 
 /// Driver of arms on Feetech's servo bus. Its keys are [`KEYS`](crate::arm_config::KEYS).
@@ -28,15 +28,64 @@ impl Driver for FeetechDriver {
         "feetech"
     }
 
+    fn keys(&self) -> &[DriverKey] {
+        &KEYS
+    }
+
+    /// A calibration or a port that is not there is a warning: an arm may be calibrated and connected later.
+    fn check(&self, settings: &Settings) -> Result<Vec<DriverWarning>, DriverError> {
+        let port = port_of(settings)?;
+        let mut warnings = doubts_of_gains(settings)?;
+        if let Err(error) = ArmConfig::from_settings(settings) {
+            let is_absent = settings.path("calibration").is_ok_and(|path| !path.exists());
+            if !is_absent || error.key.as_deref() != Some("calibration") {
+                return Err(error);
+            }
+            warnings.push(DriverWarning::at("calibration", error.words));
+        }
+        if !Path::new(port.path).exists() {
+            let words =
+                format!("{} does not exist: connect the adapter, or see `opspace driver scan`", port.path);
+            warnings.push(DriverWarning::at("port", words));
+        }
+        Ok(warnings)
+    }
+
     fn with(&self, settings: &Settings, run: &mut dyn FnMut(&mut dyn Backend)) -> Result<(), DriverError> {
+        let port = port_of(settings)?;
         let config = ArmConfig::from_settings(settings)?;
         #[cfg(target_os = "linux")]
-        return with_transport(open(settings)?, config, run);
+        return with_transport(open_port(port.path, port.baud_hz)?, config, run);
         #[cfg(not(target_os = "linux"))]
         {
-            let _ = (config, run);
+            let _ = (port.baud_hz, config, run);
             Err(DriverError::new("serial ports are supported on Linux only so far"))
         }
+    }
+
+    fn state_after_run(&self, settings: &Settings) -> Option<String> {
+        let is_lowered = settings.text("at_end").is_ok_and(|at_end| at_end == "lower");
+        let state = if is_lowered {
+            "the arm was lowered, and its torque is off"
+        } else {
+            "torque stays on, and the arm holds its last position: `opspace driver read ROBOT --release` lowers it and switches torque \
+             off"
+        };
+        Some(state.to_owned())
+    }
+
+    #[cfg(target_os = "linux")]
+    fn observe(
+        &self,
+        settings: &Settings,
+        torque: ObservedTorque,
+        observe: &mut dyn FnMut(&mut dyn Observed),
+    ) -> Result<(), DriverError> {
+        let port = port_of(settings)?;
+        let config = ArmConfig::from_settings(settings)?;
+        let mut arm = FeetechArm::observe(open_port(port.path, port.baud_hz)?, config, torque)?;
+        observe(&mut arm);
+        Ok(())
     }
 
     /// Searches a port, or all serial ports of USB adapters, at all baud rates: some 5 s for each of them without servos.
@@ -76,9 +125,11 @@ impl Driver for FeetechDriver {
         &self,
         settings: &Settings,
         devices: SimulatedDevices,
-        serve: &mut dyn FnMut(&str),
+        serve: &mut dyn FnMut(&ServedDevices),
     ) -> Result<String, DriverError> {
         let link = devices.link.clone();
+        let calibration = settings.path("calibration")?;
+        let is_absent = !calibration.exists();
         let bus = bus_with_arm(settings, devices)?;
         let failed = |error: std::io::Error| DriverError::new(format!("no pseudo-terminal: {error}"));
         let mut terminal = PseudoTerminal::open(bus).map_err(failed)?;
@@ -86,7 +137,14 @@ impl Driver for FeetechDriver {
             let failed = |error| DriverError::new(format!("{}: {error}", link.display()));
             terminal = terminal.with_link(link).map_err(failed)?;
         }
-        serve(&link.as_deref().unwrap_or(terminal.path()).display().to_string());
+        let mut served = ServedDevices::new(link.as_deref().unwrap_or(terminal.path()).display().to_string());
+        if is_absent {
+            served.written.push((
+                calibration,
+                "the calibration of the simulated arm; a real arm needs that of LeRobot",
+            ));
+        }
+        serve(&served);
         let pause_ms = terminal.longest_pause().as_secs_f64() * 1e3;
         let failure = terminal.bus().joints().failure().map(str::to_owned);
         match failure {
@@ -118,15 +176,22 @@ pub fn with_transport<T: Transport>(
     Ok(())
 }
 
-#[cfg(target_os = "linux")]
-fn open(settings: &Settings) -> Result<crate::serial_port::SerialPort, DriverError> {
+/// Port that `[driver]` states.
+struct StatedPort<'a> {
+    path: &'a str,
+    baud_hz: u32,
+}
+
+/// Reads the keys of the port, after the keys of all else are known to be there.
+fn port_of(settings: &Settings) -> Result<StatedPort<'_>, DriverError> {
+    settings.expect(&KEYS)?;
     let path = settings.text("port")?;
     let baud_hz = if settings.contains("baud_hz") { settings.number("baud_hz")? } else { DEFAULT_BAUD_HZ };
     if baud_hz.fract() != 0.0 || !(1200.0..=4e6).contains(&baud_hz) {
         let words = format!("'baud_hz' must be a whole number of 1200 to 4000000, not {baud_hz}");
         return Err(DriverError::at("baud_hz", words));
     }
-    open_port(path, baud_hz as u32)
+    Ok(StatedPort { path, baud_hz: baud_hz as u32 })
 }
 
 #[cfg(target_os = "linux")]
@@ -141,14 +206,14 @@ fn open_port(path: &str, baud_hz: u32) -> Result<crate::serial_port::SerialPort,
 
 #[cfg(target_os = "linux")]
 fn remedy(error: &crate::serial_port::PortError) -> &'static str {
-    use crate::serial_port::PortError::Open;
-    use std::io::ErrorKind::{NotFound, PermissionDenied, ResourceBusy};
+    use crate::serial_port::PortError::{Open, Used};
+    use std::io::ErrorKind::{NotFound, PermissionDenied};
 
     match error {
         Open(error) if error.kind() == PermissionDenied => {
             "; add yourself to the group of the file (dialout), and log in again"
         }
-        Open(error) if error.kind() == ResourceBusy => "; another program uses the port",
+        Used { .. } => "; end it first",
         Open(error) if error.kind() == NotFound => {
             "; ports of USB adapters are /dev/ttyACM0, /dev/ttyUSB0 and so on"
         }

@@ -3,7 +3,7 @@
 
 use crate::transport::Transport;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
-use rustix::fs::{Mode, OFlags};
+use rustix::fs::{FlockOperation, Mode, OFlags, flock, fstat, major, minor};
 use rustix::io::Errno;
 use rustix::termios::{
     ControlModes, OptionalActions, QueueSelector, SpecialCodeIndex, ioctl_tiocexcl, ioctl_tiocnxcl, tcflush,
@@ -31,6 +31,12 @@ pub enum PortError {
     /// The file cannot be opened.
     #[error("{0}")]
     Open(#[source] io::Error),
+    /// Another program uses the port.
+    #[error("the port is used by another program{}", .process.map_or_else(String::new, |process| format!(", process {process}")))]
+    Used {
+        /// Number of its process, if it is known.
+        process: Option<u32>,
+    },
     /// The file is no serial port.
     #[error("it is no serial port: {0}")]
     NoTerminal(#[source] io::Error),
@@ -51,9 +57,17 @@ impl SerialPort {
     /// If it does not exist, is used by another program, is no serial port, or does not take the baud rate.
     pub fn open(path: &Path, baud_hz: u32) -> Result<Self, PortError> {
         let flags = OFlags::RDWR | OFlags::NOCTTY | OFlags::NONBLOCK | OFlags::CLOEXEC;
-        let file =
-            rustix::fs::open(path, flags, Mode::empty()).map_err(|error| PortError::Open(error.into()))?;
+        let file = rustix::fs::open(path, flags, Mode::empty()).map_err(|error| match error {
+            Errno::BUSY => PortError::Used { process: None },
+            error => PortError::Open(error.into()),
+        })?;
         let no_terminal = |error: Errno| PortError::NoTerminal(error.into());
+        // The lock also keeps out programs of the superuser, who may open a port that is in exclusive use. It ends with the file.
+        match flock(&file, FlockOperation::NonBlockingLockExclusive) {
+            Ok(()) => {}
+            Err(Errno::WOULDBLOCK) => return Err(PortError::Used { process: holder_of_lock(&file) }),
+            Err(error) => return Err(PortError::Open(error.into())),
+        }
         let mut modes = tcgetattr(&file).map_err(no_terminal)?;
         ioctl_tiocexcl(&file).map_err(no_terminal)?;
         modes.make_raw();
@@ -87,6 +101,16 @@ impl SerialPort {
         let is_gone = found.intersects(PollFlags::HUP | PollFlags::ERR | PollFlags::NVAL);
         if is_gone && !found.contains(events) { Err(io::ErrorKind::BrokenPipe.into()) } else { Ok(()) }
     }
+}
+
+/// Number of the process that has locked a file, from the system's list of locks: `1: FLOCK ADVISORY WRITE 4711 00:18:5 0 EOF`.
+fn holder_of_lock(file: &OwnedFd) -> Option<u32> {
+    let status = fstat(file).ok()?;
+    let place = format!("{:02x}:{:02x}:{}", major(status.st_dev), minor(status.st_dev), status.st_ino);
+    let locks = std::fs::read_to_string("/proc/locks").ok()?;
+    let lock = locks.lines().map(|line| line.split_whitespace().collect::<Vec<_>>());
+    let of_file = lock.into_iter().find(|fields| fields.get(5).is_some_and(|found| *found == place))?;
+    of_file.get(4)?.parse().ok()
 }
 
 impl Drop for SerialPort {

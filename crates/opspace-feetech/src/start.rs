@@ -51,6 +51,25 @@ pub(crate) fn start<T: Transport>(
     Ok((Found { velocity_unit, round }, goals))
 }
 
+/// Compares the servos with their configuration, and writes nothing. Returns their goals (counts), and for each of them whether its
+/// torque is on; the goal of a servo without torque is its position.
+pub(crate) fn observe<T: Transport>(
+    bus: &mut Bus<T>,
+    config: &ArmConfig,
+) -> Result<(Found, Vec<i32>, Vec<bool>), DriverError> {
+    let (mut goals, mut torque_on) = (Vec::new(), Vec::new());
+    for servo in &config.servos {
+        check_servo(bus, servo, config)?;
+        let mut read =
+            |register| bus.read(servo.calibration.id, register).map_err(|error| not_reached(servo, error));
+        let is_on = read(Register::TORQUE_ENABLE)? == 1;
+        goals.push(read(if is_on { Register::GOAL_POSITION } else { Register::PRESENT_POSITION })?);
+        torque_on.push(is_on);
+    }
+    let velocity_unit = velocity_unit(bus, config)?;
+    Ok((Found { velocity_unit, round: Duration::ZERO }, goals, torque_on))
+}
+
 /// Compares one servo with its configuration.
 fn check_servo<T: Transport>(
     bus: &mut Bus<T>,

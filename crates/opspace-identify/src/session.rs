@@ -18,7 +18,7 @@ const HELD_WITHIN: f64 = 0.03;
 const NOT_REACHED: f64 = 0.12;
 
 /// Ratio of the peak to the mean speed of a minimum-jerk motion.
-const PEAK_OVER_MEAN: f64 = 1.875;
+pub(crate) const PEAK_OVER_MEAN: f64 = 1.875;
 
 /// Limits of a joint during its excitation.
 #[derive(Clone, Copy, Debug)]

@@ -13,7 +13,7 @@ use std::path::Path;
 
 /// Opens the robot of `[driver]` and moves it slowly to the start position of the task
 /// ([`Experiment::motion_to_start`]). Writes log, summary and report of the motion to `folder`. `None`
-/// if the robot is already there. The robot is held until the run that follows. It is watched as in [`run_on_drivers`](crate::run_on_drivers).
+/// if the robot is already there; otherwise `begins` is called with the motion before it begins. The robot is held until the run that follows. It is watched as in [`run_on_drivers`](crate::run_on_drivers).
 ///
 /// # Errors
 /// As [`Experiment::run_on_driver`]; a robot that does not arrive.
@@ -22,11 +22,12 @@ pub fn move_to_start(
     extensions: &Extensions,
     folder: &Path,
     progress: &Progress,
-    left_behind: LeftBehind<'_>,
+    (begins, left_behind): (&dyn Fn(&Experiment), LeftBehind<'_>),
 ) -> Result<Option<Summary>, RunError> {
     experiment.with_driver_before_run(extensions, |backend| {
         let Some(motion) = experiment.motion_to_start(&positions(backend)?)? else { return Ok(None) };
         motion.check_robot(backend)?;
+        begins(&motion);
         let folder = ResultFolder::open(folder)?;
         let summary = run_robots(
             &Scenario::from(motion),

@@ -115,6 +115,16 @@ impl Checked {
         Self { what, found, allowed, skipped, ..Self::default() }
     }
 
+    /// Adds the warnings of the drivers of real robots, as robot.toml describes them.
+    fn with_drivers(mut self, extensions: &Extensions, scenario: &Scenario) -> Result<Self, FileError> {
+        for experiment in scenario.experiments().filter(|experiment| experiment.is_as_declared()) {
+            for warning in experiment.check_driver(extensions)? {
+                add(&mut self.found, Found::new(warning, experiment));
+            }
+        }
+        Ok(self)
+    }
+
     /// Adds the margins, durations, distances and values of a single robot.
     fn with_details(self, experiment: &Experiment) -> Self {
         let margin = gain_margin(experiment);
@@ -348,7 +358,11 @@ fn check_one(
         robot.defaults().iter().for_each(|default| console.detail(&format!("  {default}")));
         let what = format!("a robot of {} joints", robot.model.n());
         let place = |finding: Finding| Found { place: finding.placed_in(&robot.source), finding };
-        let found = weak_joints(&robot).into_iter().map(place).collect();
+        let mut findings = weak_joints(&robot);
+        if let Some(settings) = robot.default_driver_settings() {
+            findings.extend(robot.check_driver(extensions, &settings)?);
+        }
+        let found = findings.into_iter().map(place).collect();
         Ok(Checked { what, values, short_values, warnings, found, ..Checked::default() })
     };
     match Kind::of(source.text()) {
@@ -373,12 +387,14 @@ fn check_one(
             let scenario = Scenario::load(extensions, Files::Disk, path, robot, backend, options, settings)?;
             let Some(experiment) = scenario.single() else {
                 let what = format!("an experiment with {} robots", scenario.members.len());
-                return Ok(Checked::of_scenarios(extensions, what, std::slice::from_ref(&scenario)));
+                return Checked::of_scenarios(extensions, what, std::slice::from_ref(&scenario))
+                    .with_drivers(extensions, &scenario);
             };
             console.detail(&format!("{}: {}", path.display(), experiment.start_text()?));
             let what = format!("a task for the robot '{}'", experiment.robot().name());
-            Ok(Checked::of_scenarios(extensions, what, std::slice::from_ref(&scenario))
-                .with_details(experiment))
+            Checked::of_scenarios(extensions, what, std::slice::from_ref(&scenario))
+                .with_details(experiment)
+                .with_drivers(extensions, &scenario)
         }
         Some(Kind::Robot) => robot(),
         // A folder denotes a robot.

@@ -1,9 +1,10 @@
 //! `opspace driver`: the drivers of the program, the devices that they find, and simulated ones.
 
 use crate::cli::{DriverCommand, DriverScanArgs, DriverSimulateArgs};
+use crate::commands::driver_read::read;
 use crate::console::{Console, Exit, Failure, Outcome, print_exactly};
 use crate::interrupt;
-use opspace_backend::Setting;
+use opspace_backend::{ServedDevices, Setting};
 use opspace_experiment::{Extensions, Files, RunOptions, Scenario};
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
@@ -12,6 +13,7 @@ pub fn driver(command: &DriverCommand, extensions: &Extensions, console: Console
     match command {
         DriverCommand::List => list(extensions),
         DriverCommand::Scan(args) => scan(args, extensions, console),
+        DriverCommand::Read(args) => read(args, extensions, console),
         DriverCommand::Simulate(args) => simulate(args, extensions, console),
     }
 }
@@ -77,8 +79,11 @@ fn simulate(args: &DriverSimulateArgs, extensions: &Extensions, console: Console
     };
     let end = args.duration_s.map(|duration_s| Instant::now() + Duration::from_secs_f64(duration_s));
     let mut printed = Ok(());
-    let mut serve = |place: &str| {
-        printed = print_exactly(&format!("{place}\n"));
+    let mut serve = |devices: &ServedDevices| {
+        printed = print_exactly(&format!("{}\n", devices.place));
+        for (path, meaning) in &devices.written {
+            console.note(&format!("wrote {}: {meaning}", path.display()));
+        }
         console.note("the simulated arm is held until the first goal; Ctrl-C ends the simulation");
         while !watch.interrupt.load(Ordering::Relaxed) && end.is_none_or(|end| Instant::now() < end) {
             std::thread::sleep(Duration::from_millis(20));

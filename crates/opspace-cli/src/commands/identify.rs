@@ -89,7 +89,10 @@ fn identify_real_robot(
         return Err(Failure::Other(text.to_owned(), Exit::Bad));
     }
     let (_, profile) = robot.profile(args.profile.as_deref())?;
-    let settings = robot.driver_settings(CommandKind::Position, profile.period_s());
+    let settings = robot.driver_settings(CommandKind::Position, profile);
+    for doubt in robot.check_driver(extensions, &settings)? {
+        console.note(&format!("warning: {doubt} [{}]", doubt.code));
+    }
     let watch = interrupt::watch_with_robots();
     let identified = robot.with_driver(extensions, &settings, |arm| {
         let joints = robot.model.joints().iter().map(|joint| joint.name.clone());
@@ -113,6 +116,9 @@ fn identify_real_robot(
         }
         Ok(Ok(results))
     })?;
+    if let Some(state) = robot.driver(extensions)?.state_after_run(&settings) {
+        console.note(&state);
+    }
     identified.map_err(ended_early)
 }
 
@@ -120,6 +126,10 @@ fn identify_real_robot(
 fn say_plan(identifying: &IdentificationJob, console: Console) {
     for (joint, motion) in identifying.planned_motions() {
         console.note(&format!("{joint} will move {motion}"));
+    }
+    let planned_s = identifying.planned_s();
+    if planned_s > 0.0 {
+        console.note(&format!("all of these motions take some {planned_s:.0} s"));
     }
 }
 

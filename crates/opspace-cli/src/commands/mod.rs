@@ -5,6 +5,7 @@ pub mod check;
 pub mod completion;
 pub mod doctor;
 pub mod driver;
+pub mod driver_read;
 pub mod explain;
 pub mod export_path;
 pub mod identify;

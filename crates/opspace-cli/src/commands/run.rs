@@ -6,7 +6,10 @@ use crate::commands::run_in_view::{
     open_view, run_with_companions, simulate_in_view, with_robots_beside, with_tunable_tasks,
 };
 use crate::commands::run_on_log::{run_on_log, say_fault, say_written};
-use crate::console::{Console, Exit, Failure, Outcome, note, render, report, results as table};
+use crate::console::{
+    Console, Exit, Failure, Outcome, failures_and_folder, note, owner_result, render, report,
+    results as table,
+};
 use crate::interrupt;
 use crate::output::pretty;
 use crate::plant::PlantChoice;
@@ -19,7 +22,7 @@ use opspace_experiment::files::robot::RobotDefinition;
 use opspace_experiment::metrics::columns::default_columns;
 use opspace_experiment::run::result_files::{LOG, REPORT, SUMMARY};
 use opspace_experiment::{
-    ControllerKind, Experiment, Extensions, FileError, Files, Metric, Progress, RunError, RunSummary,
+    Code, ControllerKind, Experiment, Extensions, FileError, Files, Metric, Progress, RunError, RunSummary,
     Scenario, Summary,
 };
 use opspace_live::ViewKind;
@@ -65,20 +68,32 @@ pub fn run(args: &RunArgs, extensions: &Extensions, console: Console) -> Outcome
     scenario.single().into_iter().for_each(|experiment| say_details(experiment, console));
     let scenario = if real.is_some() { checked_for_real_robots(scenario)? } else { scenario };
     scenario.allowed().iter().for_each(|refusal| console.note(&format!("warning: {refusal}")));
+    if real.is_some() {
+        note_doubts_of_drivers(&scenario, extensions, console)?;
+    }
     note_problems(&scenario, args, extensions, console);
     let default = default_folder(&scenario, &args.plant);
     let results = prepare(&args.output, &default, &file_names(&scenario), &scenario.input_paths(), console)?;
     let folder = results.path();
     let progress = if real.is_some() { interrupt::watch_with_robots() } else { interrupt::watch() };
     scenario.experiments().filter_map(large_log).for_each(|text| console.note(&text));
-    console.note(&start_text(&scenario)?);
+    console.note(&start_text(&scenario, args)?);
     if real.is_some() {
         for experiment in scenario.experiments().filter(|experiment| experiment.has_driver()) {
             note_missing_real_time(experiment.robot(), console)?;
         }
     }
     let columns = default_columns(extensions.added());
-    let view = RunView { scenario: &scenario, args, columns: &columns, progress: &progress, console };
+    let of_real_robot = scenario.single().filter(|_| real.is_some());
+    let state = of_real_robot.and_then(|experiment| experiment.state_after_run(extensions));
+    let view = RunView {
+        scenario: &scenario,
+        args,
+        columns: &columns,
+        progress: &progress,
+        state_after_run: state.as_deref(),
+        console,
+    };
     if let Some(experiment) = scenario.single().filter(|_| args.move_to_start)
         && let Some(exit) = move_to_start(experiment, extensions, folder, view)?
     {
@@ -125,14 +140,16 @@ struct RunView<'a> {
     args: &'a RunArgs,
     columns: &'a [Metric],
     progress: &'a Progress,
+    /// State in which the driver leaves a real robot.
+    state_after_run: Option<&'a str>,
     console: Console,
 }
 
 impl RunView<'_> {
     /// Shows the results of a run.
     fn say(self, summary: &RunSummary, folder: &Path) -> Outcome {
-        let Self { scenario, args, columns, progress, console } = self;
-        args.output.json.print(|| pretty(summary), || text(summary, columns, console))?;
+        let Self { scenario, args, progress, console, .. } = self;
+        args.output.json.print(|| pretty(summary), || self.text(summary, folder))?;
         match summary.single() {
             Some(robot) => {
                 say_end(robot, console);
@@ -141,11 +158,32 @@ impl RunView<'_> {
                 say_other_transformer(scenario, robot, progress, console);
                 say_felt_force(scenario, robot, progress, console);
                 say_written(robot, folder, console);
+                self.say_state();
             }
             None => say_end_of_robots(summary, folder, console),
         }
         args.open.show(&folder.join(REPORT), console);
         Ok(exit_code(summary))
+    }
+
+    /// Says in which state a real robot is left.
+    fn say_state(self) {
+        if let Some(state) = self.state_after_run {
+            self.console.note(state);
+        }
+    }
+
+    /// Text of the results: what failed and the folder if quiet, without tables on a real robot, and with tables in simulation.
+    fn text(self, summary: &RunSummary, folder: &Path) -> String {
+        if self.console.quiet {
+            return failures_and_folder(summary, folder);
+        }
+        match summary.single() {
+            Some(robot) if !robot.simulated && !self.console.verbose => {
+                owner_result(self.console, robot, self.scenario.ticks())
+            }
+            _ => text(summary, self.columns, self.console),
+        }
     }
 
     /// Shows the results of a run whose robots cannot be reached.
@@ -223,15 +261,22 @@ fn is_comparison(scenario: &Scenario) -> bool {
     scenario.single().is_none() && scenario.couplings.is_empty() && scenario.objects.is_empty()
 }
 
-/// Describes the start of one robot, or names several.
-fn start_text(scenario: &Scenario) -> Result<String, FileError> {
+/// Describes the start of one robot, or names several; and whether they are simulated.
+fn start_text(scenario: &Scenario, args: &RunArgs) -> Result<String, FileError> {
     let name = scenario.name();
+    let world = |experiment: &Experiment| match experiment.driver_text() {
+        None => "simulated: robot.toml has no [driver]".to_owned(),
+        Some(_) if args.simulate => "simulated: --simulate asks for it".to_owned(),
+        Some(driver) => format!("on the real robot: {driver}"),
+    };
     if let Some(experiment) = scenario.single() {
-        return Ok(format!("{name} {}", experiment.start_text()?));
+        return Ok(format!("{name} ({}) {}", world(experiment), experiment.start_text()?));
     }
     let robots = scenario.members.iter();
-    let robots = robots
-        .map(|member| format!("{} ({} robot)", member.name, member.experiment.options().backend.name()));
+    let robots = robots.map(|member| {
+        let kind = member.experiment.options().backend.name();
+        format!("{} ({kind} robot, {})", member.name, world(&member.experiment))
+    });
     Ok(format!("{name}: {}", robots.collect::<Vec<_>>().join(", ")))
 }
 
@@ -244,11 +289,25 @@ fn move_to_start(
 ) -> Result<Option<Exit>, Failure> {
     let folder = &folder.join(MOVE_TO_START);
     let left_behind = |summary| exit_with(view.say_left_behind(summary, folder));
-    let moved = opspace_report::move_to_start(experiment, extensions, folder, view.progress, &left_behind)?;
+    let begins = |motion: &Experiment| {
+        let text = "moves to the start of the task within";
+        view.console.note(&format!(
+            "{text} {:.0} s, without looking for obstacles: keep its way clear",
+            motion.duration_s()
+        ));
+    };
+    let moved = opspace_report::move_to_start(
+        experiment,
+        extensions,
+        folder,
+        view.progress,
+        (&begins, &left_behind),
+    )?;
     let Some(moved) = moved.filter(|moved| exit_code_of_robot(moved) != Exit::Done) else { return Ok(None) };
     let RunView { args, columns, console, .. } = view;
     args.output.json.print(|| pretty(&moved), || table(console, std::slice::from_ref(&moved), columns))?;
     say_end(&moved, console);
+    view.say_state();
     console
         .note(&format!("not run: the robot did not reach the start of the task; see {}", folder.display()));
     Ok(Some(exit_code_of_robot(&moved)))
@@ -291,6 +350,23 @@ fn note_problems(scenario: &Scenario, args: &RunArgs, extensions: &Extensions, c
         let what = if lines.len() == 1 { "this problem" } else { "these problems" };
         console.note(&format!("note: `opspace check {}`{options} explains {what}", args.task.display()));
     }
+}
+
+/// Prints the warnings of drivers before anything is opened.
+fn note_doubts_of_drivers(
+    scenario: &Scenario,
+    extensions: &Extensions,
+    console: Console,
+) -> Result<(), FileError> {
+    for experiment in scenario.experiments() {
+        for doubt in experiment.check_driver(extensions)? {
+            // Opening the robot names a driver that is missing, too.
+            if doubt.code != Code::MissingDriver {
+                console.note(&format!("warning: {doubt} [{}]", doubt.code));
+            }
+        }
+    }
+    Ok(())
 }
 
 /// True if `opspace check` needs options to examine the same run.

@@ -5,6 +5,7 @@ use crate::console::{Exit, Outcome, print_exactly};
 use crate::key_page::key_page;
 use crate::output::pretty;
 use crate::schema_defaults::add_empty_defaults;
+use opspace_backend::{Driver, DriverKey};
 use opspace_control::TaskParameters;
 use opspace_experiment::files::experiment_file::ExperimentFile;
 use opspace_experiment::files::robot::RobotFile;
@@ -89,5 +90,27 @@ fn markdown(kind: SchemaKind, extensions: &Extensions) -> String {
         SchemaKind::Suite => ("Keys of a suite file", "suite"),
         SchemaKind::Experiment => ("Keys of an experiment file", "experiment"),
     };
-    key_page(&of(kind, extensions), title, &format!("opspace schema {name} --markdown"))
+    let page = key_page(&of(kind, extensions), title, &format!("opspace schema {name} --markdown"));
+    match kind {
+        SchemaKind::Robot => page + &extensions.drivers().map(driver_keys).collect::<String>(),
+        _ => page,
+    }
+}
+
+/// Returns the section with the keys of a driver; empty if it does not declare them.
+fn driver_keys(driver: &dyn Driver) -> String {
+    if driver.keys().is_empty() {
+        return String::new();
+    }
+    let name = driver.name();
+    let rows: String = driver.keys().iter().map(driver_key).collect();
+    format!(
+        "\n## Keys of the driver `{name}`\n\nKeys of `[driver]` beside `name = \"{name}\"`.\n\n| key | value | default | meaning \
+         |\n|---|---|---|---|\n{rows}"
+    )
+}
+
+fn driver_key(key: &DriverKey) -> String {
+    let default = if key.is_required { "required" } else { key.default };
+    format!("| `{}` | {} | {default} | {} |\n", key.name, key.value.words(), key.meaning.replace('|', "\\|"))
 }

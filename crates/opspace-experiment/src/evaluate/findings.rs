@@ -4,7 +4,7 @@
 //! `ignored_compliance` have those of some codes in forms of their own, which older scripts read.
 
 use crate::codes::{Code, Effect};
-use crate::evaluate::remedies::remedy;
+use crate::evaluate::remedies::{owner_remedy, remedy};
 use crate::finding::{Causes, Finding, errors};
 use serde::ser::SerializeMap;
 use serde::{Deserialize, Serialize, Serializer};
@@ -25,6 +25,15 @@ impl Findings {
             _ => finding,
         };
         self.findings.extend(findings.into_iter().map(with_help));
+    }
+
+    /// Replaces remedies of simulations by those of a real robot.
+    pub(crate) fn help_owner(&mut self) {
+        for finding in &mut self.findings {
+            if let Some(remedy) = owner_remedy(finding.code) {
+                finding.help = remedy.to_owned();
+            }
+        }
     }
 
     /// All findings.

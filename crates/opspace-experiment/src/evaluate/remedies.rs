@@ -45,6 +45,17 @@ pub(crate) fn remedy(finding: &Finding) -> &'static str {
     }
 }
 
+/// Remedy on a real robot, where it is another one.
+pub(crate) fn owner_remedy(code: Code) -> Option<&'static str> {
+    match code {
+        Code::CyclesMissed | Code::ControlInterrupted => Some(
+            "end other programs on this computer, check the cable, or lower the rate (`servo_ticks_per_cycle` of the profile); with an \
+             adapter for USB, set its latency timer to 1 ms; `missed_cycles` in the log shows when (`opspace log export`)",
+        ),
+        _ => None,
+    }
+}
+
 /// Remedy for the first cause that keeps a task from its reference.
 fn of_causes(finding: &Finding) -> &'static str {
     let causes = &finding.causes;

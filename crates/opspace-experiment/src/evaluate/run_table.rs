@@ -5,10 +5,16 @@ use crate::evaluate::summary::Summary;
 use crate::evaluate::table::{Cell, Table};
 use crate::metrics::metric::Metric;
 
-/// Names a run in one line: task, kind of robot, control and profile.
+/// Names a run in one line: task, kind of robot, control and profile, and whether the robot was simulated.
 #[must_use]
 pub fn run_title(summary: &Summary) -> String {
-    format!("{}: {} {}, {}", summary.task, summary.backend, control(summary), profile(summary))
+    let world = match &summary.replay {
+        Some(_) => "from a log",
+        None if summary.simulated => "simulated",
+        None => "on the real robot",
+    };
+    let (task, backend) = (&summary.task, &summary.backend);
+    format!("{task}: {backend} {}, {}, {world}", control(summary), profile(summary))
 }
 
 /// Table of those of these metrics that have a column and that the run has: one row.
@@ -35,7 +41,7 @@ mod tests {
     fn table_of_a_run_has_its_metrics_alone() {
         let mut run = summary("a", "p", 1, 0.1);
         run.timing.tick_ns_median = 6e3;
-        assert_eq!(run_title(&run), "a: position osc, p 1:5");
+        assert_eq!(run_title(&run), "a: position osc, p 1:5, simulated");
         let table = run_table(&run, &default_columns(&[]));
         let titles: Vec<String> = table.columns.iter().map(|column| column.column_title()).collect();
         assert_eq!(titles, ["position error rms (mm)", "cycle time (µs)"]);

@@ -88,6 +88,32 @@ impl Experiment {
         let environment: Vec<String> =
             self.task().file.environment.keys().map(|name| format!("'{name}'")).collect();
         let friction = self.friction_against(task, &spring);
+        let [position_m, orientation_rad] = finals;
+        let key = if spring.axis < 3 { "stiffness_n_per_m" } else { "stiffness_nm_per_rad" };
+        // Friction that is smaller than the torque of the spring in every joint does not hold it: something of the environment does.
+        let is_held_by_friction =
+            friction.as_ref().is_some_and(|friction| friction.friction_nm >= friction.spring_nm);
+        if !environment.is_empty() && !is_held_by_friction {
+            let message = format!(
+                "task '{name}': {} pulls with {} against {} of the environment, {} from its goal at the end",
+                spring.text(),
+                spring.pull(),
+                environment.join(" or "),
+                errors(position_m, orientation_rad)
+            );
+            let help = format!(
+                "nothing, if it is to press or to yield: `task.{name}.cartesian.impedance.{key}` and the reference set the force; otherwise \
+                 end the reference before the object"
+            );
+            let finding =
+                Finding { help, ..Finding::of(Code::SpringDeflected, Place::Task(name.to_owned()), message) };
+            return Some(
+                finding
+                    .with("position_m", position_m)
+                    .with("orientation_rad", orientation_rad)
+                    .with(key, Some(spring.stiffness)),
+            );
+        }
         let gain = self.task().file.friction_compensation.gain.get();
         let compensated =
             if gain > 0.0 { format!(" ({:.0} % of it compensated)", 100.0 * gain) } else { String::new() };
@@ -106,12 +132,10 @@ impl Experiment {
             [] => String::new(),
             _ => format!("; or {} of the environment", environment.join(", ")),
         };
-        let [position_m, orientation_rad] = finals;
         let message = format!(
             "task '{name}': {} from the goal of its spring at the end: {cause}{others}",
             errors(position_m, orientation_rad)
         );
-        let key = if spring.axis < 3 { "stiffness_n_per_m" } else { "stiffness_nm_per_rad" };
         let friction_remedy = match gain {
             gain if gain < 1.0 && friction.is_some() => {
                 "compensate more friction (`--set friction_compensation.gain=1.0`), "

@@ -4,13 +4,18 @@ use crate::codes::Code;
 use crate::extensions::Extensions;
 use crate::files::robot::RobotDefinition;
 use crate::files::source::FileError;
+use crate::finding::Finding;
 use crate::run::error::RunError;
 use crate::run::execute::{Progress, RunResult, check_real_time};
 use crate::run::experiment::Experiment;
-use crate::suggest::choices;
-use opspace_backend::{Backend, CommandKind, Driver, DriverError, Setting, Settings};
+use crate::suggest::{choices, nearest};
+use opspace_backend::{
+    Backend, CommandKind, Driver, DriverError, DriverWarning, Observed, ObservedTorque, Setting, Settings,
+    StatedServo,
+};
 use opspace_loop::driver_calls::stop;
 use opspace_loop::{RealTime, RealTimeMode, RealTimeParameters};
+use opspace_transformer::{ProfileParameters, ServoParameters};
 use std::io::Write;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
@@ -67,10 +72,42 @@ impl Experiment {
         self.robot.with_driver(extensions, &settings, body)
     }
 
+    /// Names the driver of `[driver]` and its port: `driver 'feetech', port /dev/ttyACM0`; `None` for a robot without one.
+    #[must_use]
+    pub fn driver_text(&self) -> Option<String> {
+        let keys = self.robot.file.driver.as_ref()?;
+        let text = |key: &str| match keys.get(key) {
+            Some(Setting::Text(text)) => Some(text.as_str()),
+            _ => None,
+        };
+        let port = text("port").map_or_else(String::new, |port| format!(", port {port}"));
+        Some(format!("driver '{}'{port}", text(NAME)?))
+    }
+
+    /// State in which the driver leaves the robot after a run, in words; `None` if it does not say.
+    #[must_use]
+    pub fn state_after_run(&self, extensions: &Extensions) -> Option<String> {
+        self.robot.driver(extensions).ok()?.state_after_run(&self.driver_settings())
+    }
+
+    /// Checks `[driver]` without opening the robot. Returns warnings; none for a robot without a driver.
+    ///
+    /// # Errors
+    /// Settings that the driver refuses, at their key.
+    pub fn check_driver(&self, extensions: &Extensions) -> Result<Vec<Finding>, FileError> {
+        self.robot.check_driver(extensions, &self.driver_settings())
+    }
+
+    /// True if the robot accepts the commands that robot.toml declares, and not others that an option chose.
+    #[must_use]
+    pub fn is_as_declared(&self) -> bool {
+        self.command_kind() == self.robot.file.interface.command
+    }
+
     /// Settings with which a driver opens the robot of the experiment.
     #[must_use]
     pub fn driver_settings(&self) -> Settings {
-        self.robot.driver_settings(self.command_kind(), self.profile.period_s())
+        self.robot.driver_settings(self.command_kind(), &self.profile)
     }
 }
 
@@ -107,13 +144,60 @@ impl RobotDefinition {
                     "it panicked while it closed the robot; the message was printed to standard error";
                 Err(RunError::AfterRun { words: words.to_owned() })
             }
-            (None, Ok(Err(error))) => Err(self.driver_error(&error).into()),
+            (None, Ok(Err(error))) => Err(self.driver_error(driver, &error).into()),
             (None, Err(_)) => Err(RunError::Panicked { place: "the driver, while it opened the robot," }),
             (None, Ok(Ok(()))) => {
                 let error = DriverError::new("the driver opened the robot but did not run it");
-                Err(self.driver_error(&error).into())
+                Err(self.driver_error(driver, &error).into())
             }
         }
+    }
+
+    /// Opens the robot of `[driver]` to read it without commanding it, calls `observe`, and closes it.
+    ///
+    /// # Errors
+    /// An unknown driver or one that always commands its robot, invalid settings, or a robot that cannot be opened or lowered.
+    pub fn observe_on_driver(
+        &self,
+        extensions: &Extensions,
+        settings: &Settings,
+        torque: ObservedTorque,
+        observe: &mut dyn FnMut(&mut dyn Observed),
+    ) -> Result<(), FileError> {
+        let driver = self.driver(extensions)?;
+        driver.observe(settings, torque, observe).map_err(|error| self.driver_error(driver, &error))
+    }
+
+    /// Checks `[driver]` without opening the robot, with the settings of a run. Returns warnings: those of the driver, and a driver
+    /// that this program does not have, since a program of the user's may have it. None for a robot without `[driver]`.
+    ///
+    /// # Errors
+    /// Settings that the driver refuses, at their key.
+    pub fn check_driver(
+        &self,
+        extensions: &Extensions,
+        settings: &Settings,
+    ) -> Result<Vec<Finding>, FileError> {
+        if self.file.driver.is_none() {
+            return Ok(Vec::new());
+        }
+        let driver = match self.driver(extensions) {
+            Ok(driver) => driver,
+            Err(error) if error.code() == Some(Code::MissingDriver) => {
+                let help = error.help().unwrap_or_default().to_owned();
+                let message = error.message().to_owned();
+                return Ok(vec![
+                    Finding::new(Code::MissingDriver, &["driver", NAME], message, help).of_robot(),
+                ]);
+            }
+            Err(error) => return Err(error),
+        };
+        let warnings = driver.check(settings).map_err(|error| self.driver_error(driver, &error))?;
+        let finding = |warning: DriverWarning| {
+            let key = ["driver", &warning.key];
+            Finding::new(Code::DriverDoubt, &key, warning.words, String::new()).of_robot()
+        };
+        Ok(warnings.into_iter().map(finding).collect())
     }
 
     /// Driver that `[driver]` selects.
@@ -195,14 +279,25 @@ impl RobotDefinition {
         Ok((!real_time.is_complete()).then(|| real_time.text()))
     }
 
-    /// Settings with which a driver opens the robot for these commands, at this interface period (s).
+    /// Settings with which a driver opens the robot as robot.toml declares it; `None` without a profile that is the default.
     #[must_use]
-    pub fn driver_settings(&self, command: CommandKind, period_s: f64) -> Settings {
+    pub fn default_driver_settings(&self) -> Option<Settings> {
+        let (_, profile) = self.profile(None).ok()?;
+        Some(self.driver_settings(self.file.interface.command, profile))
+    }
+
+    /// Settings with which a driver opens the robot for these commands, with this profile.
+    #[must_use]
+    pub fn driver_settings(&self, command: CommandKind, profile: &ProfileParameters) -> Settings {
+        let period_s = profile.period_s();
+        let servos = self.model.joints().iter().map_while(|joint| profile.servo.get(&joint.name));
+        let servos = servos.map(|servo| stated_servo(servo, profile.servo_period_s())).collect();
         let joints = self.model.joints().iter().map(|joint| joint.name.clone()).collect();
         let folder = Path::new(self.source.name()).parent().unwrap_or(Path::new(""));
         let settings = Settings::new(command, joints, period_s)
             .measuring(&self.file.interface.measured)
             .with_force_sensors(self.capabilities(command, period_s).force_sensors)
+            .with_servos(servos)
             .in_folder(folder);
         let keys = self
             .file
@@ -213,13 +308,26 @@ impl RobotDefinition {
         keys.fold(settings, |settings, (key, value)| settings.with(key, value.clone()))
     }
 
-    /// Error of a driver, at its key in `[driver]`.
-    pub(crate) fn driver_error(&self, error: &DriverError) -> FileError {
-        match &error.key {
-            Some(key) => FileError::at_key(&self.source, ["driver", key], error.words.clone(), None),
-            None => FileError::at_key(&self.source, "driver", error.words.clone(), None),
-        }
+    /// Error of a driver, at its key in `[driver]`. An unknown key that is similar to a known one is probably that one.
+    pub(crate) fn driver_error(&self, driver: &dyn Driver, error: &DriverError) -> FileError {
+        let Some(key) = &error.key else {
+            return FileError::at_key(&self.source, "driver", error.words.clone(), None);
+        };
+        let known: Vec<&str> = driver.keys().iter().map(|key| key.name).collect();
+        let meant = if known.contains(&key.as_str()) { None } else { nearest(key, known) };
+        let help = meant.map(|meant| format!("did you mean `{meant}`?"));
+        FileError::at_key(&self.source, ["driver", key], error.words.clone(), help)
     }
+}
+
+/// Servo of a joint for a driver that writes gains. What a transfer function integrates is not known.
+fn stated_servo(servo: &ServoParameters, period_s: f64) -> StatedServo {
+    let has_integral = match servo {
+        ServoParameters::Pid(servo) => servo.integral_nm_per_rad_s.get() > 0.0,
+        ServoParameters::Cascaded(servo) => servo.velocity_integral_time_s.is_some(),
+        _ => true,
+    };
+    StatedServo { stiffness_nm_per_rad: servo.gains(period_s).stiffness, has_integral }
 }
 
 /// Calls `body`; after an error or a panic, the robot is stopped.

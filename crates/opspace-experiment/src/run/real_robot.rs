@@ -93,9 +93,11 @@ impl Experiment {
     /// in the URDF. Obstacles are not considered. `None` if the robot is already there.
     ///
     /// # Errors
-    /// A position outside a joint's limits.
+    /// A position outside a joint's limits by more than the tolerance of start positions, 0.02 rad (m): an arm that lies on its end
+    /// stops may be slightly outside.
     pub fn motion_to_start(&self, q: &[f64]) -> Result<Option<Self>, FileError> {
         let goal = self.start()?;
+        let q = &self.within_limits(q)?;
         if q.iter().zip(&goal).all(|(q, goal)| is_at(*q, *goal)) {
             return Ok(None);
         }
@@ -118,6 +120,23 @@ impl Experiment {
         };
         let options = RunOptions { controller, duration_s: None, label: None, ..self.options.clone() };
         self.with_parts(self.robot.clone(), task, options).map(Some)
+    }
+
+    /// Positions (n; rad or m) within the limits of the joints.
+    fn within_limits(&self, q: &[f64]) -> Result<Vec<f64>, FileError> {
+        let joints = self.robot.model.joints().iter().zip(q);
+        let within = |(joint, &q): (&Joint, &f64)| {
+            let (lower, upper) = (joint.limits.lower, joint.limits.upper);
+            let inside = q.max(lower).min(upper);
+            if is_at(q, inside) {
+                return Ok(inside);
+            }
+            let message =
+                format!("joint '{}' is at {q:.3} rad (m), outside its limits {lower} to {upper}", joint.name);
+            let help = "switch its torque off and move it by hand: `opspace driver read` shows its position";
+            Err(FileError::of_file(self.robot.source.name(), message, Some(help.to_owned())))
+        };
+        joints.map(within).collect()
     }
 
     /// Text of the task file of a motion from `q` to `goal`.

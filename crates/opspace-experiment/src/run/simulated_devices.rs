@@ -4,7 +4,7 @@ use crate::extensions::Extensions;
 use crate::files::source::FileError;
 use crate::run::experiment::Experiment;
 use opspace_backend::quantity::Count;
-use opspace_backend::{CommandKind, Measured, Settings, SimulatedDevices};
+use opspace_backend::{CommandKind, Measured, ServedDevices, Settings, SimulatedDevices};
 use opspace_model::{Data, gravity, kinematics};
 use opspace_sim::{ArmConfig, SimulatedArm};
 use std::path::PathBuf;
@@ -34,7 +34,7 @@ impl Experiment {
     }
 
     /// Serves the simulated devices of the robot's driver with the arm of the experiment behind them, and calls `serve` once
-    /// with their place; it returns when they are to end. Returns a sentence about how it went.
+    /// with their place and what was written for them; it returns when they are to end. Returns a sentence about how it went.
     ///
     /// # Errors
     /// A robot that cannot be simulated, an unknown driver, wrong settings or options, or devices that cannot be served.
@@ -43,14 +43,14 @@ impl Experiment {
         extensions: &Extensions,
         link: Option<PathBuf>,
         options: impl FnOnce(Settings) -> Settings,
-        serve: &mut dyn FnMut(&str),
+        serve: &mut dyn FnMut(&ServedDevices),
     ) -> Result<String, FileError> {
         let driver = self.robot().driver(extensions)?;
         let mut devices = self.simulated_devices()?;
         devices.options = options(devices.options);
         devices.link = link;
         let settings = self.driver_settings();
-        driver.simulate(&settings, devices, serve).map_err(|error| self.robot().driver_error(&error))
+        driver.simulate(&settings, devices, serve).map_err(|error| self.robot().driver_error(driver, &error))
     }
 
     /// Arm of the experiment for simulated devices.

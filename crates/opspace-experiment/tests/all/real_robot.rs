@@ -181,8 +181,9 @@ fn real_robot_moves_slowly_to_start_first() {
         assert!(refused.to_string().contains("--move-to-start"), "{refused}");
 
         let folder = tempfile::tempdir().unwrap();
-        let moved =
-            move_to_start(&experiment, &extensions, folder.path(), &progress, &|_| {}).unwrap().unwrap();
+        let moved = move_to_start(&experiment, &extensions, folder.path(), &progress, (&|_| {}, &|_| {}))
+            .unwrap()
+            .unwrap();
         assert_eq!(moved.faulted, None, "{backend:?}");
         let recording = Recording::read(folder.path().join("run.mcap")).unwrap();
         let q: Vec<&[f64]> = recording.tick().unwrap().signal("q").unwrap().rows().collect();
@@ -192,7 +193,10 @@ fn real_robot_moves_slowly_to_start_first() {
         for (q, start) in arm.borrow().arm.true_q().iter().zip(&start) {
             assert!((q - start).abs() < AT_START_RAD, "{backend:?}: {q} and {start}");
         }
-        assert_eq!(move_to_start(&experiment, &extensions, folder.path(), &progress, &|_| {}).unwrap(), None);
+        assert_eq!(
+            move_to_start(&experiment, &extensions, folder.path(), &progress, (&|_| {}, &|_| {})).unwrap(),
+            None
+        );
         assert_eq!(run().unwrap().record.fault, None, "{backend:?}");
     }
 }
@@ -225,8 +229,13 @@ fn comparison_options_are_refused_on_real_robot() {
 fn robot_without_driver_cannot_move_to_start() {
     let experiment = experiment("tasks/joint-tracking.toml", CommandKind::Position, &[]);
     let folder = tempfile::tempdir().unwrap();
-    let refused =
-        move_to_start(&experiment, &Extensions::default(), folder.path(), &Progress::default(), &|_| {});
+    let refused = move_to_start(
+        &experiment,
+        &Extensions::default(),
+        folder.path(),
+        &Progress::default(),
+        (&|_| {}, &|_| {}),
+    );
     let words = refused.map(|_| ()).unwrap_err().to_string();
     assert!(words.contains(ROBOT) && words.contains("no [driver]"), "{words}");
 }

@@ -68,11 +68,11 @@ fn write_missing_calibration(settings: &Settings, devices: &SimulatedDevices) ->
         return Ok(());
     }
     let failed = |words: String| DriverError::at("calibration", format!("{}: {words}", path.display()));
-    let motors = settings.texts("motors")?;
-    let motors = motors.unwrap_or_else(|| settings.joints.iter().map(String::as_str).collect());
+    let motors = settings.texts_by_joint("motors")?;
+    let motors = motors.into_iter().zip(&settings.joints).map(|(motor, joint)| motor.unwrap_or(joint));
     let ranges = devices.position_ranges_rad.iter().copied();
-    let calibration = Calibration::of_simulation(motors.into_iter().zip(ranges))
-        .map_err(|error| failed(error.to_string()))?;
+    let calibration =
+        Calibration::of_simulation(motors.zip(ranges)).map_err(|error| failed(error.to_string()))?;
     let text = calibration.to_json().map_err(|error| failed(error.to_string()))?;
     write_new(&path, &text).map_err(|error| failed(error.to_string()))
 }

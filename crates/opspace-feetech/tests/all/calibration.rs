@@ -19,6 +19,10 @@ fn numbers(values: &[f64]) -> Setting {
     Setting::List(values.iter().copied().map(Setting::Number).collect())
 }
 
+fn table(entries: &[(&str, Setting)]) -> Setting {
+    Setting::Table(entries.iter().map(|(joint, value)| ((*joint).to_owned(), value.clone())).collect())
+}
+
 fn refused(change: impl FnOnce(Settings) -> Settings) -> (Option<String>, String) {
     let calibration = file(CALIBRATION);
     let error = ArmConfig::from_settings(&change(settings(&calibration))).expect_err("refused");
@@ -53,6 +57,19 @@ fn signs_and_zeros_can_be_declared() {
     assert!((scales[2].angle(1925) + 1.0).abs() < 1e-12);
 }
 
+/// Compared: angles and servos of a table by joint, and those of a list; a joint that the table leaves out has the default.
+#[test]
+fn values_of_joints_may_be_a_table_by_name() {
+    let by_list = config(|settings| settings.with("zeros_rad", numbers(&[0.0, 0.4, 0.0])));
+    let by_name =
+        config(|settings| settings.with("zeros_rad", table(&[("elbow_flex", Setting::Number(0.4))])));
+    assert_eq!(by_list, by_name);
+    assert_ne!(by_name.servos[1].scale, config(|settings| settings).servos[1].scale);
+    let swapped = [("elbow_flex", text("gripper"))];
+    let config = config(|settings| settings.with("motors", table(&swapped)));
+    assert_eq!(config.servos.iter().map(|servo| servo.calibration.id).collect::<Vec<_>>(), [2, 6, 4]);
+}
+
 #[test]
 fn motors_may_have_other_names_than_joints() {
     let calibration = file(CALIBRATION);
@@ -77,7 +94,10 @@ fn wrong_keys_are_named() {
         ("inverted", texts(&["wrist"]), "the joints are: shoulder_lift"),
         ("inverted", text("wrist_flex"), "must be an array of strings, not \"wrist_flex\""),
         ("zeros_rad", numbers(&[0.0, 0.0, f64::NAN]), "must have finite numbers"),
-        ("zeros_rad", texts(&["0", "0", "0"]), "must be an array of numbers, not \"0\""),
+        ("zeros_rad", texts(&["0", "0", "0"]), "an array of numbers, or a table by joint, not \"0\""),
+        ("zeros_rad", table(&[("wrist", Setting::Number(0.1))]), "the joints are: shoulder_lift"),
+        ("zeros_rad", Setting::Number(0.1), "an array of numbers, or a table by joint, not 0.1"),
+        ("ids", table(&[("wrist_flex", Setting::Number(5.0))]), "the servo of joint 'wrist_flex' has id 4"),
         ("silence_s", Setting::Number(0.0), "must be above 0, not 0"),
         ("silence_s", text("0.2"), "must be a number"),
         ("at_end", text("drop"), "\"hold\" or \"lower\""),

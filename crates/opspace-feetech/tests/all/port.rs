@@ -100,3 +100,24 @@ fn a_link_in_use_is_not_replaced() {
     assert!(terminal.with_link(taken.path()).is_err());
     assert!(Path::new(taken.path()).exists());
 }
+
+/// A second program is kept out until the first one ends, with the process of the first one; also by the driver and its search.
+#[test]
+fn port_is_used_by_one_program_at_a_time() {
+    let terminal = PseudoTerminal::open(bus()).expect("a pseudo-terminal");
+    let first = open(&terminal);
+    let second = SerialPort::open(terminal.path(), 1_000_000);
+    let busy = second.expect_err("a port in use").to_string();
+    // A user who is not the superuser cannot open the port, and learns no process.
+    let expected = format!("the port is used by another program, process {}", std::process::id());
+    assert!(busy == expected || busy == "the port is used by another program", "{busy}");
+    let path = terminal.path().to_str().expect("a path");
+    let calibration = file(CALIBRATION);
+    let settings = settings(&calibration).with("port", Setting::Text(path.into()));
+    let error = FeetechDriver.with(&settings, &mut |_| panic!("opened")).expect_err("a port in use");
+    assert_eq!(error.key.as_deref(), Some("port"));
+    assert!(error.words.contains("is used by another program"), "{error}");
+    assert!(FeetechDriver.scan(Some(path)).expect_err("a port in use").words.contains("another program"));
+    drop(first);
+    SerialPort::open(terminal.path(), 1_000_000).expect("a free port");
+}

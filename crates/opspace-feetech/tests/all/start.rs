@@ -1,7 +1,7 @@
 //! The start of an arm: what is compared, written and refused.
 
 use crate::common::{IDS, arm, bus, config, refusal};
-use opspace_backend::{Backend, Setting};
+use opspace_backend::{Backend, Observed, ObservedTorque, Sample, Setting};
 use opspace_feetech::FeetechArm;
 use opspace_feetech::protocol::{ErrorFlags, Register};
 use opspace_feetech::simulated::{SimulatedBus, SimulatedTransport};
@@ -180,4 +180,55 @@ fn servo_that_ignores_goals_without_torque_is_not_pulled() {
     for (ignoring, usual) in started(true).into_iter().zip(started(false)) {
         assert!((ignoring - usual).abs() < 5e-3, "{ignoring} {usual}");
     }
+}
+
+/// An arm that is observed keeps its gains and its torque: nothing is written.
+#[test]
+fn observed_arm_is_read_and_not_written() {
+    let mut arm = FeetechArm::observe(
+        SimulatedTransport::new(bus()),
+        config(|settings| settings),
+        ObservedTorque::AsFound,
+    )
+    .expect("an arm");
+    let mut sample = Sample::new(arm.capabilities());
+    arm.read(&mut sample).expect("a sample");
+    // The joints of the bus fall without torque; it began at these angles (rad), and read at most 0.3 s later.
+    for (q, begun) in sample.q.iter().zip([0.3, -0.4, 0.2]) {
+        assert!((q - begun).abs() < 0.6, "{:?}", sample.q);
+    }
+    assert!(arm.raw(1).expect("a raw value").ends_with(" counts"));
+    assert!(arm.state().expect("a state").ends_with("torque off"), "{:?}", arm.state());
+    let bus = &arm.transport_mut().bus;
+    for id in IDS {
+        let servo = bus.servo(id).expect("a servo");
+        assert_eq!((servo.get(Register::P_COEFFICIENT), servo.is_torque_on()), (32, false));
+    }
+}
+
+/// Joints that are held sink at 0.3 rad/s until they lie on their ends, and only then lose their torque.
+#[test]
+fn released_arm_is_lowered_first() {
+    let held = |bus: &mut SimulatedBus| {
+        for id in IDS {
+            let servo = bus.servo_mut(id).expect("a servo");
+            let position = servo.get(Register::PRESENT_POSITION);
+            servo.set(Register::GOAL_POSITION, position);
+            servo.write(Register::TORQUE_ENABLE.address, &[1]);
+        }
+        bus.advance_to(Duration::from_secs(1));
+    };
+    let observe = |torque| {
+        let mut bus = bus();
+        held(&mut bus);
+        FeetechArm::observe(SimulatedTransport::new(bus), config(|settings| settings), torque)
+    };
+    let mut arm = observe(ObservedTorque::AsFound).expect("an arm");
+    let mut sample = Sample::new(arm.capabilities());
+    arm.read(&mut sample).expect("a sample");
+    assert!(arm.state().expect("a state").ends_with("torque on"), "{:?}", arm.state());
+    let mut arm = observe(ObservedTorque::Released).expect("an arm that lies");
+    assert!(IDS.iter().all(|id| !arm.transport_mut().bus.servo(*id).expect("a servo").is_torque_on()));
+    arm.read(&mut sample).expect("a sample");
+    assert!(arm.state().expect("a state").ends_with("torque off"), "{:?}", arm.state());
 }

@@ -7,7 +7,7 @@
 use super::failure::StaticFailure;
 use super::parameters::StaticParameters;
 use super::plan::SweepPlan;
-use crate::session::{AbortReason, ExcitationSession};
+use crate::session::{AbortReason, ExcitationSession, PEAK_OVER_MEAN};
 use opspace_model::{Data, Model, forward_kinematics, gravity};
 use serde::Serialize;
 
@@ -115,6 +115,23 @@ pub fn measure(
         // What kept the arm from its start is graver than what ended the sweeps.
         Err(stop) => Err(stop.into()),
     }
+}
+
+/// Estimates the duration of [`measure`], s.
+#[must_use]
+pub fn duration_s(plan: &SweepPlan, start: &[f64]) -> f64 {
+    let furthest = start.iter().zip(&plan.posture).map(|(a, b)| (b - a).abs()).fold(0.0, f64::max);
+    let middle = 0.5 * (plan.lower + plan.upper);
+    let mut at = plan.posture[plan.joint];
+    let way_s = |from: f64, to: f64, speed: f64| (to - from).abs() / speed + RAMP_S;
+    let mut sweeps_s = 0.0;
+    for share in SPEEDS {
+        let half = 0.5 * share * (plan.upper - plan.lower) - share * BEFORE_END;
+        sweeps_s += way_s(at, middle - half, plan.speed) + 2.0 * way_s(-half, half, share * plan.speed);
+        at = middle - half;
+    }
+    sweeps_s += way_s(at, plan.posture[plan.joint], plan.speed);
+    2.0 * PEAK_OVER_MEAN * furthest / plan.speed + sweeps_s
 }
 
 struct Sweeper<'a, 'b> {

@@ -119,6 +119,10 @@ const EXCEPTIONS: &[(Code, &str)] = &[
         Code::SpringDeflected,
         "the advice is another stiffness or friction compensation, which changes by how much the spring is deflected",
     ),
+    (
+        Code::DriverDoubt,
+        "the advice is to connect a device, to put a file in its place, or to change a gain of a real servo",
+    ),
     (Code::NoShape, "`logs_do_not_need_meshes` has capsules of robot.toml in place of shapes"),
     (Code::MeshNotFound, "the advice is to supply the file of a mesh"),
     (Code::MeshFormat, "the advice is to convert the file of a mesh"),

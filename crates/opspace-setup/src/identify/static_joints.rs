@@ -12,7 +12,7 @@ use opspace_experiment::run::execute::Progress;
 use opspace_experiment::suggest::choices;
 use opspace_identify::session::{AbortReason, ExcitationSession};
 use opspace_identify::static_identification::plan::{Bounds, PlanFailure, SweepPlan, plan};
-use opspace_identify::static_identification::sweep::{StaticPoint, measure};
+use opspace_identify::static_identification::sweep::{StaticPoint, duration_s, measure};
 use opspace_identify::static_identification::{
     Evaluation, LEAST_SPAN, StaticFailure, StaticParameters, add_hung_weight, evaluate, take_stiffness,
 };
@@ -104,6 +104,13 @@ impl IdentificationJob {
         })
     }
 
+    /// Estimated duration of the motions of the joints that are identified statically, s.
+    #[must_use]
+    pub fn planned_s(&self) -> f64 {
+        let plans = self.sweeps.iter().filter_map(|sweep| sweep.as_ref()?.as_ref().ok());
+        plans.map(|plan| duration_s(plan, &self.start)).sum()
+    }
+
     /// Planned motions of the joints that are identified statically: joint, and the worst case in words.
     #[must_use]
     pub fn planned_motions(&self) -> Vec<(String, String)> {
@@ -124,11 +131,12 @@ impl IdentificationJob {
                         format!("the others at the start, but {}", moved.join(", "))
                     };
                     format!(
-                        "from {:.2} to {:.2} rad at {:.2} rad/s, {others}; gravity changes its torque by {:.2} Nm and needs at most \
+                        "from {:.2} to {:.2} rad at {:.2} rad/s for some {:.0} s, {others}; gravity changes its torque by {:.2} Nm and needs at most \
                          {:.0} % of a torque limit",
                         plan.lower,
                         plan.upper,
                         plan.speed,
+                        duration_s(plan, &self.start),
                         plan.gravity_span,
                         100.0 * plan.largest_load
                     )

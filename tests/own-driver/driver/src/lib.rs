@@ -1,13 +1,18 @@
 //! Driver of an arm whose joints approach their position setpoints with a time constant.
 
 use opspace_backend::{
-    Backend, Capabilities, Command, CommandKind, DeviceFault, Driver, DriverError, RemoteStop, Sample,
-    Settings,
+    Backend, Capabilities, Command, CommandKind, DeviceFault, Driver, DriverError, DriverKey, KeyValue,
+    RemoteStop, Sample, Settings,
 };
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// Driver of the arm; `[driver]` contains its `name`, `time_constant_s`, and optionally `fails_after_s`.
+const KEYS: [DriverKey; 2] = [
+    DriverKey::new("time_constant_s", KeyValue::Number, "Time constant of the joints, s.").required(),
+    DriverKey::new("fails_after_s", KeyValue::Number, "Time of a fault, s.").with_default("never"),
+];
+
+/// Driver of the arm.
 pub struct LaggingArmDriver;
 
 impl Driver for LaggingArmDriver {
@@ -15,8 +20,12 @@ impl Driver for LaggingArmDriver {
         "lagging-arm"
     }
 
+    fn keys(&self) -> &[DriverKey] {
+        &KEYS
+    }
+
     fn with(&self, settings: &Settings, run: &mut dyn FnMut(&mut dyn Backend)) -> Result<(), DriverError> {
-        settings.expect_only(&["time_constant_s", "fails_after_s"])?;
+        settings.expect(&KEYS)?;
         if settings.command != CommandKind::Position {
             return Err(DriverError::new("this arm accepts only joint positions; use --backend position"));
         }
