@@ -26,7 +26,7 @@ use opspace_experiment::{
     Scenario, Summary,
 };
 use opspace_live::ViewKind;
-use opspace_preflight::{checked_for_real_robots, coupling_diagnostics, problems};
+use opspace_preflight::{checked_for_real_robots, coupling_diagnostics, loop_margin, problems};
 use opspace_report::coupling_table::coupling_table;
 use opspace_report::run_in_folder;
 use std::path::{Path, PathBuf};
@@ -81,6 +81,7 @@ pub fn run(args: &RunArgs, extensions: &Extensions, console: Console) -> Outcome
     if real.is_some() {
         for experiment in scenario.experiments().filter(|experiment| experiment.has_driver()) {
             note_missing_real_time(experiment.robot(), console)?;
+            note_delay(experiment, console);
         }
     }
     let columns = default_columns(extensions.added());
@@ -122,6 +123,13 @@ pub fn run(args: &RunArgs, extensions: &Extensions, console: Console) -> Outcome
         }
     })?;
     view.say(&summary, folder)
+}
+
+/// Says what a declared delay of commands leaves of the phase margin.
+fn note_delay(experiment: &Experiment, console: Console) {
+    if let Some(margin) = loop_margin(experiment).filter(|margin| margin.delay_s > 0.0) {
+        console.note(&margin.to_string());
+    }
 }
 
 /// Says what this machine does not allow of real-time scheduling.

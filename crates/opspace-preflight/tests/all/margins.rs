@@ -295,6 +295,10 @@ fn delay_takes_phase_margin_and_unstable_gains_are_refused() {
     let [none, some] = [0, 3].map(|cycles| loop_margin(&late(cycles, 14.0)).unwrap());
     assert_eq!([none.delay_cycles, none.delay_s], [0.0, 0.0]);
     assert!((some.delay_cycles - 3.0).abs() < 1e-12 && (some.delay_s - 0.015).abs() < 1e-12, "{some}");
+    assert!(
+        some.to_string().starts_with("commands act 3 interface cycles (15 ms) after their samples"),
+        "{some}"
+    );
     // A delay takes ω d at least at the crossover without it, or moves the crossover to where the loop has less.
     let taken = 360.0 * none.crossover_hz * some.delay_s;
     assert!(some.degrees < none.degrees - 0.5 * taken && some.degrees > 0.0, "{none}; {some}");
