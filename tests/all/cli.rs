@@ -761,7 +761,6 @@ fn run_refuses_real_robot_with_small_margins() {
             text.lines().filter(|line| line.ends_with(']') && line.contains(" [")).collect();
         assert!(codes.len() == 1 && codes[0].ends_with("[missing-driver]"), "{text}");
     }
-    assert_eq!(checked.stderr, "");
 }
 
 #[test]

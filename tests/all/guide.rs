@@ -114,6 +114,7 @@ const NOT_RUN: &[(&str, &str)] = &[
     ("opspace identify robots/asimo-arm", "takes a minute; the step acceptance of .ci/run runs it"),
     ("opspace identify robots/my-arm …", "a robot of the reader"),
     ("opspace run tasks/my-task.toml …", "a task of the reader"),
+    ("opspace doctor", "examines this machine; the tests of opspace-setup examine made-up ones"),
     ("opspace driver …", "needs servos; servo_bus.rs has simulated ones"),
     (
         "opspace run examples/so101/gravity-compensation.toml --robot my-so101 --move-to-start",

@@ -3,8 +3,8 @@
 use crate::entries::{Entry, Kind};
 use opspace_log::{ChannelData, Recording};
 
-/// Signal that contains wall-clock time, which is not a result.
-const WALL_CLOCK: &str = "tick_time";
+/// Signals that contain wall-clock times, which are not results.
+const WALL_CLOCK: [&str; 3] = ["tick_time", "sample_interval", "response_time"];
 
 /// Name under which the time stamps of a channel are listed as a signal.
 pub const TIME: &str = "(time)";
@@ -32,7 +32,7 @@ fn channel(data: &ChannelData) -> Vec<Entry> {
 
 /// Names of the signals of a channel that are results.
 pub fn signals(data: &ChannelData) -> impl Iterator<Item = &str> {
-    data.layout.signals.iter().map(|signal| signal.name.as_str()).filter(|name| *name != WALL_CLOCK)
+    data.layout.signals.iter().map(|signal| signal.name.as_str()).filter(|name| !WALL_CLOCK.contains(name))
 }
 
 /// Bits of a number; every NaN gives the same bits.
