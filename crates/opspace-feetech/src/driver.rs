@@ -19,7 +19,7 @@ use std::path::Path;
 /// Baud rate of the servos' factory settings.
 const DEFAULT_BAUD_HZ: f64 = 1e6;
 
-/// Driver of arms on Feetech's servo bus. Its keys are [`KEYS`](crate::arm_config::KEYS).
+/// Driver of arms on Feetech's servo bus. Its keys are [`KEYS`].
 #[derive(Clone, Copy, Debug, Default)]
 pub struct FeetechDriver;
 
