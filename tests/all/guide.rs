@@ -66,6 +66,7 @@ pages! {
     ros2: "docs/howto/ros2.md",
     writing_a_metric: "docs/howto/writing-a-metric.md",
     several_robots: "docs/explain/several-robots.md",
+    real_time: "docs/howto/real-time.md",
     results_of_the_paper: "docs/results/paper.md",
     results_of_real_arms: "docs/results/real-arms.md",
 }
