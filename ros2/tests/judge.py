@@ -106,64 +106,52 @@ def figures(position):
 # ---- control ----
 
 
+# What the robot does in each task.
+TASKS = {"compliant-x": ["--push-n", 2, 0, 0], "hold": ["--push-n", 0, 10, 0], "press": ["--board-z", 0.4679]}
+LONGEST_S = {"compliant-x": 6.0, "hold": 4.0, "press": 6.0}
+
+
+def compared(name, task, robot_options, of_direct, of_topics):
+    """Runs a task over topics and directly, with these options, and compares them."""
+    direct = directly(task, *of_direct)
+    robot = Robot("--patient", *robot_options)
+    code, said, out = end(start(task, *of_topics))
+    counts = robot.end()
+    motion = robot.motion()
+    during = motion[motion[:, 0] <= LONGEST_S[task]]
+    topics = figures(during[:, 1:4])
+    mm = lambda values: ", ".join(f"{1e3 * value:.3f}" for value in values)
+    check(code == 0, f"{name}: the run is complete (exit code {code})")
+    if code != 0:
+        print(said)
+    print(f"        x, y, z over topics {mm(topics)} mm, directly {mm(direct)} mm; {counts}")
+    if task == "compliant-x":
+        check(abs(topics[0] / direct[0] - 1.0) < 0.1, f"{name}: x yields by {1e3 * topics[0]:.1f} mm, directly by {1e3 * direct[0]:.1f} mm")
+    for axis, letter in ((1, "y"), (2, "z")):
+        check(topics[axis] <= 2.0 * direct[axis] + 2e-5, f"{name}: the error of {letter} is at most twice the direct one")
+    if task == "press":
+        force = during[during[:, 0] > 5.0][:, 6].mean()
+        check(abs(force - 20.0) < 0.5, f"{name}: the board is pressed with {force:.2f} N")
+    check(counts["wrong_commands"] == 0, f"{name}: all commands were finite and whole")
+    check(counts["speed_at_end_rad_per_s"] < 0.02, f"{name}: the arm holds after the end ({counts['speed_at_end_rad_per_s']:.2g} rad/s)")
+    replayed = subprocess.run([args.program, "replay", str(out)], capture_output=True, text=True, check=False)
+    check(replayed.returncode == 0, f"{name}: the log is replayed bit for bit")
+
+
 def control_is_as_direct():
     """Compliant-x, press and hold: x yields as directly, y and z err at most twice as much."""
     trajectories = ["--set", 'robot.interface.setpoints="interpolated"']
     over_trajectories = [*trajectories, "--set", 'robot.driver.command_type="joint-trajectory"', "--set", 'robot.driver.commands="joint_trajectory_controller/joint_trajectory"']
-    for task, options, settings, of_topics in (
-        ("compliant-x", ["--push-n", 2, 0, 0], [], []),
-        ("hold", ["--push-n", 0, 10, 0], [], []),
-        ("press", ["--board-z", 0.4679], [], []),
-        ("hold", ["--push-n", 0, 10, 0, "--trajectories"], trajectories, over_trajectories),
-    ):
-        direct = directly(task, *settings)
-        robot = Robot("--patient", *options)
-        code, said, out = end(start(task, *of_topics))
-        task = f"{task} by trajectories" if settings else task
-        counts = robot.end()
-        motion = robot.motion()
-        during = motion[motion[:, 0] <= (4.0 if task.startswith("hold") else 6.0)]
-        topics = figures(during[:, 1:4])
-        mm = lambda values: ", ".join(f"{1e3 * value:.3f}" for value in values)
-        check(code == 0, f"{task}: the run is complete (exit code {code})")
-        print(f"        x, y, z over topics {mm(topics)} mm, directly {mm(direct)} mm; {counts}")
-        if task == "compliant-x":
-            check(abs(topics[0] / direct[0] - 1.0) < 0.1, f"{task}: x yields by {1e3 * topics[0]:.1f} mm, directly by {1e3 * direct[0]:.1f} mm")
-        for axis, name in ((1, "y"), (2, "z")):
-            check(topics[axis] <= 2.0 * direct[axis] + 2e-5, f"{task}: the error of {name} is at most twice the direct one")
-        if task == "press":
-            force = during[during[:, 0] > 5.0][:, 6].mean()
-            check(abs(force - 20.0) < 0.5, f"press: the board is pressed with {force:.2f} N")
-        check(counts["wrong_commands"] == 0, f"{task}: all commands were finite and whole")
-        check(counts["speed_at_end_rad_per_s"] < 0.02, f"{task}: the arm holds after the end ({counts['speed_at_end_rad_per_s']:.2g} rad/s)")
-        replayed = subprocess.run([args.program, "replay", str(out)], capture_output=True, text=True, check=False)
-        check(replayed.returncode == 0, f"{task}: the log is replayed bit for bit")
+    for task, options in TASKS.items():
+        compared(task, task, options, [], [])
+    compared("hold by trajectories", "hold", [*TASKS["hold"], "--trajectories"], trajectories, over_trajectories)
 
 
 def delays_of_several_cycles():
-    """A robot whose commands act three cycles after their states: declared, tasks are as directly; not declared, run refuses or errs."""
+    """A robot whose commands act three cycles after their states, as declared: tasks are as directly; an unstable one is refused."""
     late = ["--set", "robot.profile.topics-250hz.delay_servo_ticks=60"]
-    for task, options in (("compliant-x", ["--push-n", 2, 0, 0]), ("hold", ["--push-n", 0, 10, 0]), ("press", ["--board-z", 0.4679])):
-        direct = directly(task, *late)
-        robot = Robot("--patient", "--late-cycles", 2, *options)
-        code, said, out = end(start(task, *late))
-        counts = robot.end()
-        motion = robot.motion()
-        during = motion[motion[:, 0] <= (4.0 if task == "hold" else 6.0)]
-        topics = figures(during[:, 1:4])
-        mm = lambda values: ", ".join(f"{1e3 * value:.3f}" for value in values)
-        check(code == 0, f"{task}, late: the run is complete (exit code {code})")
-        if code != 0:
-            print(said)
-        print(f"        x, y, z over topics {mm(topics)} mm, directly {mm(direct)} mm; {counts}")
-        if task == "compliant-x":
-            check(abs(topics[0] / direct[0] - 1.0) < 0.1, f"{task}, late: x yields by {1e3 * topics[0]:.1f} mm, directly by {1e3 * direct[0]:.1f} mm")
-        for axis, name in ((1, "y"), (2, "z")):
-            check(topics[axis] <= 2.0 * direct[axis] + 2e-5, f"{task}, late: the error of {name} is at most twice the direct one")
-        if task == "press":
-            force = during[during[:, 0] > 5.0][:, 6].mean()
-            check(abs(force - 20.0) < 0.5, f"press, late: the board is pressed with {force:.2f} N")
-        check(counts["speed_at_end_rad_per_s"] < 0.02, f"{task}, late: the arm holds after the end")
+    for task, options in TASKS.items():
+        compared(f"{task}, three cycles late", task, ["--late-cycles", 2, *options], late, late)
     # A stiff task at this delay: refused before the first command.
     code, said, _ = end(start("hold", *late, "--set", "task.flange.cartesian.gains.frequency_rad_per_s=80"))
     check(code == 2 and "gains-too-high" in said and "would be unstable" in said, f"a task that cannot be stable at this delay is refused (exit code {code})")

@@ -46,16 +46,17 @@ pub struct CommandsInForce {
 }
 
 impl CommandsInForce {
-    /// Returns the commands of `n` joints, none yet.
+    /// Returns the commands of `n` joints: none yet, so that they are not numbers.
     #[must_use]
     pub fn new(n: usize, delay: CommandDelay) -> Self {
         let kept = delay.waiting_cycles as usize + 2;
-        Self { delay, commands: vec![vec![0.0; n]; kept], latest: 0, is_empty: true }
+        Self { delay, commands: vec![vec![f64::NAN; n]; kept], latest: 0, is_empty: true }
     }
 
-    /// Forgets all commands.
+    /// Forgets all commands, which are not numbers until the next one.
     pub fn clear(&mut self) {
         self.is_empty = true;
+        self.commands.iter_mut().for_each(|command| command.fill(f64::NAN));
     }
 
     /// Adds the command (n) of the present cycle. The first one counts as that of all cycles before.
@@ -158,6 +159,7 @@ mod tests {
         let mut commands = CommandsInForce::new(2, CommandDelay::of_ticks(7, 2));
         commands.push(&[1.0, 2.0]);
         commands.clear();
+        assert!(commands.mean(0).is_nan(), "no command acts");
         commands.push(&[3.0, 4.0]);
         assert_eq!([commands.mean(0), commands.mean(1)], [3.0, 4.0]);
     }

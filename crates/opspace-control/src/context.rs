@@ -6,7 +6,7 @@ use crate::limits::joint_limits::JointLimits;
 use opspace_model::{FrameId, Model};
 
 /// Longest delay that is not predicted, s: with it, a joint exceeds its speed limit by less than 5 % in violent motions.
-const SHORT_S: f64 = 0.5 * HORIZON_S;
+pub const UNPREDICTED_S: f64 = 0.5 * HORIZON_S;
 
 /// Period, force sensors, gravity compensation, limits and collision geometry of a robot.
 #[derive(Clone, Debug, PartialEq)]
@@ -49,6 +49,6 @@ impl ControlContext {
     /// True if torques are computed for the state that is predicted for the time at which they act.
     #[must_use]
     pub fn predicts_state(&self) -> bool {
-        self.command_delay_s > SHORT_S
+        self.command_delay_s > UNPREDICTED_S
     }
 }

@@ -11,40 +11,72 @@ pub(super) struct Margin {
 }
 
 /// Returns the smallest margin over all crossovers of the open loop, given as a function of the angular frequency (rad/s),
-/// from the frequency `first` (rad/s) to half the sampling rate; `None` if the gain is below 1 everywhere.
+/// from the frequency `first` (rad/s) to half the sampling rate; `None` if the gain is below 1 everywhere. The loop must not have
+/// unstable poles.
 pub(super) fn least_margin(
     first: f64,
     period_s: f64,
     open_loop: impl Fn(f64) -> Complex<f64>,
 ) -> Option<Margin> {
+    let last = PI / period_s;
+    crossovers(first, period_s, open_loop)
+        .map(|Crossover { phase, omega }| {
+            // The gain is still above 1 at half the sampling rate.
+            let phase = if omega < last { phase } else { phase.min(-PI) };
+            Margin { degrees: 180.0 + phase.to_degrees(), crossover_rad_per_s: omega }
+        })
+        .min_by(|a, b| a.degrees.total_cmp(&b.degrees))
+}
+
+/// Returns the smallest angle between the open loop and −1 over all crossovers, as [`least_margin`]; for a loop that is stable
+/// although its open loop may have unstable poles.
+pub(super) fn least_distance(
+    first: f64,
+    period_s: f64,
+    open_loop: impl Fn(f64) -> Complex<f64>,
+) -> Option<Margin> {
+    crossovers(first, period_s, open_loop)
+        .map(|Crossover { phase, omega }| {
+            let degrees = (phase.to_degrees().rem_euclid(360.0) - 180.0).abs();
+            Margin { degrees, crossover_rad_per_s: omega }
+        })
+        .min_by(|a, b| a.degrees.total_cmp(&b.degrees))
+}
+
+/// Frequency (rad/s) at which the gain of a loop is 1, and the loop's phase (rad) there.
+#[derive(Clone, Copy, Debug)]
+struct Crossover {
+    phase: f64,
+    omega: f64,
+}
+
+/// Returns all crossovers, and half the sampling rate if the gain is above 1 there. The phase is continuous, and begins
+/// between −2π and 0.
+fn crossovers(
+    first: f64,
+    period_s: f64,
+    open_loop: impl Fn(f64) -> Complex<f64>,
+) -> impl Iterator<Item = Crossover> {
     const STEPS: i32 = 600;
     let last = PI / period_s;
     let first = first.min(0.1 * last);
-    let at = |step: f64| first * (last / first).powf(step / f64::from(STEPS));
+    let at = move |step: f64| first * (last / first).powf(step / f64::from(STEPS));
     let mut before = open_loop(first);
     let mut phase = if before.arg() > 0.0 { before.arg() - TAU } else { before.arg() };
-    let mut least: Option<Margin> = None;
-    let mut note = |phase: f64, omega: f64| {
-        let margin = Margin { degrees: 180.0 + phase.to_degrees(), crossover_rad_per_s: omega };
-        if least.is_none_or(|least| margin.degrees < least.degrees) {
-            least = Some(margin);
-        }
-    };
-    for step in 1..=STEPS {
+    (1..=STEPS).filter_map(move |step| {
         let now = open_loop(at(f64::from(step)));
-        let next_phase = phase + (now / before).arg();
-        if (before.norm() > 1.0) != (now.norm() > 1.0) {
-            let (from, to) = (before.norm().ln(), now.norm().ln());
+        let (from, to) = (before.norm().ln(), now.norm().ln());
+        let (phase_before, turned) = (phase, (now / before).arg());
+        (before, phase) = (now, phase + turned);
+        if (from > 0.0) != (to > 0.0) {
             let share = from / (from - to);
-            note(phase + share * (next_phase - phase), at(f64::from(step) - 1.0 + share));
+            return Some(Crossover {
+                phase: phase_before + share * turned,
+                omega: at(f64::from(step) - 1.0 + share),
+            });
         }
-        (before, phase) = (now, next_phase);
-    }
-    // The gain is still above 1 at half the sampling rate.
-    if before.norm() > 1.0 {
-        note(phase.min(-PI), last);
-    }
-    least
+        (step == STEPS && to > 0.0).then_some(Crossover { phase, omega: last })
+    })
 }
 
 /// Transfer function of a zero-order hold over `period_s`.

@@ -22,6 +22,8 @@ pub(crate) struct ActiveSetpoints {
 struct Waiting {
     /// False if no setpoints were sent at that cycle.
     was_sent: bool,
+    /// Setpoints from which a drive interpolates to these (n).
+    before: DVector<f64>,
     setpoints: DVector<f64>,
 }
 
@@ -30,10 +32,11 @@ impl ActiveSetpoints {
     pub(crate) fn new(n: usize, ticks: DriveTiming) -> Self {
         let ratio = ticks.servo_ticks_per_cycle;
         let cycles = CommandDelay::of_ticks(ticks.delay, ratio).waiting_cycles;
-        let waiting = Waiting { was_sent: false, setpoints: DVector::zeros(n) };
+        let zero = DVector::zeros(n);
+        let waiting = Waiting { was_sent: false, before: zero.clone(), setpoints: zero.clone() };
         Self {
-            before: DVector::zeros(n),
-            last: DVector::zeros(n),
+            before: zero.clone(),
+            last: zero,
             age: ratio,
             waiting: vec![waiting; cycles as usize],
             first_acts_at: ticks.delay - cycles * ratio,
@@ -43,25 +46,13 @@ impl ActiveSetpoints {
     /// Setpoint of a joint's drive at servo tick `tick`, counted from the interface cycle, if no new one is sent.
     pub(crate) fn at(&self, ticks: DriveTiming, joint: usize, tick: u32) -> f64 {
         let ratio = ticks.servo_ticks_per_cycle;
-        let at = |from: f64, to: f64, age: u32| ticks.setpoints.at(from, to, age, ratio);
-        let (mut from, mut to, mut acts_at) = (self.before[joint], self.last[joint], None);
-        let age = |acts_at: Option<u32>, tick: u32| match acts_at {
-            Some(acts_at) => tick - acts_at,
-            None => self.age.saturating_add(tick),
-        };
-        let mut next = self.first_acts_at;
-        for waiting in &self.waiting {
-            if tick < next {
-                break;
-            }
-            if waiting.was_sent {
-                // A setpoint that waits acts after one servo tick at the earliest.
-                from = at(from, to, age(acts_at, next - 1));
-                (to, acts_at) = (waiting.setpoints[joint], Some(next));
-            }
-            next += ratio;
+        let acting = tick.checked_sub(self.first_acts_at).map_or(0, |since| (since / ratio + 1) as usize);
+        let acting = &self.waiting[..acting.min(self.waiting.len())];
+        if let Some(cycle) = acting.iter().rposition(|waiting| waiting.was_sent) {
+            let (latest, age) = (&acting[cycle], tick - self.first_acts_at - cycle as u32 * ratio);
+            return ticks.setpoints.at(latest.before[joint], latest.setpoints[joint], age, ratio);
         }
-        at(from, to, age(acts_at, tick))
+        ticks.setpoints.at(self.before[joint], self.last[joint], self.age.saturating_add(tick), ratio)
     }
 
     /// Setpoint of a joint's drive at servo tick `tick` if `new` setpoints (n) are sent at the interface cycle.
@@ -80,48 +71,48 @@ impl ActiveSetpoints {
     /// Setpoint from which a drive interpolates to a new one, which takes effect `delay` servo ticks after the
     /// interface cycle.
     pub(crate) fn left(&self, ticks: DriveTiming, joint: usize) -> f64 {
-        self.just_before(ticks, joint, ticks.delay)
-    }
-
-    /// Setpoint at the servo tick before `tick`, of those that are sent already.
-    fn just_before(&self, ticks: DriveTiming, joint: usize, tick: u32) -> f64 {
-        match tick.checked_sub(1) {
-            Some(tick) => self.at(ticks, joint, tick),
-            None => match self.age.checked_sub(1) {
-                Some(age) => {
-                    let (before, last) = (self.before[joint], self.last[joint]);
-                    ticks.setpoints.at(before, last, age, ticks.servo_ticks_per_cycle)
-                }
-                None => self.before[joint],
-            },
+        match (ticks.delay.checked_sub(1), self.age.checked_sub(1)) {
+            (Some(tick), _) => self.at(ticks, joint, tick),
+            (None, Some(age)) => {
+                ticks.setpoints.at(self.before[joint], self.last[joint], age, ticks.servo_ticks_per_cycle)
+            }
+            (None, None) => self.before[joint],
         }
     }
 
     /// Advances to the next interface cycle, after `new` setpoints (n) or none were sent at this one.
     pub(crate) fn advance(&mut self, ticks: DriveTiming, new: Option<&[f64]>) {
-        let acting = self.waiting.first().map_or(new.is_some(), |oldest| oldest.was_sent);
-        if acting {
-            for i in 0..self.last.len() {
-                self.before[i] = self.just_before(ticks, i, self.first_acts_at);
-            }
-            match (self.waiting.first(), new) {
-                (Some(oldest), _) => self.last.copy_from(&oldest.setpoints),
-                (None, Some(new)) => self.last.copy_from_slice(new),
-                (None, None) => {}
-            }
-            self.age = ticks.servo_ticks_per_cycle - self.first_acts_at;
+        let ratio = ticks.servo_ticks_per_cycle;
+        if self.waiting.is_empty() {
+            self.age = match new {
+                Some(new) => {
+                    for (i, &setpoint) in new.iter().enumerate() {
+                        self.before[i] = self.left(ticks, i);
+                        self.last[i] = setpoint;
+                    }
+                    ratio - ticks.delay
+                }
+                None => self.age.saturating_add(ratio),
+            };
+            return;
+        }
+        let oldest = &mut self.waiting[0];
+        if std::mem::take(&mut oldest.was_sent) {
+            std::mem::swap(&mut self.before, &mut oldest.before);
+            std::mem::swap(&mut self.last, &mut oldest.setpoints);
+            self.age = ratio - self.first_acts_at;
         } else {
-            self.age = self.age.saturating_add(ticks.servo_ticks_per_cycle);
+            self.age = self.age.saturating_add(ratio);
         }
-        if !self.waiting.is_empty() {
-            self.waiting.rotate_left(1);
+        // The slot of the oldest one is that of the new one.
+        self.waiting.rotate_left(1);
+        let Some(new) = new else { return };
+        let newest = self.waiting.len() - 1;
+        for (i, &setpoint) in new.iter().enumerate() {
+            self.waiting[newest].before[i] = self.at(ticks, i, ticks.delay - ratio - 1);
+            self.waiting[newest].setpoints[i] = setpoint;
         }
-        if let Some(latest) = self.waiting.last_mut() {
-            latest.was_sent = new.is_some();
-            if let Some(new) = new {
-                latest.setpoints.copy_from_slice(new);
-            }
-        }
+        self.waiting[newest].was_sent = true;
     }
 
     /// Sets the setpoint of a joint that a drive holds.

@@ -8,7 +8,7 @@ use crate::servo_law::ServoLaw;
 /// Desired torque, Nm (N): far below all limits.
 const IMPULSE: f64 = 1e-3;
 
-/// Time over which the response is computed, s.
+/// Time over which the response is computed, in addition to the delay, s.
 const DURATION_S: f64 = 0.3;
 
 /// Mean torque, relative to the desired one, below which the end of the response is left out.
@@ -32,7 +32,8 @@ impl ImpulseResponse {
         let mut drive = SampledDrive::new(law, timing, position, holding);
         let at_rest = law.rest(position, holding).1;
         let (mut mean_torque, mut desired) = (holding, IMPULSE);
-        let cycles = (DURATION_S / timing.period_s()).ceil().max(8.0) as usize;
+        let delay_cycles = (timing.delay / timing.servo_ticks_per_cycle) as usize;
+        let cycles = (DURATION_S / timing.period_s()).ceil().max(8.0) as usize + delay_cycles;
         let mut response = Self { torque: Vec::with_capacity(cycles), setpoint: Vec::with_capacity(cycles) };
         for _ in 0..cycles {
             let setpoint = arm.cycle(position, mean_torque, |_| desired);

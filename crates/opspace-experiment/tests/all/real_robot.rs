@@ -294,6 +294,9 @@ fn one_of_coupled_robots_is_real() {
 /// robot, with those of its log; and a simulation, which has none.
 #[test]
 fn only_a_real_robot_is_driven_in_real_time() {
+    // Relative rounding of times in a summary, and that of the nanoseconds in a log.
+    const ROUNDED: f64 = 1e-3;
+    const ROUNDED_MS: f64 = 1e-6;
     for (mode, says) in [("auto", "memory"), ("off", "real-time scheduling is off")] {
         let mode = format!("robot.driver.real_time=\"{mode}\"");
         let settings = ["robot.driver.name=one-arm", &mode, "robot.driver.real_time_priority=5"];
@@ -312,7 +315,7 @@ fn only_a_real_robot_is_driven_in_real_time() {
         let rows = recording.channel("timing").unwrap().signal("response_time").unwrap();
         assert_eq!(statistics.cycles, rows.rows().count() as u64);
         let longest_ms = rows.rows().fold(0.0_f64, |longest, row| longest.max(1e-6 * row[0]));
-        assert!((statistics.response_ms.max - longest_ms).abs() <= 1e-3 * longest_ms + 1e-6);
+        assert!((statistics.response_ms.max - longest_ms).abs() <= ROUNDED * longest_ms + ROUNDED_MS);
         let simulated = experiment.run(Cursor::new(Vec::new()), &progress).unwrap();
         assert_eq!(simulated.record.real_time, None);
         let recording = Recording::from_bytes(&simulated.sink.into_inner()).unwrap();
