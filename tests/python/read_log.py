@@ -1,9 +1,9 @@
-"""Reads every message of a log with the Python packages `mcap`, `mcap-protobuf-support` and `mcap-ros2-support`.
+"""Reads every message of logs with the Python packages `mcap`, `mcap-protobuf-support` and `mcap-ros2-support`.
 
-usage: read_log.py LOG [LAYOUT ...]
+usage: read_log.py LOG.mcap [LOG.mcap ...] [LAYOUT ...]
 
 Prints each topic with its type and number of messages. Fails if a message cannot be decoded, if a number of a row is NaN,
-or if a topic or field that a layout of Foxglove (.json) or PlotJuggler (.xml) names is not in the log.
+or if a topic or field that a layout of Foxglove (.json) or PlotJuggler (.xml) names is in none of the logs.
 """
 
 import json
@@ -58,8 +58,9 @@ def layout_paths(file):
     return [curve.get("name") for curve in curves]
 
 
-def main(log, layouts):
-    counts, schemas, paths, absent = Counter(), {}, set(), []
+def read(log, schemas, paths):
+    """Decodes every message of a log; returns the number of messages of each topic."""
+    counts, absent = Counter(), []
     with open(log, "rb") as stream:
         reader = make_reader(stream, validate_crcs=True, decoder_factories=[Protobuf(), Ros2()])
         for schema, channel, _, message in reader.iter_decoded_messages():
@@ -69,18 +70,27 @@ def main(log, layouts):
             flat(message, channel.topic, values)
             paths.update(values)
             absent += [path for path, value in values.items() if isinstance(value, float) and math.isnan(value)]
-    for topic, count in sorted(counts.items()):
-        print(f"{topic}  {schemas[topic]}  {count} messages")
     if absent:
-        sys.exit(f"NaN in {len(absent)} values, first in {absent[0]}")
-    known = set(counts) | paths | {re.sub(r"\[\d+\]", "[:]", path) for path in paths}
+        sys.exit(f"{log}: NaN in {len(absent)} values, first in {absent[0]}")
+    return counts
+
+
+def main(files):
+    logs = [file for file in files if file.endswith(".mcap")]
+    layouts = [file for file in files if not file.endswith(".mcap")]
+    schemas, paths = {}, set()
+    for log in logs:
+        print(log)
+        for topic, count in sorted(read(log, schemas, paths).items()):
+            print(f"{topic}  {schemas[topic]}  {count} messages")
+    known = set(schemas) | paths | {re.sub(r"\[\d+\]", "[:]", path) for path in paths}
     slashed = {path.replace(".", "/") for path in paths}
     for layout in layouts:
         missing = [path for path in layout_paths(layout) if path not in known and path not in slashed]
         if missing:
-            sys.exit(f"{layout}: not in the log: {', '.join(missing)}")
-        print(f"{layout}: {len(layout_paths(layout))} topics and fields are in the log")
+            sys.exit(f"{layout}: in none of the logs: {', '.join(missing)}")
+        print(f"{layout}: {len(layout_paths(layout))} topics and fields are in the logs")
 
 
 if __name__ == "__main__":
-    main(sys.argv[1], sys.argv[2:])
+    main(sys.argv[1:])
