@@ -52,3 +52,47 @@ impl ControlContext {
         self.command_delay_s > UNPREDICTED_S
     }
 }
+
+/// Returns index and frame of the force sensors whose wrenches may be added up: sensors of one chain measure the same forces, of
+/// which the first counts.
+pub fn separate_sensors(model: &Model, sensors: impl IntoIterator<Item = FrameId>) -> Vec<(usize, FrameId)> {
+    let carries = |a: FrameId, b: FrameId| {
+        model.frame(a).body.is_none_or(|body| model.ancestors(b).any(|ancestor| ancestor == body))
+    };
+    let mut separate: Vec<(usize, FrameId)> = Vec::new();
+    for (index, frame) in sensors.into_iter().enumerate() {
+        if !separate.iter().any(|&(_, other)| carries(other, frame) || carries(frame, other)) {
+            separate.push((index, frame));
+        }
+    }
+    separate
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use opspace_model::{Inertia, Joint, JointKind, Limits, Placement};
+
+    /// Compared: sensors on a trunk, its two arms and the base, and those that count.
+    #[test]
+    fn sensors_of_one_chain_count_once() {
+        let mut model = Model::new("two arms");
+        let mut add = |parent, name: &str| {
+            let joint = Joint { name: name.into(), kind: JointKind::Continuous, limits: Limits::NONE };
+            let body = model.add_body(parent, Placement::identity(), joint, Inertia::zero());
+            (body, model.add_frame(name, Some(body), Placement::identity()))
+        };
+        let (trunk, on_trunk) = add(None, "trunk");
+        let (left, on_left) = add(Some(trunk), "left");
+        let (_, on_left_hand) = add(Some(left), "left_hand");
+        let (_, on_right) = add(Some(trunk), "right");
+        let counted = |sensors: &[FrameId]| -> Vec<usize> {
+            separate_sensors(&model, sensors.iter().copied()).into_iter().map(|(index, _)| index).collect()
+        };
+        assert_eq!(counted(&[on_left, on_right]), [0, 1]);
+        assert_eq!(counted(&[on_left_hand, on_left, on_right]), [0, 2]);
+        assert_eq!(counted(&[on_left, on_left]), [0]);
+        assert_eq!(counted(&[on_trunk, on_left, on_right]), [0]);
+        assert_eq!(counted(&[on_right, on_trunk, on_left]), [0, 2]);
+    }
+}

@@ -78,7 +78,7 @@ pub(crate) mod nullspace;
 pub mod orientation;
 pub mod osc;
 pub mod per_joint;
-pub(crate) mod prediction;
+pub mod prediction;
 // The solvers are internal. They are hidden instead of private because tests and benchmarks use them.
 #[doc(hidden)]
 pub mod qp;
@@ -101,6 +101,7 @@ pub use limits::viable_speed::ViableSpeeds;
 pub use measurement::Measurement;
 pub use osc::OperationalSpaceController;
 pub use per_joint::PerJoint;
+pub use prediction::Prediction;
 pub use qp::quadratic_program::QpError;
 pub use references::acceleration_bound::AccelerationBound;
 pub use references::goal::{OrientationGoal, PositionGoal};

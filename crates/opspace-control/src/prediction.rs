@@ -4,27 +4,38 @@
 //! act. With τ the torques of one of them, and d the time for which it acts,
 //!
 //! ```text
-//! q̈ = M⁻¹ (τ − h)          q + q̇ d + q̈ d²/2          q̇ + q̈ d
+//! q̈ = M⁻¹ (τ − h + Σ Jᵀ w)          q + q̇ d + q̈ d²/2          q̇ + q̈ d
 //! ```
 //!
-//! M and h are those of the measured state. Tasks and limits are evaluated there, at the time of that state. Friction and external forces are not predicted, which
-//! costs accuracy: short delays are left to the horizon of the limits, which allows for them.
+//! M, h, the Jacobians J of the force sensors and their wrenches w are those of the measurement. Without w an arm that presses on a
+//! wall would be predicted within the wall. The torques of w pass a low-pass filter whose time constant is the delay: those of a
+//! stiff wall change with the predicted motion, and, assumed constant, would drive the arm into it. Tasks and limits are evaluated at the predicted state, at its time. Friction, and
+//! forces that no sensor measures, are not predicted, which costs accuracy: short delays are left to the horizon of the limits,
+//! which allows for them.
 
-use crate::context::ControlContext;
+use crate::context::{ControlContext, separate_sensors};
 use crate::controller::ControlInput;
 use crate::measurement::Measurement;
-use nalgebra::DVector;
+use nalgebra::{DVector, Matrix6xX, Vector6};
 use opspace_backend::{CommandDelay, CommandsInForce, MAX_DELAY_CYCLES};
-use opspace_model::{Data, Model, update};
+use opspace_model::{Data, Force, FrameId, Model, frame_jacobian, update};
 
-/// State of an arm when its next command acts.
-pub(crate) struct Prediction {
+/// State of an arm when its next command acts: see the [module](self). Allocates only when it is created.
+pub struct Prediction {
     delay_s: f64,
     period_s: f64,
     /// Last commanded torques (n; Nm, N), and the time of the last one, s.
     commands: CommandsInForce,
     clock_s: f64,
     gravity_by_robot: bool,
+    /// Index and frame of the force sensors that count.
+    sensors: Vec<(usize, FrameId)>,
+    jacobian: Matrix6xX<f64>,
+    /// Torques of the measured wrenches (n; Nm, N), and their filtered ones.
+    external: DVector<f64>,
+    filtered: DVector<f64>,
+    /// Share of a new torque in the filtered one.
+    share: f64,
     data: Data,
     measurement: Measurement,
     /// Joint acceleration under one of them, rad/s² or m/s² (n).
@@ -32,8 +43,9 @@ pub(crate) struct Prediction {
 }
 
 impl Prediction {
-    /// Returns `None` if no delay is known, or a short one.
-    pub(crate) fn new(model: &Model, context: &ControlContext) -> Option<Self> {
+    /// Returns `None` if no delay is known, or one of at most [`UNPREDICTED_S`](crate::context::UNPREDICTED_S).
+    #[must_use]
+    pub fn new(model: &Model, context: &ControlContext) -> Option<Self> {
         context.predicts_state().then(|| Self {
             delay_s: context.command_delay_s,
             period_s: context.period_s,
@@ -43,6 +55,11 @@ impl Prediction {
             ),
             clock_s: f64::NAN,
             gravity_by_robot: context.gravity_by_robot,
+            sensors: separate_sensors(model, context.sensors.iter().map(|(_, frame)| *frame)),
+            jacobian: Matrix6xX::zeros(model.n()),
+            external: DVector::zeros(model.n()),
+            filtered: DVector::zeros(model.n()),
+            share: 1.0 - (-context.period_s / context.command_delay_s).exp(),
             data: Data::new(model),
             measurement: Measurement::new(model.n(), context.sensors.len(), false),
             acceleration: DVector::zeros(model.n()),
@@ -50,7 +67,7 @@ impl Prediction {
     }
 
     /// Forgets the commands: the arm was held until now.
-    pub(crate) fn restart(&mut self) {
+    pub fn restart(&mut self) {
         self.commands.clear();
         self.clock_s = f64::NAN;
     }
@@ -66,14 +83,27 @@ impl Prediction {
         self.clock_s = clock_s;
     }
 
-    /// Returns the input at the predicted state, without motor torques. `commanded` are the last commanded torques (n). `None` if the state is not
-    /// finite.
-    pub(crate) fn of<'a>(
+    /// Computes the torques of the measured wrenches.
+    fn update_external(&mut self, input: &ControlInput<'_>) {
+        self.external.fill(0.0);
+        for (sensor, frame) in &self.sensors {
+            frame_jacobian(input.model, input.data, *frame, &mut self.jacobian);
+            let Force { linear: force, angular: moment } = input.measurement.wrenches[*sensor];
+            let wrench = Vector6::new(force.x, force.y, force.z, moment.x, moment.y, moment.z);
+            self.external.gemv_tr(1.0, &self.jacobian, &wrench, 1.0);
+        }
+        self.filtered.axpy(self.share, &self.external, 1.0 - self.share);
+    }
+
+    /// Returns the input at the predicted state, without motor torques. `commanded` are the last commanded torques (n).
+    /// `None` if the state is not finite.
+    pub fn of<'a>(
         &'a mut self,
         input: &ControlInput<'a>,
         commanded: &DVector<f64>,
     ) -> Option<ControlInput<'a>> {
         self.follow(input.clock_s, commanded);
+        self.update_external(input);
         let data = input.data;
         let predicted = &mut self.measurement;
         predicted.q.copy_from(&input.measurement.q);
@@ -84,6 +114,7 @@ impl Prediction {
             let d = cycles * self.period_s;
             self.acceleration.copy_from_slice(torques);
             self.acceleration -= &data.bias;
+            self.acceleration += &self.filtered;
             if self.gravity_by_robot {
                 self.acceleration += &data.gravity;
             }

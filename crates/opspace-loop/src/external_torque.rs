@@ -12,6 +12,7 @@ use opspace_backend::signal_names::{
 };
 use opspace_backend::{Observable, SignalRecorder};
 use opspace_control::Measurement;
+use opspace_control::context::separate_sensors;
 use opspace_model::{
     Data, Force, FrameId, JointUnits, Model, UnknownFrame, frame_jacobian, generalized_momentum,
 };
@@ -27,7 +28,7 @@ pub(crate) struct ExternalTorque {
     units: JointUnits,
     period_s: f64,
     driving: DrivingTorque,
-    sensor_frames: Vec<FrameId>,
+    sensors: Vec<(usize, FrameId)>,
     jacobian: Matrix6xX<f64>,
     /// Torques Jᵀ F of the measured wrenches (n; Nm, N).
     sensed: DVector<f64>,
@@ -66,7 +67,7 @@ impl ExternalTorque {
             units: model.joint_units(),
             period_s: capabilities.period_s,
             driving: DrivingTorque::new(n, capabilities, config.command_delay_s),
-            sensor_frames: frames.collect::<Result<_, _>>()?,
+            sensors: separate_sensors(model, frames.collect::<Result<Vec<_>, _>>()?),
             jacobian: Matrix6xX::zeros(n),
             sensed: zero.clone(),
             compensation: zero.clone(),
@@ -98,9 +99,9 @@ impl ExternalTorque {
             force.update(model, data, elapsed_s, driving, &mut self.known);
         }
         self.sensed.fill(0.0);
-        for (&frame, wrench) in self.sensor_frames.iter().zip(&measurement.wrenches) {
+        for &(sensor, frame) in &self.sensors {
             frame_jacobian(model, data, frame, &mut self.jacobian);
-            let (force, moment) = (wrench.linear, wrench.angular);
+            let Force { linear: force, angular: moment } = measurement.wrenches[sensor];
             let wrench = Vector6::new(force.x, force.y, force.z, moment.x, moment.y, moment.z);
             self.sensed.gemv_tr(1.0, &self.jacobian, &wrench, 1.0);
         }
@@ -165,7 +166,8 @@ impl ExternalTorque {
     }
 
     fn write_forces(&self, measurement: &mut Measurement) {
-        let estimated = measurement.wrenches[self.sensor_frames.len()..].iter_mut();
+        let first = measurement.wrenches.len() - self.forces.len();
+        let estimated = measurement.wrenches[first..].iter_mut();
         estimated.zip(&self.forces).for_each(|(wrench, force)| *wrench = force.force());
     }
 

@@ -2,14 +2,15 @@
 //!
 //! The arm is the nominal one of an experiment, or a variation of it, without gravity, Coulomb friction, limits,
 //! quantisation and noise. It starts in the start posture of the task. The nudge starts a motion under −D q̇ and the
-//! compensation of the viscous friction, D = −∂τ/∂q̇ being the damping of the task's control law (n × n). The transformer
+//! compensation of the viscous friction, D = −∂τ/∂q̇ being the damping of the task's control law (n × n). For a long delay q̇ is
+//! [predicted](Prediction), as in a run. The transformer
 //! is that of the experiment; it knows nothing of the variation. Gains that are estimated during a run stay nominal,
 //! because so small a motion contains no information.
 
 use nalgebra::{DMatrix, DVector, Vector3};
 use opspace_backend::quantity::{NonNegative, Positive};
 use opspace_backend::{Backend, CommandKind, Observable, Sample, SignalRecorder};
-use opspace_control::{ControlInput, Controller, Measurement, Targets};
+use opspace_control::{ControlContext, ControlInput, Controller, Measurement, Prediction, Targets};
 use opspace_experiment::run::experiment::{Experiment, RunOptions};
 use opspace_loop::{ControlLoop, LoopConfig, SafetyParameters};
 use opspace_model::{Data, update};
@@ -173,7 +174,18 @@ impl NudgedArm {
             tare_s: NonNegative::default(),
             ..config.safety
         };
-        let controller = Box::new(NudgedDamping { law, push: self.push.clone(), cycles: 0 });
+        let context = ControlContext {
+            command_delay_s: config.command_delay_s,
+            sensors: self.bare.robot().sensors.clone(),
+            ..ControlContext::new(&config.model, self.bare.profile().1.period_s())
+        };
+        let controller = Box::new(NudgedDamping {
+            law,
+            push: self.push.clone(),
+            cycles: 0,
+            prediction: Prediction::new(&config.model, &context),
+            torque: DVector::zeros(self.push.len()),
+        });
         ControlLoop::new(LoopConfig { controller, safety, ..config }).ok()
     }
 }
@@ -270,6 +282,9 @@ struct NudgedDamping {
     law: DMatrix<f64>,
     push: DVector<f64>,
     cycles: u32,
+    prediction: Option<Prediction>,
+    /// Last torque, Nm (n).
+    torque: DVector<f64>,
 }
 
 impl Controller for NudgedDamping {
@@ -280,12 +295,13 @@ impl Controller for NudgedDamping {
     fn start(&mut self, _input: &ControlInput<'_>) {}
 
     fn update(&mut self, input: &ControlInput<'_>, command: &mut [f64]) {
-        let mut torque = &self.law * &input.measurement.dq;
+        let predicted = self.prediction.as_mut().and_then(|prediction| prediction.of(input, &self.torque));
+        self.torque = &self.law * &predicted.as_ref().unwrap_or(input).measurement.dq;
         if self.cycles < NUDGED_TICKS {
-            torque += &self.push;
+            self.torque += &self.push;
         }
         self.cycles += 1;
-        command.copy_from_slice(torque.as_slice());
+        command.copy_from_slice(self.torque.as_slice());
     }
 }
 

@@ -36,7 +36,8 @@
 //! margin is 180° + arg L. The emulating and extrapolating transformers are treated like that of the paper, and observers
 //! like the filter: with an exact model an observer allows higher gains, but how exact the model is, is not known here. They also
 //! take away the damping of a drive that lags, with which the loop of (K10) bears a long delay. Their loop must therefore have the
-//! margin of the torque robot too, with a velocity that does not lag; the smaller one counts.
+//! margin of the torque robot too, with a velocity that does not lag; the smaller one counts. If commands act so late that they are
+//! predicted (below), these transformers foresee the state of the servo too, and theirs is the loop of the torque robot alone.
 //!
 //! Commands that act more than [`UNPREDICTED_S`] late are computed for the state that the controller predicts for that time, from the
 //! measured one and the commands that act until then. With D = d Ts, the law is then
@@ -665,6 +666,9 @@ impl<'a> Plant<'a> {
 
     /// Smaller one of the margins with the drive and, if the transformer inverts it, with its torque as desired.
     fn least_margin(&self, law: &AxisFeedback) -> Option<Margin> {
+        if self.is_inverted && self.is_predicted {
+            return Self { servo: None, ..*self }.margin(law);
+        }
         let with_drive = self.margin(law)?;
         let inverted = self.is_inverted.then_some(Self { servo: None, filter_hz: IDEAL_FILTER_HZ, ..*self });
         let margins = inverted.and_then(|plant| plant.margin(law)).into_iter().chain([with_drive]);

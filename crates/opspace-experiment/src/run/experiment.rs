@@ -403,10 +403,12 @@ impl Experiment {
     }
 
     /// Builds the torque controller of the task without the robot's limits and with an update period of `period_s`.
-    /// It serves to evaluate the motion that the references require. `None` if the task is incompatible with the
+    /// It serves to evaluate the motion that the references require, and commands torques for the state that it is given, however late
+    /// they act. `None` if the task is incompatible with the
     /// robot.
     pub fn unlimited_controller(&self, period_s: f64) -> Option<OperationalSpaceController> {
-        let (model, facts) = (&self.robot.model, self.control_context(period_s));
+        let model = &self.robot.model;
+        let facts = ControlContext { command_delay_s: 0.0, ..self.control_context(period_s) };
         let file = &self.task.file;
         let limits = LimitParameters { enforce: false, horizon_s: None, ..file.limits };
         // The period may be longer than the robot's.

@@ -17,11 +17,25 @@ const POSITION_M: f64 = 2.5e-3;
 /// Largest change of the motion with which the arm yields, over that without delay.
 const YIELDING: f64 = 0.1;
 
+/// Largest error of a pressing force, of 20 N, as its rms, N.
+const FORCE_N: f64 = 0.6;
+
 /// Tracking of a Cartesian path, or yielding along x.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Motion {
     Tracking,
     Compliance,
+}
+
+/// Outcome and metrics of a task on a backend, with settings.
+fn run_task(task: &str, backend: CommandKind, profile: &str, settings: &[String]) -> (RunOutcome, Metrics) {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("../../tasks/{task}.toml"));
+    let options = RunOptions { backend, profile: Some(profile.to_owned()), ..RunOptions::default() };
+    let experiment = Experiment::load(Files::Disk, &path, None, options, settings).unwrap();
+    let finished = experiment.run(Cursor::new(Vec::new()), &Progress::default()).unwrap();
+    let log = Recording::from_bytes(finished.sink.get_ref()).unwrap();
+    let summary = experiment.summary(&log, &finished.record, None);
+    (finished.outcome, summary.metrics)
 }
 
 /// Outcome and metrics of a run. A cycle of profile `a-med` takes 1 ms, of `b-soft` 5 ms; both have five servo ticks.
@@ -32,17 +46,11 @@ fn run(
     [declared, actual]: [u32; 2],
 ) -> (RunOutcome, Metrics) {
     let name = if motion == Motion::Tracking { "cartesian-tracking" } else { "compliant-x" };
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("../../tasks/{name}.toml"));
     let settings = [
         format!("robot.profile.{profile}.delay_servo_ticks={}", 5 * declared),
         format!("robot.simulated.delay_servo_ticks={}", 5 * actual),
     ];
-    let options = RunOptions { backend, profile: Some(profile.to_owned()), ..RunOptions::default() };
-    let experiment = Experiment::load(Files::Disk, &path, None, options, &settings).unwrap();
-    let finished = experiment.run(Cursor::new(Vec::new()), &Progress::default()).unwrap();
-    let log = Recording::from_bytes(finished.sink.get_ref()).unwrap();
-    let summary = experiment.summary(&log, &finished.record, None);
-    (finished.outcome, summary.metrics)
+    run_task(name, backend, profile, &settings)
 }
 
 /// Compared: runs with declared delays of several cycles, and those without delay. The torque robot's errors of position grow too,
@@ -89,4 +97,23 @@ fn delay_that_is_not_declared_shows() {
     });
     assert_eq!(declared.0, RunOutcome::Completed);
     assert!(hidden.0 != RunOutcome::Completed || hidden.1 > 2.0 * declared.1, "{declared:?}, {hidden:?}");
+}
+
+/// Compared: the forces of three arms with a declared delay of 12 ms, or 20 ms, and the desired force. The Panda's force is
+/// estimated.
+#[test]
+fn arms_press_with_the_desired_force_although_their_commands_act_late() {
+    for (task, profile, ticks) in [
+        ("press-table", "b-soft", 12),
+        ("ur5e-press", "rtde-500hz", 30),
+        ("ur5e-press", "rtde-500hz", 50),
+        ("panda-press", "interface-1khz", 60),
+    ] {
+        let settings =
+            [format!("robot.profile.{profile}.delay_servo_ticks={ticks}"), "duration_s=5".to_owned()];
+        let (outcome, metrics) = run_task(task, CommandKind::Position, profile, &settings);
+        assert_eq!(outcome, RunOutcome::Completed, "{task}, {ticks} servo ticks");
+        let force_n = metrics.contact.force_rms_n.unwrap();
+        assert!(force_n < FORCE_N, "{task}, {ticks} servo ticks: {force_n} N");
+    }
 }
