@@ -311,6 +311,7 @@ figure svg { display: block; width: 100%; min-width: 40rem; height: auto }
 figcaption { font-size: 0.92rem; max-width: 50rem; margin-top: 0.6rem; color: var(--soft) }
 .save { white-space: nowrap; margin-left: 0.4rem } .save[hidden] { display: none }
 .save button { font: inherit; color: inherit; background: none; border: 0; padding: 0 0.15rem; text-decoration: underline; cursor: pointer }
+@media (pointer: coarse) { .save button { min-width: 40px; height: 40px } }
 figcaption b { color: var(--ink) }
 figure text { font-family: system-ui, sans-serif; font-variant-numeric: tabular-nums }
 /* The views of a moment are side by side, or below each other on a narrow screen. */
@@ -324,7 +325,7 @@ dl { display: grid; grid-template-columns: repeat(auto-fill, minmax(17rem, 1fr))
 dl div { border-left: 3px solid var(--line); padding-left: 0.7rem }
 dt { color: var(--soft); font-size: 0.84rem } dd { margin: 0; overflow-wrap: anywhere; white-space: pre-line }
 @media screen and (max-width: 40rem) { main { padding: 1.5rem 0.75rem 3rem } h1 { font-size: 1.4rem }
-  table { font-size: 0.72rem } th, td { padding: 0.3rem 0.25rem } tbody th { white-space: pre-wrap } }
+  table { font-size: 0.75rem } th, td { padding: 0.3rem 0.25rem } tbody th { white-space: pre-wrap } }
 @media screen and (max-width: 41.4rem) {
   figure:not(.views)::before { content: 'Scroll the figure sideways to see all of it.'; font-size: 0.86rem; color: var(--soft) } }
 @media print { .save { display: none } main { max-width: none; padding: 0 } figure svg { min-width: 0 } .scroll { overflow: visible }
