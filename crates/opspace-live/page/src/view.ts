@@ -210,6 +210,7 @@ class View {
     const hint = $("hint");
     const isTouch = matchMedia("(pointer: coarse)").matches;
     if (!canPush) setText(hint, this.state ? (this.state.kind === "log" ? "A log: drag the time to see any moment." : "Only watched: this robot is not pushed from here.") : "");
+    else if (this.state?.state === "ended") setText(hint, "The run is over: play begins a new one.");
     else if (holding?.hand) {
       const { frame, stiffness_n_per_m, largest_force_n } = holding.hand;
       setText(hint, `Pulls ${frame} with ${norm(holding.hand.force_n)!.toFixed(1)} N: ${stiffness_n_per_m} N/m, at most ${largest_force_n} N`);
