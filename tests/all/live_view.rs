@@ -18,13 +18,14 @@ use std::time::{Duration, Instant};
 const PATIENCE_S: u64 = 60;
 
 /// Program with a view, and the address of its page.
-struct Program {
+pub struct Program {
     process: Child,
-    page: String,
+    pub page: String,
 }
 
 impl Program {
-    fn start(folder: &Path, arguments: &[&str]) -> Self {
+    /// Starts the program, and waits until it says where its view is.
+    pub fn start(folder: &Path, arguments: &[&str]) -> Self {
         let mut process =
             command(folder, arguments).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
         let mut lines = BufReader::new(process.stderr.take().unwrap()).lines();
@@ -34,8 +35,14 @@ impl Program {
         Self { process, page }
     }
 
+    /// Kills the program, which has no time to end anything.
+    pub fn kill(&mut self) {
+        self.process.kill().unwrap();
+        self.process.wait().unwrap();
+    }
+
     /// Ends the program as Ctrl-C does, and returns its exit code.
-    fn interrupt(mut self) -> Option<i32> {
+    pub fn interrupt(mut self) -> Option<i32> {
         Command::new("kill").args(["-INT", &self.process.id().to_string()]).status().unwrap();
         let begin = Instant::now();
         while begin.elapsed() < Duration::from_secs(PATIENCE_S) {
@@ -316,6 +323,132 @@ fn page_changes_a_task_is_killed_and_shows_the_log() {
     assert_eq!(page.0.complaints(), [""; 0]);
 }
 
+/// Layout of a page: width beyond the screen (px), number of controls, those that are too small for a finger, and texts below 12 px.
+const SMALL: &str = "(() => {
+    const shown = [...document.querySelectorAll('button, select, input, summary')].filter(part => part.checkVisibility());
+    const small = part => {
+      const { width, height } = part.getBoundingClientRect();
+      return width < 40 || height < 40 ? [`${part.getAttribute('aria-label') || part.title || part.textContent}: ${width} x ${height}`] : [];
+    };
+    const root = document.documentElement;
+    const has = part => [...part.childNodes].some(node => node.nodeType === 3 && node.data.trim());
+    const texts = [...document.querySelectorAll('body *:not(script, style, option)')].filter(part => has(part) && part.checkVisibility());
+    const scale = part => part.ownerSVGElement ? part.ownerSVGElement.getBoundingClientRect().width / part.ownerSVGElement.viewBox.baseVal.width : 1;
+    const tiny = part => {
+      const size = parseFloat(getComputedStyle(part).fontSize) * scale(part);
+      return size < 11.9 ? [`${part.textContent}: ${size}`] : [];
+    };
+    return [root.scrollWidth - root.clientWidth, shown.length, shown.flatMap(small), texts.flatMap(tiny)];
+})()";
+
+/// On a phone, in light and dark, a live page, the page of a log and a report are as wide as the screen; controls have the size of a finger, and
+/// texts at least 12 px.
+#[test]
+#[ignore = "needs a browser: .ci/run browser"]
+fn pages_fit_a_phone() {
+    let folder = scratch();
+    let task = project("tasks/compliant-x.toml");
+    opspace(folder.path(), &["run", &task, "--duration-s", "2", "--out", "log", "--quiet"]);
+    let beside = ["--beside", "torque", "--beside", "ik", "--duration-s", "60", "--out", "out"];
+    let run = Program::start(folder.path(), &[&["run", &task, "--view=0"], &beside[..]].concat());
+    let log = Program::start(folder.path(), &["view", "log", "--at", "0"]);
+    let report = format!("file://{}", folder.path().join("log/report.html").display());
+    let pages = [
+        (&run.page, "opspaceView.time_s() > 1"),
+        (&log.page, "opspaceView.drawn() > 5"),
+        (&report, "opspaceView.drawn() > 0"),
+    ];
+    let mut page = Page(Browser::start(&folder.path().join("profile"), 390, 844));
+    let phone = json!({ "width": 390, "height": 844, "deviceScaleFactor": 2, "mobile": true });
+    page.0.call("Emulation.setDeviceMetricsOverride", &phone);
+    page.0.call("Emulation.setTouchEmulationEnabled", &json!({ "enabled": true }));
+    for scheme in ["light", "dark"] {
+        let features = json!([{ "name": "prefers-color-scheme", "value": scheme }]);
+        page.0.call("Emulation.setEmulatedMedia", &json!({ "features": features }));
+        for (address, is_ready) in pages {
+            page.0.open(address);
+            page.wait_for(&format!("window.opspaceView && {is_ready}"));
+            assert_eq!(
+                page.0.evaluate("matchMedia('(prefers-color-scheme: dark)').matches"),
+                scheme == "dark"
+            );
+            let found = page.0.evaluate(SMALL);
+            println!("{scheme}, {address}: {found}");
+            assert_eq!(found[0], 0, "{address} is wider than the screen");
+            assert!(found[1].as_u64().unwrap() >= 4, "{address}: {found}");
+            assert_eq!((&found[2], &found[3]), (&json!([]), &json!([])), "{address}");
+        }
+    }
+    assert_eq!(page.0.complaints(), [""; 0]);
+}
+
+/// Robots whose bases coincide are drawn side by side. Compared: the place at which one of them is pulled, and force and target in its own
+/// world, as its log has them; the other one is not pulled.
+#[test]
+#[ignore = "needs a browser: .ci/run browser"]
+fn robots_with_one_base_are_drawn_and_pulled_apart() {
+    let folder = scratch();
+    let experiment = project("tasks/experiments/teleop-free.toml");
+    let program = Program::start(
+        folder.path(),
+        &["run", &experiment, "--view=0", "--duration-s", "60", "--set", "settle_s=0.5", "--out", "out"],
+    );
+    let mut page = Page::open(&program, &folder.path().join("first"), [1280, 800]);
+    page.wait_for("opspaceView.time_s() > 1");
+    let legend = "[...document.querySelectorAll('#legend li')].map(item => item.textContent)";
+    page.wait_for(&format!("{legend}[1].startsWith('leader: drawn ')"));
+    let legend = page.0.evaluate(legend);
+    assert_eq!(legend[0], "follower");
+    assert!(legend[1].as_str().unwrap().ends_with(" m along y, as its base is that of follower"), "{legend}");
+    // Along x, y is to the right.
+    page.0.evaluate("opspaceView.lookFrom(0, 0), 0");
+    std::thread::sleep(Duration::from_millis(500));
+    let [follower, leader] =
+        ["follower", "leader"].map(|name| page.point(&format!("opspaceView.pixel('base', '/{name}')")));
+    assert!(leader[0] - follower[0] > 100.0, "{leader:?} {follower:?}");
+    let at = page.point("opspaceView.pixel('hand', '/leader')");
+    let home = page.point("opspaceView.frames('/leader').hand");
+    page.mouse("mouseMoved", at, CTRL, 0);
+    page.mouse("mousePressed", at, CTRL, 1);
+    page.wait_for("opspaceView.isHolding()");
+    let to = page.point(
+        "(([x, y, z]) => opspaceView.pixelOf([x, y + 0.12, z], '/leader'))(opspaceView.frames('/leader').hand)",
+    );
+    page.mouse("mouseMoved", to, CTRL, 1);
+    page.wait_for("opspaceView.handForce_n()[1] !== null");
+    assert_eq!(page.0.evaluate("opspaceView.handForce_n()[0]"), Value::Null);
+    std::thread::sleep(Duration::from_secs(1));
+    page.mouse("mouseReleased", to, CTRL, 1);
+    page.wait_for("!opspaceView.isHolding()");
+    assert_eq!(page.0.complaints(), [""; 0]);
+    drop(page);
+    program.interrupt();
+    let logs = ["follower", "leader"]
+        .map(|name| Recording::read(folder.path().join(format!("out/{name}/run.mcap"))).unwrap());
+    let [follower, leader] = logs.each_ref().map(|log| log.channel("external").unwrap());
+    let [is_follower, is_leader] =
+        [follower, leader].map(|channel| channel.signal("pull").unwrap().rows().any(|row| row[0] != 0.0));
+    assert!(is_leader && !is_follower);
+    let [target, force] = ["target", "force"].map(|name| leader.signal(name).unwrap());
+    let largest_n = force.rows().map(|row| row[1]).fold(0.0, f64::max);
+    let farthest_m = target.rows().map(|row| row[1] - home[1]).filter(|y| y.is_finite()).fold(0.0, f64::max);
+    println!("pulled with up to {largest_n:.1} N, to {farthest_m:.3} m beside the hand");
+    assert!(largest_n > 10.0 && (0.08..0.2).contains(&farthest_m), "{largest_n} N, {farthest_m} m");
+    for name in ["leader", "follower"] {
+        opspace(folder.path(), &["replay", &format!("out/{name}/run.mcap")]).exits(0);
+    }
+    opspace(folder.path(), &["replay", "--simulate", "out"]).exits(0);
+
+    opspace(folder.path(), &["report", "out"]).exits(0);
+    let mut page = Page(Browser::start(&folder.path().join("second"), 1280, 800));
+    page.0.open(&format!("file://{}", folder.path().join("out/report.html").display()));
+    page.wait_for("window.opspaceView && opspaceView.drawn() > 0");
+    page.wait_for(
+        "document.querySelector('.player .robots').innerText.includes('as its base is that of follower')",
+    );
+    assert_eq!(page.0.complaints(), [""; 0]);
+}
+
 /// Compared: the hands of two arms that carry a rod, as their logs have them, and as the page of the logs and the player of the report show
 /// them at several times; the rod is between them.
 #[test]
@@ -352,8 +485,8 @@ fn all_robots_of_a_run_are_shown() {
         }
     }
     assert_eq!(
-        page.0.evaluate("opspaceView.state().robots.map(robot => robot.is_ghost)"),
-        json!([false, false])
+        page.0.evaluate("opspaceView.state().robots.map(robot => robot.same_base_as)"),
+        json!([null, null])
     );
     page.wait_for("document.querySelector('#legend').innerText.includes('left')");
     page.wait_for("[...document.querySelectorAll('.label')].some(label => label.textContent === 'load' && !label.hidden)");

@@ -49,6 +49,7 @@ mod servo_bus;
 mod singular_start;
 mod suites;
 mod torque_error_notes;
+mod view_folders;
 
 #[global_allocator]
 static ALLOCATOR: opspace_testing::allocation::CountingAllocator =

@@ -95,6 +95,12 @@ export class Browser {
 
   close() {
     this.#process.kill("SIGKILL");
-    this.#process.once("exit", () => rmSync(this.#profile, { recursive: true, force: true, maxRetries: 5 }));
+    this.#process.once("exit", () => {
+      try {
+        rmSync(this.#profile, { recursive: true, force: true, maxRetries: 5 });
+      } catch {
+        // Processes of the browser that still end write into it: it stays in the folder for temporary files.
+      }
+    });
   }
 }

@@ -24,14 +24,14 @@ struct Held {
     frames: Vec<Option<FrameId>>,
 }
 
-/// Robot that can be pushed.
-pub(crate) type Pushable<'a> = Option<&'a Model>;
+/// Name of a robot, and its model if it can be pushed.
+pub(crate) type Pushable<'a> = (&'a str, Option<&'a Model>);
 
 impl Hand {
     /// Moves the hand of a connection, at `now`.
     ///
     /// # Errors
-    /// A link that no robot has, or a hand that another page holds, with a description.
+    /// A link that no robot has, or not the named one, or a hand that another page holds, with a description.
     pub fn receive<'a>(
         &self,
         connection: u64,
@@ -46,10 +46,13 @@ impl Hand {
             }
             HandMessage::Hold(grasp) => grasp,
         };
-        let frames: Vec<_> =
-            robots.map(|model| model.and_then(|model| model.frame_id(&grasp.frame).ok())).collect();
+        let is_meant = |name: &str| grasp.robot.as_ref().is_none_or(|robot| robot == name);
+        let frame =
+            |(name, model): Pushable<'_>| model.filter(|_| is_meant(name))?.frame_id(&grasp.frame).ok();
+        let frames: Vec<_> = robots.map(frame).collect();
         if frames.iter().all(Option::is_none) {
-            return Err(format!("/hand: no robot that can be pushed has a link '{}'", grasp.frame));
+            let robot = grasp.robot.map_or_else(String::new, |robot| format!(" '{robot}'"));
+            return Err(format!("/hand: no robot{robot} that can be pushed has a link '{}'", grasp.frame));
         }
         let mut held = self.lock();
         let other = held.as_ref().filter(|held| held.connection != connection && !is_silent(held, now));
@@ -81,9 +84,11 @@ impl Hand {
         }
     }
 
-    /// Grasp at `now`, if there is one.
-    pub fn grasp(&self, now: Instant) -> Option<Grasp> {
-        self.lock().as_ref().filter(|held| !is_silent(held, now)).map(|held| held.grasp.clone())
+    /// Grasp at `now`, if there is one, and whether it acts on each of the robots.
+    pub fn grasp(&self, now: Instant) -> Option<(Grasp, Vec<bool>)> {
+        let held = self.lock();
+        let held = held.as_ref().filter(|held| !is_silent(held, now))?;
+        Some((held.grasp.clone(), held.frames.iter().map(Option::is_some).collect()))
     }
 
     fn lock(&self) -> MutexGuard<'_, Option<Held>> {
@@ -131,7 +136,7 @@ mod tests {
     fn hand_is_released_by_its_page_or_its_silence() {
         let model = Model::from_urdf(URDF).unwrap().model;
         let (hand, begin) = (Hand::default(), Instant::now());
-        let robots = || [Some(&model), None].into_iter();
+        let robots = || [("pushed", Some(&model)), ("real", None)].into_iter();
         let is_held = |now| {
             let mut forces = Vec::new();
             hand.apply(2, now, &mut |_, force| forces.push(force.is_some()));
@@ -152,5 +157,21 @@ mod tests {
         hand.receive(1, hold("rod"), robots(), begin).unwrap();
         hand.receive(2, hold("rod"), robots(), late).unwrap();
         assert_eq!(is_held(late), [true, false]);
+    }
+
+    /// A grasp that names a robot pulls that one alone; without a name it pulls all that have the link.
+    #[test]
+    fn hand_pulls_the_named_robot_alone() {
+        let model = Model::from_urdf(URDF).unwrap().model;
+        let (hand, now) = (Hand::default(), Instant::now());
+        let robots = || ["leader", "follower"].map(|name| (name, Some(&model))).into_iter();
+        let pulled = |robot: Option<&str>| {
+            let HandMessage::Hold(grasp) = hold("rod") else { panic!() };
+            let grasp = Grasp { robot: robot.map(str::to_owned), ..grasp };
+            hand.receive(1, HandMessage::Hold(grasp), robots(), now).map(|()| hand.grasp(now).unwrap().1)
+        };
+        assert_eq!(pulled(None), Ok(vec![true, true]));
+        assert_eq!(pulled(Some("follower")), Ok(vec![false, true]));
+        assert!(pulled(Some("another")).unwrap_err().contains("'another'"));
     }
 }

@@ -34,6 +34,8 @@ const LONGEST_NAME: usize = 256;
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Grasp {
+    /// Name of the robot; all robots that have the link if absent.
+    pub robot: Option<String>,
     /// Name of the link.
     pub frame: String,
     /// Point that is dragged, in the frame of the link, m.
@@ -51,6 +53,7 @@ pub struct Grasp {
 impl Default for Grasp {
     fn default() -> Self {
         Self {
+            robot: None,
             frame: String::new(),
             point_m: [f64::NAN; 3],
             target_m: [f64::NAN; 3],
@@ -140,6 +143,7 @@ pub fn parse_hand(bytes: &[u8]) -> Result<HandMessage, String> {
         ("damping_ns_per_m", is_within(&[grasp.damping_ns_per_m], [0.0, MOST_DAMPING_NS_PER_M])),
         ("largest_force_n", is_within(&[grasp.largest_force_n], [0.0, MOST_FORCE_N])),
         ("frame", (1..=LONGEST_NAME).contains(&grasp.frame.len())),
+        ("robot", grasp.robot.as_ref().is_none_or(|robot| robot.len() <= LONGEST_NAME)),
     ];
     match bounds.into_iter().find(|(_, is_good)| !is_good) {
         Some((key, _)) => Err(format!("{HAND_TOPIC}: `{key}` is missing or out of range")),

@@ -3,7 +3,7 @@
 use crate::feed::{FedState, Feed, Publish, json_channel};
 use crate::held::{Hand, Pushable};
 use crate::hub::Hub;
-use crate::requests::{ControlMessage, HandMessage};
+use crate::requests::{ControlMessage, Grasp, HandMessage};
 use crate::server::{Address, Inputs, Server};
 use crate::tunable::{Change, NewValue, ViewedTask, axis, mode};
 use opspace_log::{TIME_ZERO_NS, ViewerReceiver};
@@ -47,7 +47,7 @@ pub struct ViewedRobot {
     pub name: String,
     /// Description: interface and controller.
     pub label: String,
-    /// Pose of its base in the world: a robot with the base of another one is shown as its ghost.
+    /// Pose of its base in the world. Of robots with one base, those that are compared are shown as ghosts, and others side by side.
     pub base: Placement,
     /// True for a robot with the same task as others, beside which it runs.
     pub is_compared: bool,
@@ -328,9 +328,9 @@ impl State {
         let content = lock(&self.content);
         let grasp = self.hand.grasp(Instant::now());
         let robot = |(number, (viewed, shown)): (usize, &(ViewedRobot, Arc<FedState>))| {
-            let former = &content.robots[..number];
-            let can_push = viewed.pushable.is_some();
-            let hand = grasp.as_ref().filter(|_| can_push).map(|grasp| {
+            let same_base = content.robots[..number].iter().find(|(other, _)| other.base == viewed.base);
+            let is_held = |(_, held): &&(Grasp, Vec<bool>)| held.get(number) == Some(&true);
+            let hand = grasp.as_ref().filter(is_held).map(|(grasp, _)| {
                 json!({
                     "frame": grasp.frame,
                     "point_m": grasp.point_m,
@@ -346,8 +346,8 @@ impl State {
                 "name": viewed.name,
                 "label": viewed.label,
                 "is_compared": viewed.is_compared,
-                "is_ghost": former.iter().any(|(other, _)| other.base == viewed.base),
-                "can_push": can_push,
+                "same_base_as": same_base.map(|(other, _)| &other.name),
+                "can_push": viewed.pushable.is_some(),
                 "units": *lock(&shown.units),
                 "hand": hand,
                 "tasks": viewed.tasks.iter().map(ViewedTask::json).collect::<Vec<_>>(),
@@ -378,7 +378,10 @@ impl State {
 impl Inputs for State {
     fn hand(&self, connection: u64, message: HandMessage) -> Result<(), String> {
         let content = lock(&self.content);
-        let robots = content.robots.iter().map(|(robot, _)| -> Pushable<'_> { robot.pushable.as_ref() });
+        let robots = content
+            .robots
+            .iter()
+            .map(|(robot, _)| -> Pushable<'_> { (&robot.name, robot.pushable.as_ref()) });
         self.hand.receive(connection, message, robots, Instant::now())
     }
 

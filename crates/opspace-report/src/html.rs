@@ -289,7 +289,7 @@ p { max-width: 46rem }
 .warning { background: var(--warn); border-left: 4px solid var(--fail); padding: 0.6rem 0.9rem }
 .word { display: inline-block }
 /* A shadow at each edge beyond which there is more: it stays in place, and the covers of it move with the content. */
-.scroll { overflow-x: auto; background: linear-gradient(to right, var(--back) 1rem, transparent) left,
+.scroll { overflow-x: auto; padding-bottom: 0.5rem; background: linear-gradient(to right, var(--back) 1rem, transparent) left,
   linear-gradient(to left, var(--back) 1rem, transparent) right, linear-gradient(to right, var(--shade), transparent) left,
   linear-gradient(to left, var(--shade), transparent) right; background-size: 2.5rem 100%, 2.5rem 100%, 0.9rem calc(100% - 4px), 0.9rem calc(100% - 4px);
   background-repeat: no-repeat; background-attachment: local, local, scroll, scroll }
@@ -307,10 +307,12 @@ tbody tr:nth-child(even) { background: var(--stripe) }
 .fail { color: var(--fail); font-weight: 600; min-width: 12rem } .fail::before { content: '\u{2717} ' }
 p.note { font-size: 0.86rem; color: var(--soft); margin: 0.2rem 0 }
 figure { margin: 1.75rem 0 2.25rem; break-inside: avoid }
-figure svg { display: block; width: 100%; min-width: 40rem; height: auto }
+/* At this width, the texts of a figure have 12 px. */
+figure svg { display: block; width: 100%; min-width: 61rem; height: auto }
 figcaption { font-size: 0.92rem; max-width: 50rem; margin-top: 0.6rem; color: var(--soft) }
 .save { white-space: nowrap; margin-left: 0.4rem } .save[hidden] { display: none }
 .save button { font: inherit; color: inherit; background: none; border: 0; padding: 0 0.15rem; text-decoration: underline; cursor: pointer }
+@media (pointer: coarse) { .save button { min-width: 40px; height: 40px } }
 figcaption b { color: var(--ink) }
 figure text { font-family: system-ui, sans-serif; font-variant-numeric: tabular-nums }
 /* The views of a moment are side by side, or below each other on a narrow screen. */
@@ -324,8 +326,8 @@ dl { display: grid; grid-template-columns: repeat(auto-fill, minmax(17rem, 1fr))
 dl div { border-left: 3px solid var(--line); padding-left: 0.7rem }
 dt { color: var(--soft); font-size: 0.84rem } dd { margin: 0; overflow-wrap: anywhere; white-space: pre-line }
 @media screen and (max-width: 40rem) { main { padding: 1.5rem 0.75rem 3rem } h1 { font-size: 1.4rem }
-  table { font-size: 0.72rem } th, td { padding: 0.3rem 0.25rem } tbody th { white-space: pre-wrap } }
-@media screen and (max-width: 41.4rem) {
+  table { font-size: 0.75rem } th, td { padding: 0.3rem 0.25rem } tbody th { white-space: pre-wrap } }
+@media screen and (max-width: 63.5rem) {
   figure:not(.views)::before { content: 'Scroll the figure sideways to see all of it.'; font-size: 0.86rem; color: var(--soft) } }
 @media print { .save { display: none } main { max-width: none; padding: 0 } figure svg { min-width: 0 } .scroll { overflow: visible }
   h2 { break-after: avoid } tr { break-inside: avoid } }

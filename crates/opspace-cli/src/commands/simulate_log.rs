@@ -79,6 +79,9 @@ fn difference(channel: &ChannelComparison) -> String {
 /// Simulates the run of a log again, and compares the two logs.
 fn simulated_again(log: &Path, extensions: &Extensions, console: Console) -> Result<LogComparison, Failure> {
     let (path, file) = open_log(log)?;
+    if let Some(damage) = &file.recording().damage {
+        console.note(&format!("{}: damaged: {damage}", path.display()));
+    }
     let bad = |error: RunError| Failure::Other(format!("{}: {error}", path.display()), Exit::Bad);
     let recording = Recording::read(&path).map_err(|error| bad(error.into()))?;
     let experiment = Experiment::of_log_with(extensions, &recording).map_err(bad)?;

@@ -5,13 +5,13 @@ use crate::commands::run_in_view::open_view;
 use crate::console::{Console, Exit, Failure, Outcome};
 use crate::interrupt;
 use crate::output::{folder_name, logs_of_run, open_log};
-use opspace_experiment::{Experiment, Extensions, RunError};
+use opspace_experiment::{ControllerKind, Experiment, Extensions, RunError};
 use opspace_live::{Pictures, ViewKind, viewed};
 use opspace_log::{LogFile, OutcomeRecord};
 
 pub fn view(args: &ViewLogArgs, extensions: &Extensions, console: Console) -> Outcome {
     let paths = logs_of_run(&args.log);
-    let (mut logs, mut shown, mut duration_s) = (Vec::<LogFile>::new(), Vec::new(), 0.0_f64);
+    let (mut robots, mut duration_s) = (Vec::new(), 0.0_f64);
     for path in &paths {
         let (path, log) = open_log(path)?;
         if let Some(damage) = &log.recording().damage {
@@ -23,9 +23,13 @@ pub fn view(args: &ViewLogArgs, extensions: &Extensions, console: Console) -> Ou
         let robot = experiment.membership().map(|membership| membership.robot.clone());
         let name = robot.unwrap_or_else(|| folder_name(&path));
         let prefix = if paths.len() > 1 { format!("/{name}") } else { String::new() };
-        shown.push(viewed(&experiment, prefix, &name, false));
-        logs.push(log);
+        let is_ik = experiment.options().controller != ControllerKind::Osc;
+        robots.push((is_ik, viewed(&experiment, prefix, &name, false), log));
     }
+    // Robots side by side are ghosts of the first one: inverse kinematics is what the others are compared with.
+    robots.sort_by_key(|(is_ik, ..)| *is_ik);
+    let (shown, logs): (Vec<_>, Vec<LogFile>) =
+        robots.into_iter().map(|(_, shown, log)| (shown, log)).unzip();
     let outcomes: Vec<OutcomeRecord> = logs.iter().map(|log| OutcomeRecord::of(log.recording())).collect();
     let fault = outcomes.iter().find_map(|outcome| outcome.fault.clone());
     let interrupted = outcomes.iter().any(|outcome| outcome.interrupted);

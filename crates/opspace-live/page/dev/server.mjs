@@ -85,7 +85,7 @@ const view = () => ({
   title: "compliant-x", kind: options.run ? "run" : "log", time_s, duration_s, speed, state, outcome: state === "ended" ? "completed" : null,
   late_cycles: 0, dropped_pictures: 0,
   robots: prefixes.map(prefix => ({
-    prefix, name: "asimo-arm", label: `${prefix.slice(1) || "position"}, osc`, is_compared: true, is_ghost: prefix !== prefixes[0], can_push: !!options.run,
+    prefix, name: "asimo-arm", label: `${prefix.slice(1) || "position"}, osc`, is_compared: true, same_base_as: prefix === prefixes[0] ? null : prefixes[0].slice(1), can_push: !!options.run,
     units: { "hand.position.x": "m", "hand.position.y": "m", "hand.position.z": "m", "operator.force.x": "N" },
     hand: hand && { frame: hand.frame, target_m: hand.target_m, stiffness_n_per_m: 500, damping_ns_per_m: 20, largest_force_n: 60, force_n: [12.3, 1, -4] },
     tasks: [{ name: "hand", frame: "hand", gains: options.run ? gains : null, modes: options.run ? modes : null }],

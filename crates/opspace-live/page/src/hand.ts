@@ -16,8 +16,9 @@ interface Grasp {
   pointer: number;
   robot: Robot;
   frame: string;
-  /** In the frame of the link, and in the world, m. */
+  /** In the frame of the link, m. */
   point: Vector3;
+  /** In the scene, m. */
   target: Vector3;
   /** The pointer moves in the plane through the point that faces the camera. */
   plane: Plane;
@@ -147,8 +148,10 @@ export class Hand {
 
   private send(): void {
     if (!this.grasp) return;
-    const { frame, point, target } = this.grasp;
-    this.hold({ frame, point_m: point.toArray(), target_m: target.toArray() });
+    const { robot, frame, point, target } = this.grasp;
+    const target_m = robot.root.worldToLocal(target.clone()).toArray();
+    // Robots that are compared have no name: all of them are pulled.
+    this.hold({ robot: robot.look.name, frame, point_m: point.toArray(), target_m });
   }
 
   private aim(event: MouseEvent): void {

@@ -1,6 +1,7 @@
 //! Scene of the live view from messages: a robot for each prefix of topics, and the environment.
 
 import { Group, Object3D, Quaternion, Vector3 } from "three";
+import { placeApart } from "./apart.ts";
 import { Environment } from "./environment.ts";
 import { entities, poseInFrame, rosText, transforms, type Entity } from "./messages.ts";
 import { loadMesh } from "./meshes.ts";
@@ -18,6 +19,7 @@ export class LiveScene {
   readonly robots = new Map<string, Robot>();
   private readonly environment: Environment;
   private framed = 0;
+  private states: RobotState[] = [];
   private readonly moved = new Set<string>();
   private readonly early: [Robot, Entity][] = [];
 
@@ -27,6 +29,7 @@ export class LiveScene {
 
   /** Makes the robots; those that are no longer there are removed. */
   setRobots(states: RobotState[]): void {
+    this.states = states;
     for (const [prefix, robot] of this.robots) {
       if (states.some(state => state.prefix === prefix)) continue;
       robot.remove();
@@ -34,7 +37,7 @@ export class LiveScene {
     }
     states.forEach((state, number) => {
       if (this.robots.has(state.prefix)) return;
-      const look = states.length === 1 ? {} : lookOf(number, state.name, state.is_ghost, state.is_compared);
+      const look = states.length === 1 ? {} : lookOf(number, state.name, state.is_compared);
       this.robots.set(state.prefix, new Robot(this.stage, state.prefix, look));
     });
   }
@@ -60,7 +63,7 @@ export class LiveScene {
     } else if (name === "/scene/objects") {
       for (const { id, cubes, spheres } of entities(bytes)) {
         const [box, ball] = [cubes[0], spheres[0]];
-        this.environment.showObject(id, box ?? ball, box ? box.size : undefined, ball?.size.x);
+        this.environment.showObject(robot.root, id, box ?? ball, box ? box.size : undefined, ball?.size.x);
       }
     } else if (name === "/scene/forces") {
       for (const { id, arrows } of entities(bytes)) {
@@ -73,17 +76,14 @@ export class LiveScene {
       for (const { id, frame, lines } of entities(bytes)) {
         const task = robot.task(id.replace(/\.reference$/, ""));
         const points = lines[0] ?? [];
-        const place = robot.hasFrame(frame) ? robot.frame(frame) : undefined;
-        task.setReferencePath(place ? points.map(point => place.localToWorld(point)) : points);
+        task.setReferencePath(robot.hasFrame(frame) ? points.map(point => robot.pointOf(frame, point)) : points);
       }
     } else if (schema === "foxglove.PoseInFrame") {
       const shown = poseInFrame(bytes);
       const [, task = "", what] = name.split("/");
       if (robot.hasFrame(shown.frame)) {
-        const place = robot.frame(shown.frame);
-        place.updateWorldMatrix(true, false);
-        place.localToWorld(shown.position);
-        shown.rotation.premultiply(place.getWorldQuaternion(new Quaternion()));
+        shown.position = robot.pointOf(shown.frame, shown.position);
+        shown.rotation.premultiply(robot.frame(shown.frame).getWorldQuaternion(new Quaternion()));
       }
       if (what === "reference") robot.task(task).setReference(shown);
       else if (what === "controlled_frame") robot.task(task).setControlled(shown);
@@ -120,7 +120,7 @@ export class LiveScene {
     const [start, end = start] = ends;
     if (start && end) {
       if (isInWorld) {
-        this.environment.addCapsule(robot.ownName(entity.id), start, end, radius);
+        this.environment.addCapsule(robot.root, robot.ownName(entity.id), start, end, radius);
         return;
       }
       const part = capsule(start, end, radius, robot.plain);
@@ -128,7 +128,7 @@ export class LiveScene {
       shape.add(part);
     }
     for (const { position, rotation, size } of entity.cubes) {
-      this.environment.addWall(robot.ownName(entity.id), position, X.clone().applyQuaternion(rotation), size);
+      this.environment.addWall(robot.root, robot.ownName(entity.id), position, X.clone().applyQuaternion(rotation), size);
     }
     if (shape.children.length > 0) this.addToLink(robot, entity.frame, entity.id, shape);
   }
@@ -149,7 +149,17 @@ export class LiveScene {
     if (this.framed === this.robots.size || this.moved.size < this.robots.size) return;
     this.framed = this.robots.size;
     // Messages that are written once arrive together with the first picture.
-    setTimeout(() => this.show(), 150);
+    setTimeout(() => this.begin(), 150);
+  }
+
+  private begin(): void {
+    this.robots.forEach(robot => robot.addSticks());
+    const robots = this.states.flatMap(({ prefix, name, same_base_as, is_compared }) => {
+      const robot = this.robots.get(prefix);
+      return robot ? [{ robot, name, sameBaseAs: is_compared ? undefined : (same_base_as ?? undefined) }] : [];
+    });
+    placeApart(robots, this.stage);
+    this.show();
   }
 
   /** Places the camera so that all robots are seen. */

@@ -26,6 +26,10 @@ const STYLE = `
 .player .robots { list-style: none; display: flex; flex-wrap: wrap; gap: 0.1rem 1rem; margin: 0.4rem 0 0; padding: 0; color: var(--soft) }
 .player .robots li::before { content: ''; display: inline-block; width: 0.8em; height: 0.8em; border-radius: 50%; background: var(--color);
   margin-right: 0.45em }
+@media (pointer: coarse) {
+  .player .bar button, .player .bar select, .player .bar input { height: 2.6rem }
+  .player .bar button { min-width: 2.6rem }
+}
 @media screen and (prefers-color-scheme: dark) { .player .stage { background: linear-gradient(#1d2125, #121416) } }
 @media print { .player { display: none } }
 ${SCENE_STYLE}`;
@@ -107,7 +111,7 @@ class Player {
 /** Colours and names of the robots. */
 function legend(scene: RunScene): HTMLElement {
   const item = ({ robot, data }: RunRobot) => {
-    const item = make("li", {}, data.name);
+    const item = make("li", {}, [data.name, robot.apart].filter(Boolean).join(": "));
     item.style.setProperty("--color", css(robot.color ?? comparedColor(0)));
     return item;
   };
@@ -151,7 +155,7 @@ function start(): void {
   Object.assign(window, {
     opspaceView: {
       robots: () => scene.robots.map(({ data }) => data.name),
-      pixel: (frame: string, name = "") => stage.pixel(robot(name).robot.position(frame)),
+      pixel: (frame: string, name = "") => stage.pixel(robot(name).robot.drawnAt(robot(name).robot.position(frame))),
       frames: (name = "") => robot(name).frames(),
       drawn: () => stage.drawn,
       time_s: () => player.time_s,

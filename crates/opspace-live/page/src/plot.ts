@@ -22,7 +22,7 @@ export interface PlotContent {
 const LEFT = 46;
 const RIGHT = 10;
 const TOP = 8;
-const BOTTOM = 26;
+const BOTTOM = 34;
 const TICKS = 4;
 /** Points of a line: more than there are pixels. */
 const MOST_POINTS = 600;
@@ -70,7 +70,7 @@ export class Plot {
     const x = (value: number) => LEFT + ((value - this.xs[0]) / (this.xs[1] - this.xs[0])) * (right - LEFT);
     const y = (value: number) => bottom - ((value - ys[0]) / (ys[1] - ys[0])) * (bottom - TOP);
 
-    context.font = "11px system-ui, sans-serif";
+    context.font = "12px system-ui, sans-serif";
     context.lineWidth = 1;
     context.textBaseline = "middle";
     context.textAlign = "right";
@@ -82,10 +82,10 @@ export class Plot {
     context.textAlign = "center";
     for (const tick of ticks(this.xs)) {
       if (!content.xRange) stroke(context, rule, [[x(tick), TOP], [x(tick), bottom]]);
-      context.fillText(short(tick), x(tick), bottom + 9);
+      context.fillText(short(tick), x(tick), bottom + 10);
     }
     context.textAlign = "right";
-    context.fillText(content.xLabel, right, bottom + 20);
+    context.fillText(content.xLabel, right, bottom + 26);
     context.save();
     context.beginPath();
     context.rect(LEFT - 1, TOP - 1, right - LEFT + 2, bottom - TOP + 2);
@@ -121,7 +121,7 @@ export class Plot {
     const entries = items.map(({ label, color, value }) => {
       const entry = document.createElement("span");
       entry.style.setProperty("--color", color);
-      entry.textContent = `${label} ${value === undefined ? "" : value.toPrecision(3)}`;
+      entry.textContent = `${label} ${value === undefined ? "" : value.toPrecision(3).replace("-", "−")}`;
       return entry;
     });
     this.legend.replaceChildren(name, ...entries);

@@ -12,7 +12,7 @@ export interface Look {
   color?: number;
   /** Place among the robots, from 0. */
   number?: number;
-  /** Translucent: it stands where another robot does. */
+  /** Translucent: it is drawn where another robot is. */
   isGhost?: boolean;
   /** Has links and paths only: the robot with which it is compared has the rest. */
   isPlain?: boolean;
@@ -41,6 +41,7 @@ export type ShapeKind = "visual" | "collision" | "stick";
 const KINDS: ShapeKind[] = ["visual", "collision", "stick"];
 
 export class Robot {
+  /** The robot's world: all that belongs to it is drawn in it. It is moved where robots with one base are drawn apart. */
   readonly root = new Group();
   private readonly frames = new Map<string, Object3D>();
   private readonly shapes = new Map<string, Map<ShapeKind, Object3D>>();
@@ -50,6 +51,8 @@ export class Robot {
   private readonly selectedMaterial: MeshLambertMaterial;
   private selected = "";
   readonly color: number | undefined;
+  /** Says where the robot is drawn, if not where it is. */
+  apart = "";
 
   constructor(private readonly stage: Stage, readonly prefix: string, readonly look: Look = {}) {
     const { color, number = 0, isGhost = false } = look;
@@ -114,11 +117,22 @@ export class Robot {
     frame.quaternion.copy(rotation);
   }
 
-  /** Position of a frame in the world, m. */
+  /** Position of a frame in the robot's world, m. */
   position(frame: string): Vector3 {
+    return this.pointOf(frame, new Vector3());
+  }
+
+  /** Position (m) in the robot's world of a point of a frame. */
+  pointOf(frame: string, point: Vector3): Vector3 {
     const object = this.frame(frame);
     object.updateWorldMatrix(true, false);
-    return new Vector3().setFromMatrixPosition(object.matrixWorld);
+    return this.root.worldToLocal(object.localToWorld(point.clone()));
+  }
+
+  /** Place (m) in the scene of a point of the robot's world. */
+  drawnAt(point: Vector3): Vector3 {
+    this.root.updateWorldMatrix(true, false);
+    return this.root.localToWorld(point.clone());
   }
 
   /** Gives a link a shape of a kind, in place of the former one. Its parts without a material get that of the robot. */
@@ -196,12 +210,12 @@ export class Robot {
     return task;
   }
 
-  /** Shows a force (N) at a point (m), both in the world. */
+  /** Shows a force (N) at a point (m), both in the robot's world. */
   setForce(name: string, at: Vector3, force_n: Vector3): void {
     if (this.look.isPlain) return;
     let arrow = this.forces.get(name);
     if (!arrow) {
-      arrow = new ForceArrow(this.stage, this.ownName(name.replace(/\.(force|wrench)$/, "")), theme().force);
+      arrow = new ForceArrow(this.stage, this.root, this.ownName(name.replace(/\.(force|wrench)$/, "")), theme().force);
       this.forces.set(name, arrow);
     }
     arrow.set(at, force_n);
@@ -217,10 +231,10 @@ export class Robot {
   }
 }
 
-/** Look of a robot among several. `isGhost`: it stands where a former one does; `isCompared`: all have the same task. */
-export function lookOf(number: number, name: string, isGhost: boolean, isCompared: boolean): Look {
+/** Look of a robot among several. Those that have the same task, which are compared, are ghosts of the first one. */
+export function lookOf(number: number, name: string, isCompared: boolean): Look {
   const color = comparedColor(number);
-  return isCompared ? { color, number, isGhost: number > 0, isPlain: number > 0 } : { color, number, isGhost, name };
+  return isCompared ? { color, number, isGhost: number > 0, isPlain: number > 0 } : { color, number, name };
 }
 
 /** Reference and controlled frame of a task, with their paths. */
@@ -247,7 +261,7 @@ export class TaskFrames {
     });
     this.reference.visible = this.controlled.visible = false;
     this.group.add(...(this.isPlain ? [this.path] : [this.reference, this.controlled, this.referencePath, this.path]));
-    stage.scene.add(this.group);
+    robot.root.add(this.group);
     const where = new Vector3(0.012, 0.012, 0.012);
     this.referenceLabel = stage.labels.add(this.isPlain ? "" : `${this.name} reference`, this.reference, "frame reference", where);
     this.labels = [stage.labels.add(this.isPlain ? "" : this.name, this.controlled, "frame", where), this.referenceLabel];
@@ -297,9 +311,9 @@ class ForceArrow {
   private readonly tip = new Object3D();
   private readonly label: Label;
 
-  constructor(private readonly stage: Stage, private readonly name: string, color: number) {
+  constructor(private readonly stage: Stage, world: Object3D, private readonly name: string, color: number) {
     this.arrow = onTop(new Arrow(color, 0.006), 4);
-    stage.scene.add(this.arrow, this.tip);
+    world.add(this.arrow, this.tip);
     this.label = stage.labels.add("", this.tip, "force");
   }
 

@@ -1,6 +1,7 @@
 //! Scene of a run from the data in a report: forward kinematics in place of messages.
 
 import { Matrix4, Object3D, Quaternion, Vector3 } from "three";
+import { placeApart } from "./apart.ts";
 import { Environment } from "./environment.ts";
 import { Kinematics, matrix } from "./kinematics.ts";
 import { capsule } from "./parts.ts";
@@ -24,13 +25,15 @@ export class RunScene {
     const environment = new Environment(stage);
     const isAt = (a: RunData, b: RunData) => a.base.every((value, i) => Math.abs(value - b.base[i]!) < 1e-6);
     this.robots = robots.map((data, number) => {
-      const isGhost = robots.slice(0, number).some(other => isAt(other, data));
-      const look = robots.length === 1 ? {} : lookOf(number, data.name, isGhost, are_compared);
+      const look = robots.length === 1 ? {} : lookOf(number, data.name, are_compared);
       return new RunRobot(stage, environment, data, look);
     });
     this.start_s = Math.min(...robots.map(data => data.start_s));
     this.end_s = Math.max(...robots.map(data => data.start_s + (data.pictures - 1) * data.period_s));
     this.show(this.start_s);
+    const sameBaseAs = (data: RunData, number: number) =>
+      are_compared ? undefined : robots.slice(0, number).find(other => isAt(other, data))?.name;
+    placeApart(this.robots.map(({ robot, data }, k) => ({ robot, name: data.name, sameBaseAs: sameBaseAs(data, k) })), stage);
     this.frame();
   }
 
@@ -63,7 +66,7 @@ export class RunRobot {
     for (const { name, frame, start_m, end_m, radius_m } of data.capsules) {
       const [start, end] = [new Vector3(...start_m), new Vector3(...end_m)];
       if (frame < 0) {
-        this.environment.addCapsule(this.robot.ownName(name), start, end, radius_m);
+        this.environment.addCapsule(this.robot.root, this.robot.ownName(name), start, end, radius_m);
         continue;
       }
       const link = links.get(frame) ?? new Object3D();
@@ -76,7 +79,7 @@ export class RunRobot {
     for (const { name, point_m, normal } of data.walls) {
       const out = new Vector3(...normal).normalize();
       const center = new Vector3(...point_m).addScaledVector(out, -0.5 * WALL_M.x);
-      this.environment.addWall(this.robot.ownName(name), center, out, WALL_M);
+      this.environment.addWall(this.robot.root, this.robot.ownName(name), center, out, WALL_M);
     }
   }
 
@@ -126,11 +129,11 @@ export class RunRobot {
       const position = new Vector3(row[column], row[column + 1], row[column + 2]);
       const isThere = [w, x, y, z, position.length()].every(Number.isFinite);
       const placed = isThere ? { position, rotation: new Quaternion(x, y, z, w).normalize() } : undefined;
-      this.environment.showObject(name, placed, box_m ? new Vector3(...box_m) : undefined, diameter_m);
+      this.environment.showObject(robot.root, name, placed, box_m ? new Vector3(...box_m) : undefined, diameter_m);
     }
   }
 
-  /** Positions of all frames in the world, m. */
+  /** Positions of all frames in the robot's world, m. */
   frames(): Record<string, [number, number, number]> {
     const names = this.data.frames.map(frame => frame.name);
     return Object.fromEntries(names.map(name => [name, this.robot.position(name).toArray()]));

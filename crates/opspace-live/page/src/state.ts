@@ -28,8 +28,8 @@ export interface RobotState {
   label: string;
   /** True for a robot with the same task that runs beside others, to be compared with them. */
   is_compared: boolean;
-  /** True if another robot, which comes before it, has the same base. */
-  is_ghost: boolean;
+  /** Name of the robot before it that has the same base; null if none has. */
+  same_base_as: string | null;
   can_push: boolean;
   units: Record<string, string>;
   hand: HandState | null;

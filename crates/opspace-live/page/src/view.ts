@@ -9,7 +9,7 @@ import { ICONS } from "./icons.ts";
 import { LiveScene } from "./live_scene.ts";
 import { Stage } from "./stage.ts";
 import { SCENE_STYLE } from "./style.ts";
-import { controlledPosition, shownName, type Signals, type ViewState } from "./state.ts";
+import { controlledPosition, shownName, type RobotState, type Signals, type ViewState } from "./state.ts";
 import { comparedColor, css } from "./theme.ts";
 import { Transport } from "./transport.ts";
 import { Tuning } from "./tuning.ts";
@@ -189,13 +189,14 @@ class View {
   private writeTitle(state: ViewState): void {
     setText($("title"), state.title);
     const several = state.robots.length > 1;
-    const items = state.robots.map(robot => shownName(robot, several)).join("|");
+    const name = (robot: RobotState) => [shownName(robot, several), this.scene.robots.get(robot.prefix)?.apart].filter(Boolean).join(": ");
+    const items = state.robots.map(name).join("|");
     const legend = $("legend");
     if (legend.dataset["text"] === items) return;
     legend.dataset["text"] = items;
     legend.replaceChildren(
       ...state.robots.map((robot, i) => {
-        const item = make("li", { className: several ? "compared" : "" }, shownName(robot, several));
+        const item = make("li", { className: several ? "compared" : "" }, name(robot));
         item.style.setProperty("--color", css(comparedColor(i)));
         return item;
       }),
@@ -209,6 +210,7 @@ class View {
     const hint = $("hint");
     const isTouch = matchMedia("(pointer: coarse)").matches;
     if (!canPush) setText(hint, this.state ? (this.state.kind === "log" ? "A log: drag the time to see any moment." : "Only watched: this robot is not pushed from here.") : "");
+    else if (this.state?.state === "ended") setText(hint, "The run is over: play begins a new one.");
     else if (holding?.hand) {
       const { frame, stiffness_n_per_m, largest_force_n } = holding.hand;
       setText(hint, `Pulls ${frame} with ${norm(holding.hand.force_n)!.toFixed(1)} N: ${stiffness_n_per_m} N/m, at most ${largest_force_n} N`);
@@ -278,11 +280,12 @@ class View {
         return Object.fromEntries(names.map(name => [name, robot(prefix)!.position(name).toArray()]));
       },
       pixel: (frame: string, prefix = "") => {
-        const at = robot(prefix)?.position(frame);
-        return at && this.stage.pixel(at);
+        const shown = robot(prefix);
+        return shown && this.stage.pixel(shown.drawnAt(shown.position(frame)));
       },
-      /** Pixel of a point in the world, m. */
-      pixelOf: (point: [number, number, number]) => this.stage.pixel(new Vector3(...point)),
+      /** Pixel of a point in the world of a robot, m. */
+      pixelOf: (point: [number, number, number], prefix = [...this.scene.robots.keys()][0] ?? "") =>
+        this.stage.pixel(robot(prefix)?.drawnAt(new Vector3(...point)) ?? new Vector3(...point)),
       orbit: (azimuth_rad: number, elevation_rad: number) => this.stage.orbit.turn(azimuth_rad, elevation_rad),
       lookFrom: (azimuth_rad: number, elevation_rad: number) => this.stage.orbit.lookFrom(azimuth_rad, elevation_rad),
     };

@@ -9,7 +9,7 @@ fn status(address: SocketAddr, request: &str) -> u16 {
     ask(address, request).1.split(' ').nth(1).unwrap().parse().unwrap()
 }
 
-/// The page, its own WebSocket and refusals of a view that only this computer reaches.
+/// The page, which has less than 1 MB, its own WebSocket and refusals of a view that only this computer reaches.
 #[test]
 fn other_origins_are_refused() {
     let view = LiveView::start("127.0.0.1:0".parse().unwrap(), "test", ViewKind::Run).unwrap();
@@ -20,6 +20,7 @@ fn other_origins_are_refused() {
     let mut page = String::new();
     stream.read_to_string(&mut page).unwrap();
     assert!(head.starts_with("HTTP/1.1 200") && page.contains("<title>"), "{head}");
+    assert!(page.len() < 1_000_000, "{} bytes", page.len());
     let socket = |origin: &str| status(address, &upgrade(address, "/", &format!("Origin: {origin}\r\n")));
     assert_eq!(socket(&format!("http://127.0.0.1:{port}")), 101);
     assert_eq!(socket(&format!("http://localhost:{port}")), 101);

@@ -104,6 +104,8 @@ fn log_names_its_plant_and_is_replayed() {
 struct Hand {
     handle: ExternalForceHandle,
     frame: opspace_model::FrameId,
+    /// Largest excursion of its target, m.
+    amplitude_m: f64,
 }
 
 impl Companion for Hand {
@@ -112,7 +114,7 @@ impl Companion for Hand {
     }
 
     fn before_cycle(&mut self, _robot: usize, time_s: f64, _run: &mut Run<'_>) -> bool {
-        let target_m = nalgebra::Vector3::new(0.5 + 0.1 * (9.0 * time_s).sin(), 0.05, 0.55);
+        let target_m = nalgebra::Vector3::new(0.5 + self.amplitude_m * (9.0 * time_s).sin(), 0.05, 0.55);
         let pull = Pull::Drag {
             point_m: nalgebra::Vector3::new(0.01, 0.02, 0.03),
             target_m,
@@ -128,14 +130,16 @@ impl Companion for Hand {
     }
 }
 
-/// Compared: every signal of a run that a hand drags, and of its replay; every message, and those of a simulation of its log.
+/// Compared: every signal of ten runs that a hand drags, and of their replays; every message, and those of simulations of their logs.
 #[test]
 fn dragged_runs_are_replayed_and_simulated_again() {
     let Some(mujoco) = mujoco(None) else { return };
     let mujoco = Arc::new(mujoco);
-    for (number, backend) in [CommandKind::Torque, CommandKind::Position].into_iter().enumerate() {
+    for number in 0..10 {
+        let backend = if number % 2 == 0 { CommandKind::Torque } else { CommandKind::Position };
+        let amplitude_m = 0.05 + 0.01 * f64::from(number);
         let settings = ["settle_s=0.1", "environment={}"];
-        let own = experiment("tasks/panda-compliant.toml", backend, 1.2 + 0.1 * number as f64, &settings);
+        let own = experiment("tasks/panda-compliant.toml", backend, 1.2, &settings);
         let dragged = own.on_engine(Arc::clone(&mujoco) as _).expect("a plant");
         let scenario = Scenario::from(dragged.clone());
         let progress = Progress::default();
@@ -147,7 +151,12 @@ fn dragged_runs_are_replayed_and_simulated_again() {
         let open = |_, capabilities: &_, truth, receivers| {
             dragged.open_with(capabilities, truth, Cursor::new(Vec::new()), &progress, receivers)
         };
-        let driven = scenario.drive_robots_with(&mut robots, &progress, &mut Hand { handle, frame }, open);
+        let driven = scenario.drive_robots_with(
+            &mut robots,
+            &progress,
+            &mut Hand { handle, frame, amplitude_m },
+            open,
+        );
         let (log, outcome) = driven.expect("a run").remove(0);
         let bytes = log.close(&dragged, outcome).expect("a log").sink.into_inner();
         let log = Recording::from_bytes(&bytes).expect("a log");
