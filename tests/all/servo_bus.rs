@@ -547,3 +547,33 @@ fn start_that_is_not_reached_is_said() {
     );
     assert!(!words.contains("--move-to-start"), "{words}");
 }
+
+/// Compared: the verdict of a task with pushes, and the summaries of its run and of a torque robot. Motion and force are those of the same
+/// axis, for each axis that is pushed.
+#[test]
+fn verdict_of_pushes_has_motion_and_force_of_each_axis() {
+    let folder = scratch();
+    let task = project("examples/so101/leader.toml");
+    let run = |name: &str, options: &[&str]| {
+        let arguments = [&["run", &task, "--simulate", "--out", name], options].concat();
+        let ran = opspace(folder.path(), &arguments).exits(0);
+        (ran.stderr, read_json(folder.path().join(name).join("summary.json"))["frames"]["tip"].clone())
+    };
+    let (said, of_position) = run("position", &[]);
+    let (_, of_torque) = run("torque", &["--backend", "torque"]);
+    for (begin, expected) in [("by hand:", of_position), ("torque robot:", of_torque)] {
+        let line =
+            said.lines().find(|line| line.trim().starts_with(begin)).unwrap_or_else(|| panic!("{said}"));
+        for axis in ["x", "y", "z"] {
+            let (moved, force) = line.split_once(&format!(" mm along {axis} under ")).unwrap();
+            let moved_mm: f64 = moved.rsplit(' ').next().unwrap().parse().unwrap();
+            let force_n: f64 = force.split(' ').next().unwrap().parse().unwrap();
+            let of_summary = |key: &str| expected[format!("{axis}_{key}")].as_f64().unwrap();
+            assert!(
+                (moved_mm / of_summary("deflection_max_m") / 1e3 - 1.0).abs() < 0.01,
+                "{line} {expected}"
+            );
+            assert!((force_n / of_summary("force_max_n") - 1.0).abs() < 0.01, "{line} {expected}");
+        }
+    }
+}

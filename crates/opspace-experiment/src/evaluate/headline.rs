@@ -115,12 +115,16 @@ fn compliant_motion(summary: &Summary) -> Option<String> {
     Some(format!("{name} yields by {} rms", mm(motion_m)))
 }
 
-/// Largest motion along an axis of a frame that is pushed although no Cartesian task holds it.
+/// Largest motion along each axis on which a frame is pushed although no Cartesian task holds it, with the largest force there.
 fn free_motion(summary: &Summary) -> Option<String> {
     let (frame, axes) = summary.frames.iter().next()?;
-    let moved = |axis: usize| axes.get(&response_names(axis)[1]).map(|moved_m| (axis, *moved_m));
-    let (axis, moved_m) = (0..3).filter_map(moved).max_by(|a, b| a.1.total_cmp(&b.1))?;
-    Some(format!("'{frame}' moves by up to {} along {}", mm(moved_m), AXIS_NAMES[axis]))
+    let moved = |axis: usize| {
+        let [force, moved, ..] = response_names(axis).map(|name| axes.get(&name).copied());
+        let force_n = force.filter(|force| *force > 0.0)?;
+        Some(format!("{} along {} under {}", mm(moved?), AXIS_NAMES[axis], newtons(force_n)))
+    };
+    let moved: Vec<String> = (0..3).filter_map(moved).collect();
+    if moved.is_empty() { None } else { Some(format!("'{frame}' moves by up to {}", moved.join(", "))) }
 }
 
 fn pose_error(summary: &Summary) -> Option<String> {
@@ -218,6 +222,17 @@ mod tests {
         }
         assert!(headline(&run)[0].ends_with("47.6 mm along z under 20 N"), "{:?}", headline(&run));
         run.tasks.clear();
+        // Of a frame that no task holds: each axis on which it is pushed, and no other.
+        let axes = [(0, 0.0, 0.02), (1, 1.2, 0.0812), (2, 0.9, 0.003)].into_iter().flat_map(
+            |(axis, force_n, moved_m)| {
+                let [force, moved, ..] = response_names(axis);
+                [(force, force_n), (moved, moved_m)]
+            },
+        );
+        run.frames.insert("tip".to_owned(), axes.collect());
+        let moves = "'tip' moves by up to 81.2 mm along y under 1.2 N, 3 mm along z under 0.9 N";
+        assert!(headline(&run).concat().ends_with(moves), "{:?}", headline(&run));
+        run.frames.clear();
         (run.metrics.hand_motion_rms_m, run.metrics.hand_force_rms_n) = (Some(0.0225), Some(1.57));
         run.metrics.torque_error_interval = None;
         let moved = "the operator moves the arm by 22.5 mm rms with 1.57 N rms";
