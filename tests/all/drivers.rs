@@ -303,9 +303,9 @@ fn run_on_a_driver_is_for_its_owner() {
     let run = |options: &[&str]| {
         let arguments = [&run[..], &settings, &away, options].concat();
         let ends = || {
-            (0..5)
-                .map(|_| opspace(folder.path(), &arguments))
-                .find(|ran| ran.code < 2 && !ran.stdout.is_empty())
+            (0..5).map(|_| opspace(folder.path(), &arguments)).find(|ran| {
+                ran.code < 2 && ["completed 1 s", "out\n"].iter().any(|end| ran.stdout.contains(end))
+            })
         };
         ends().unwrap_or_else(|| opspace(folder.path(), &arguments).exits(0))
     };

@@ -122,7 +122,7 @@ fn free_motion(summary: &Summary) -> Option<String> {
     Some(format!("'{frame}' moves by up to {}", pushed_axes(axes)?))
 }
 
-/// The same of the first task that is pushed: two runs are compared on the same axes.
+/// Largest motion of the first task that is pushed, along each axis on which it is: two runs are compared on the same axes.
 fn pushed(summary: &Summary) -> Option<String> {
     let (name, axes) = first(summary, |task| pushed_axes(&task.axes))?;
     Some(format!("{name} yields by up to {axes}"))
