@@ -156,7 +156,7 @@ fn check_examines_the_drivers_that_a_run_opens() {
     }
 }
 
-/// What refuses every run is an error of `check`: limits that the robot keeps to and robot.toml does not state, and keys of the
+/// Mistakes that refuse every run are errors of `check`: limits that the robot keeps to and robot.toml does not state, and keys of the
 /// control thread. By hand: 58 bytes at 38400 baud need 15.1 ms at least, of 7 ms; 254 times 100 counts/s² are 38.96 rad/s².
 #[test]
 fn what_refuses_every_run_is_an_error_of_check() {
