@@ -1,9 +1,10 @@
 //! `[driver]` of robot.toml on the command line: what is checked before anything is opened, and what is said about a robot.
 #![expect(clippy::unwrap_used, reason = "a test")]
 
-use crate::cli_common::{Ran, command, opspace, project, read, scratch};
+use crate::cli_common::{Ran, command, opspace, project, read, read_json, scratch};
 use opspace_experiment::{Experiment, Files, RunOptions};
 use opspace_feetech::simulated::{PseudoTerminal, bus_with_arm};
+use serde_json::Value;
 use std::fs;
 use std::io::{BufRead, BufReader};
 use std::path::Path;
@@ -11,7 +12,7 @@ use std::process::Stdio;
 use tempfile::TempDir;
 
 /// Folder with the files of the SO-101, and its `[driver]` with replacements.
-fn so101(replacements: &[(&str, &str)]) -> TempDir {
+pub fn so101(replacements: &[(&str, &str)]) -> TempDir {
     let folder = scratch();
     for entry in fs::read_dir(project("examples/so101")).unwrap() {
         let path = entry.unwrap().path();
@@ -102,13 +103,84 @@ fn wrong_calibrations_are_errors_of_check() {
     }
 }
 
-/// The program of a user may have a driver that this one does not have.
+/// An unknown name is an error of `check` and of `run`, as every unknown name is; simulations do without a driver, and so do suites.
 #[test]
-fn unknown_driver_is_a_problem_with_the_names_of_the_others() {
+fn unknown_driver_is_an_error_with_the_names_of_the_others() {
     let folder = so101(&[("name = \"feetech\"", "name = \"feetec\"")]);
+    let words = [
+        "no driver 'feetec'",
+        "did you mean 'feetech'? There are: feetech",
+        "[missing-driver]",
+        "robot.toml:",
+    ];
     for file in ["hold-and-yield.toml", "robot.toml"] {
-        let words = ["no driver 'feetec'", "did you mean 'feetech'?", "[missing-driver]", "robot.toml:"];
-        check(&folder, file).exits(0).prints(&words);
+        check(&folder, file).exits(2).says(&words);
+        opspace(folder.path(), &["check", file, "--simulate"]).exits(0);
+    }
+    opspace(folder.path(), &["run", "hold-and-yield.toml"]).exits(2).says(&words);
+    assert!(!folder.path().join("runs").exists());
+    let suite =
+        "title = \"x\"\n[[run]]\ntasks = [\"hold-and-yield.toml\"]\nrobot = \".\"\nbackend = \"position\"\n";
+    fs::write(folder.path().join("suite.toml"), suite).unwrap();
+    check(&folder, "suite.toml").exits(0);
+    for (from, to, words) in [
+        ("name = \"feetec\"", "name = 3", "`name` must be a string, the name of a driver"),
+        ("name = 3\n", "", "[driver] has no `name`"),
+    ] {
+        let robot = folder.path().join("robot.toml");
+        fs::write(&robot, read(&robot).replace(from, to)).unwrap();
+        check(&folder, "robot.toml").exits(2).says(&[words, "there are: feetech", "robot.toml:"]);
+    }
+}
+
+/// The robots of an experiment, and another interface than that of robot.toml: `check` examines what a run would open.
+#[test]
+fn check_examines_the_drivers_that_a_run_opens() {
+    let folder = scratch();
+    let set = r#"robots.follower.set=["robot.driver.name=\"feetec\""]"#;
+    let experiment = project("tasks/experiments/teleop-free.toml");
+    for command in ["check", "run"] {
+        let arguments = [command, &experiment, "--set", set];
+        opspace(folder.path(), &arguments).exits(2).says(&["no driver 'feetec'", "did you mean 'feetech'?"]);
+    }
+    opspace(folder.path(), &["check", &experiment, "--set", set, "--simulate"]).exits(0);
+
+    let folder = so101(&[]);
+    let words = ["servos of this bus accept joint positions, not torques", "robot.toml:"];
+    for command in ["check", "run"] {
+        let arguments = [command, "hold-and-yield.toml", "--backend", "torque"];
+        opspace(folder.path(), &arguments).exits(2).says(&words);
+        if command == "check" {
+            opspace(folder.path(), &[&arguments[..], &["--simulate"]].concat()).exits(0);
+        }
+    }
+}
+
+/// Mistakes that refuse every run are errors of `check`: limits that the robot keeps to and robot.toml does not state, and keys of the
+/// control thread. By hand: 58 bytes at 38400 baud need 15.1 ms at least, of 7 ms; 254 times 100 counts/s² are 38.96 rad/s².
+#[test]
+fn what_refuses_every_run_is_an_error_of_check() {
+    let cases: [(&str, &[&str]); 5] = [
+        (
+            "goal_speed_rad_per_s = 2.0",
+            &["setpoint velocity limit of joint 'shoulder_pan'", "the robot itself keeps to 2"],
+        ),
+        (
+            "baud_hz = 38400",
+            &["bus slower than the rate asked", "at 38400 baud; at 100 Hz they may need 7.0 ms"],
+        ),
+        ("acceleration_rad_per_s2 = 39.1", &["'acceleration_rad_per_s2' must be at most 38.96"]),
+        ("real_time = \"on\"", &["no scheduling is called 'on'", "auto", "required", "off"]),
+        ("real_time_priority = 100", &["`real_time_priority` must be an integer from 1 to 99"]),
+    ];
+    for (line, words) in cases {
+        let folder = so101(&[("i = 0", &format!("i = 0\n{line}"))]);
+        fs::write(folder.path().join("so101.json"), CALIBRATION).unwrap();
+        for command in ["check", "run"] {
+            let arguments = [command, "hold-and-yield.toml"];
+            opspace(folder.path(), &arguments).exits(2).says(words).says(&["robot.toml:"]);
+        }
+        assert!(!folder.path().join("runs").exists(), "{line}");
     }
 }
 
@@ -144,7 +216,7 @@ fn gains_that_the_model_does_not_have_are_warned_of() {
 }
 
 /// Serves the arm of a task of the folder behind a pseudo-terminal at the port that robot.toml states, with its calibration.
-fn serve(folder: &TempDir, task: &str) -> PseudoTerminal {
+pub fn serve(folder: &TempDir, task: &str) -> PseudoTerminal {
     let path = folder.path().join(task);
     let experiment = Experiment::load(Files::Disk, &path, None, RunOptions::default(), &[])
         .unwrap_or_else(|error| panic!("{error}"));
@@ -155,7 +227,7 @@ fn serve(folder: &TempDir, task: &str) -> PseudoTerminal {
 }
 
 /// Folder of the SO-101 whose port is in the folder itself; a busy machine may keep its servos silent for two seconds.
-fn so101_at_a_link() -> TempDir {
+pub fn so101_at_a_link() -> TempDir {
     let folder = so101(&[]);
     let link = folder.path().join("port");
     let robot = folder.path().join("robot.toml");
@@ -186,6 +258,9 @@ fn read_prints_angles_and_counts_and_marks_what_is_outside_limits() {
         let arguments = ["driver", "read", file, "--duration-s", "0.3"];
         let ran = (0..10).map(|_| opspace(folder.path(), &arguments)).find(|ran| ran.code == 0).unwrap();
         let line = ran.stdout.lines().next().unwrap();
+        // One line for each table, without control characters.
+        assert!(ran.stdout.lines().all(|line| line.contains(" s: shoulder_pan ")), "{}", ran.stdout);
+        assert!(!ran.stdout.contains('\x1b'), "{}", ran.stdout);
         for part in ["shoulder_pan ", " rad (", "°), ", " counts; ", "7.4 V, 30 °C, torque on"] {
             assert!(line.contains(part), "{part}: {line}");
         }
@@ -228,9 +303,9 @@ fn run_on_a_driver_is_for_its_owner() {
     let run = |options: &[&str]| {
         let arguments = [&run[..], &settings, &away, options].concat();
         let ends = || {
-            (0..5)
-                .map(|_| opspace(folder.path(), &arguments))
-                .find(|ran| ran.code < 2 && !ran.stdout.is_empty())
+            (0..5).map(|_| opspace(folder.path(), &arguments)).find(|ran| {
+                ran.code < 2 && ["completed 1 s", "out\n"].iter().any(|end| ran.stdout.contains(end))
+            })
         };
         ends().unwrap_or_else(|| opspace(folder.path(), &arguments).exits(0))
     };
@@ -242,6 +317,25 @@ fn run_on_a_driver_is_for_its_owner() {
     ]);
     let ran = ran.prints(&["completed 1 s", "missed cycles: ", "`-v` prints the tables"]);
     assert!(!ran.stdout.contains("───"), "{}", ran.stdout);
+    // The numbers are those of the summary.
+    let summary = read_json(folder.path().join("out/summary.json"));
+    let number = |value: &Value| value.as_u64().unwrap_or_else(|| panic!("{summary}"));
+    let (late, cycles) =
+        (number(&summary["real_time"]["late_cycles"]), number(&summary["real_time"]["cycles"]));
+    assert!(cycles > 0);
+    let late = match late {
+        0 => format!("no command of {cycles} was late"),
+        _ => format!("{late} of {cycles} commands were late"),
+    };
+    let missed = format!("missed cycles: {} of ", number(&summary["missed_cycles"]));
+    for line in [late, missed] {
+        assert_eq!(
+            ran.stdout.lines().filter(|said| said.starts_with(&line)).count(),
+            1,
+            "{line}: {}",
+            ran.stdout
+        );
+    }
     let ran = run(&["--quiet"]);
     let mut lines: Vec<&str> = ran.stdout.lines().collect();
     assert_eq!((lines.pop(), ran.stderr.as_str()), (Some("out"), ""));

@@ -13,6 +13,8 @@ mod common;
 mod coupled;
 mod coupled_suites;
 mod driver_faults;
+#[cfg(target_os = "linux")]
+mod driver_terminal;
 mod drivers;
 mod dropout;
 mod encoders_within_a_turn;

@@ -547,3 +547,39 @@ fn start_that_is_not_reached_is_said() {
     );
     assert!(!words.contains("--move-to-start"), "{words}");
 }
+
+/// Compared: the verdict of tasks with pushes, and the summaries of its run and of a torque robot. Motion and force are those of the same
+/// axis, for each axis that is pushed. Of a table on which the arm presses, no person feels anything.
+#[test]
+fn verdict_of_pushes_has_motion_and_force_of_each_axis() {
+    let folder = scratch();
+    let run = |task: &str, options: &[&str]| {
+        let file = project(&format!("examples/so101/{task}.toml"));
+        let arguments = [&["run", &file, "--simulate", "--out", "out", "--force"], options].concat();
+        let ran = opspace(folder.path(), &arguments).exits(0);
+        (ran.stderr, read_json(folder.path().join("out/summary.json"))["frames"]["tip"].clone())
+    };
+    let (said, of_position) = run("leader", &[]);
+    let (_, of_torque) = run("leader", &["--backend", "torque"]);
+    for (begin, expected) in [("by hand:", of_position), ("torque robot:", of_torque)] {
+        let line =
+            said.lines().find(|line| line.trim().starts_with(begin)).unwrap_or_else(|| panic!("{said}"));
+        for axis in ["x", "y", "z"] {
+            let (moved, force) = line.split_once(&format!(" mm along {axis} (pushed by up to ")).unwrap();
+            let moved_mm: f64 = moved.rsplit(' ').next().unwrap().parse().unwrap();
+            let force_n: f64 = force.split(' ').next().unwrap().parse().unwrap();
+            let of_summary = |key: &str| expected[format!("{axis}_{key}")].as_f64().unwrap();
+            assert!(
+                (moved_mm / of_summary("deflection_max_m") / 1e3 - 1.0).abs() < 0.01,
+                "{line} {expected}"
+            );
+            assert!((force_n / of_summary("force_max_n") - 1.0).abs() < 0.01, "{line} {expected}");
+        }
+    }
+    let (said, _) = run("hold-and-yield", &[]);
+    let lines: Vec<&str> = said.lines().filter(|line| line.contains(": tip yields by up to ")).collect();
+    let has_all =
+        |line: &&str| ["x", "y", "z"].iter().all(|axis| line.contains(&format!(" along {axis} (pushed")));
+    assert!(lines.len() == 3 && lines.iter().all(has_all), "{said}");
+    assert!(!run("press", &[]).0.contains("by hand:"));
+}

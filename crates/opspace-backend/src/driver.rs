@@ -1,7 +1,7 @@
 //! Drivers, which open a robot for a run.
 
 use crate::backend::Backend;
-use crate::capabilities::{ForceSensor, Measured};
+use crate::capabilities::{Capabilities, ForceSensor, Measured};
 use crate::command::CommandKind;
 use crate::driver_key::{DriverKey, KeyValue};
 use crate::fault::DeviceFault;
@@ -38,6 +38,15 @@ pub trait Driver {
             [] => Ok(Vec::new()),
             keys => settings.expect(keys).map(|()| Vec::new()),
         }
+    }
+
+    /// Returns what the backend will declare, if it is known without the robot: it is compared with robot.toml before a run;
+    /// `None` if only the robot knows.
+    ///
+    /// # Errors
+    /// If settings are missing or wrong.
+    fn capabilities(&self, _settings: &Settings) -> Result<Option<Capabilities>, DriverError> {
+        Ok(None)
     }
 
     /// Opens the robot with these settings, calls `run` once with its backend, and closes the robot.

@@ -735,6 +735,10 @@ pub struct CheckArgs {
     #[arg(long, value_name = "KEY=VALUE")]
     pub set: Vec<String>,
 
+    /// Check a simulation, like `run --simulate`: leave `[driver]` of robot.toml out.
+    #[arg(long)]
+    pub simulate: bool,
+
     /// End with exit code 1 if a problem is found in a valid file.
     #[arg(long)]
     pub strict: bool,

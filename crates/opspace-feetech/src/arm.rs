@@ -138,7 +138,7 @@ impl<T: Transport> FeetechArm<T> {
         let n = config.servos.len();
         let servos = config.servos.iter().map(|servo| (servo.calibration.id, servo.joint.as_str()));
         Self {
-            texts: FaultTexts::new(servos),
+            texts: FaultTexts::new(servos, bus.transport().other_cause_of_silence()),
             capabilities: capabilities(&config),
             ids: config.servos.iter().map(|servo| servo.calibration.id).collect(),
             answers: vec![Answer::default(); n],
@@ -317,7 +317,8 @@ impl<T: Transport> FeetechArm<T> {
         let mut causes = [
             (misses.noisy, BusFault::Checksum, None),
             (misses.late, BusFault::TooSlow, None),
-            (misses.silent, BusFault::Silent, None),
+            // Its text is the same for all servos.
+            (misses.silent, BusFault::Silent, Some(0)),
             (misses.foreign, BusFault::WrongAnswer, None),
             (0, BusFault::Checksum, None),
             (0, BusFault::WrongAnswer, None),
@@ -474,7 +475,16 @@ fn length(config: &ArmConfig) -> usize {
     usize::from(last.address + last.width - FIRST)
 }
 
-fn capabilities(config: &ArmConfig) -> Capabilities {
+/// Number of bytes on the bus, from a request to the last of the answers of this many servos, at least.
+pub(crate) fn least_bytes(servos: usize) -> usize {
+    // Header, identifier, length, instruction, address, number of bytes and checksum; then one identifier each.
+    let request = 8 + servos;
+    // Header, identifier, length, flags and checksum.
+    let answer = 6 + usize::from(Register::STATUS.address + Register::STATUS.width - FIRST);
+    request + servos * answer
+}
+
+pub(crate) fn capabilities(config: &ArmConfig) -> Capabilities {
     let mut measured = vec![Measured::Position];
     if config.measures_velocity {
         measured.push(Measured::Velocity);

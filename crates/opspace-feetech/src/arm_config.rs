@@ -168,6 +168,7 @@ impl ArmConfig {
         expect_stiffness_of(settings, gains)?;
         let goal_speed_rad_per_s = settings.positive("goal_speed_rad_per_s")?;
         let acceleration_rad_per_s2 = settings.positive("acceleration_rad_per_s2")?;
+        acceleration_of(acceleration_rad_per_s2)?;
         let motor_torque = torque_source(settings)?;
         let silence = settings.seconds("silence_s", 0.2)?;
         let at_end = at_end(settings)?;
@@ -186,6 +187,28 @@ impl ArmConfig {
             at_end,
         })
     }
+}
+
+/// Content of register Acceleration, whose unit is 100 counts/s²; 0 is no limit.
+pub(crate) fn acceleration_of(acceleration_rad_per_s2: Option<f64>) -> Result<i32, DriverError> {
+    profile_value("acceleration_rad_per_s2", acceleration_rad_per_s2, 100.0 * RAD_PER_COUNT, 254)
+}
+
+/// Content of a register of the servo's profile with this unit and this largest content; 0 is no limit.
+pub(crate) fn profile_value(
+    key: &str,
+    value: Option<f64>,
+    unit: f64,
+    largest: i32,
+) -> Result<i32, DriverError> {
+    // Above 0, since 0 is no limit.
+    let nearest = value.map_or(0.0, |value| (value / unit).round().max(1.0));
+    if nearest > f64::from(largest) {
+        let most = f64::from(largest) * unit;
+        let words = format!("'{key}' must be at most {most:.4}; leave it out for no limit");
+        return Err(DriverError::at(key, words));
+    }
+    Ok(nearest as i32)
 }
 
 /// Warnings about gains that the servos of robot.toml probably do not have.

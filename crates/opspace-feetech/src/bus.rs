@@ -12,6 +12,9 @@ pub const MAX_READ: usize = 32;
 /// Time within which a servo must answer a single request. An adapter for USB may collect bytes for 16 ms.
 const ANSWER_WITHIN: Duration = Duration::from_millis(50);
 
+/// Time after the last attempt in which a late answer tells a slow adapter or a busy computer from a missing servo.
+const LATE_WITHIN: Duration = Duration::from_millis(500);
+
 /// Number of times that a single request is sent before a servo counts as missing.
 const ATTEMPTS: usize = 5;
 
@@ -45,6 +48,12 @@ pub enum BusError {
         /// Identifier.
         id: u8,
     },
+    /// A servo answered, but later than [`BusError::LATE`].
+    #[error("servo {id} answers more than {} ms after a request", Self::LATE.as_millis())]
+    Late {
+        /// Identifier.
+        id: u8,
+    },
     /// Answers of a servo have wrong checksums.
     #[error("the answers of servo {id} have wrong checksums")]
     Checksum {
@@ -63,6 +72,11 @@ pub enum BusError {
     /// A value does not fit in its register.
     #[error(transparent)]
     OutOfRange(#[from] OutOfRange),
+}
+
+impl BusError {
+    /// Time after which the answer to a single request is late.
+    pub const LATE: Duration = ANSWER_WITHIN;
 }
 
 /// Answer of one servo to a request to several.
@@ -229,6 +243,14 @@ impl<T: Transport> Bus<T> {
                 Outcome::WrongLength { .. } => failure = BusError::WrongAnswer { id },
                 Outcome::Missing if round.foreign > 0 => failure = BusError::WrongAnswer { id },
                 Outcome::Missing => {}
+            }
+        }
+        if matches!(failure, BusError::NoAnswer { .. }) {
+            // Of any length, since it may be the answer to any of the attempts.
+            let deadline = self.transport.now() + LATE_WITHIN;
+            self.collect(&[id], length, deadline, &mut answers)?;
+            if answers[0].outcome != Outcome::Missing {
+                failure = BusError::Late { id };
             }
         }
         Err(failure)

@@ -1,6 +1,6 @@
 //! The driver `feetech` of `[driver]` in robot.toml.
 
-use crate::arm::FeetechArm;
+use crate::arm::{FeetechArm, capabilities, least_bytes};
 use crate::arm_config::{ArmConfig, AtEnd, KEYS, doubts_of_gains};
 #[cfg(target_os = "linux")]
 use crate::bus::Bus;
@@ -10,8 +10,9 @@ use crate::protocol::MAX_ID;
 use crate::scan::{self, FoundServo};
 #[cfg(target_os = "linux")]
 use crate::simulated::{PseudoTerminal, bus_with_arm};
+use crate::start::ANSWER_SHARE;
 use crate::transport::Transport;
-use opspace_backend::{Backend, Driver, DriverError, DriverKey, DriverWarning, Settings};
+use opspace_backend::{Backend, Capabilities, Driver, DriverError, DriverKey, DriverWarning, Settings};
 #[cfg(target_os = "linux")]
 use opspace_backend::{FoundDevice, Observed, ObservedTorque, ServedDevices, SimulatedDevices};
 use std::path::Path;
@@ -37,18 +38,27 @@ impl Driver for FeetechDriver {
         let port = port_of(settings)?;
         let mut warnings = doubts_of_gains(settings)?;
         if let Err(error) = ArmConfig::from_settings(settings) {
-            let is_absent = settings.path("calibration").is_ok_and(|path| !path.exists());
-            if !is_absent || error.key.as_deref() != Some("calibration") {
+            if !is_calibration_absent(settings, &error) {
                 return Err(error);
             }
             warnings.push(DriverWarning::at("calibration", error.words));
         }
+        expect_fast_enough(&port, settings)?;
         if !Path::new(port.path).exists() {
             let words =
                 format!("{} does not exist: connect the adapter, or see `opspace driver scan`", port.path);
             warnings.push(DriverWarning::at("port", words));
         }
         Ok(warnings)
+    }
+
+    /// Returns the capabilities of the arm; `None` while its calibration does not exist.
+    fn capabilities(&self, settings: &Settings) -> Result<Option<Capabilities>, DriverError> {
+        match ArmConfig::from_settings(settings) {
+            Ok(config) => Ok(Some(capabilities(&config))),
+            Err(error) if is_calibration_absent(settings, &error) => Ok(None),
+            Err(error) => Err(error),
+        }
     }
 
     fn with(&self, settings: &Settings, run: &mut dyn FnMut(&mut dyn Backend)) -> Result<(), DriverError> {
@@ -146,10 +156,17 @@ impl Driver for FeetechDriver {
         }
         serve(&served);
         let pause_ms = terminal.longest_pause().as_secs_f64() * 1e3;
+        let late = match terminal.late_requests() {
+            0 => String::new(),
+            count => format!(
+                "; requests found after a pause of more than 5 ms: {count}. Their answers were late because this computer was busy: the \
+                 other program may have taken servos for silent or slow"
+            ),
+        };
         let failure = terminal.bus().joints().failure().map(str::to_owned);
         match failure {
             Some(failure) => Err(DriverError::new(format!("the simulated arm has failed: {failure}"))),
-            None => Ok(format!("longest pause of the simulation: {pause_ms:.1} ms")),
+            None => Ok(format!("longest pause of the simulation: {pause_ms:.1} ms{late}")),
         }
     }
 }
@@ -192,6 +209,31 @@ fn port_of(settings: &Settings) -> Result<StatedPort<'_>, DriverError> {
         return Err(DriverError::at("baud_hz", words));
     }
     Ok(StatedPort { path, baud_hz: baud_hz as u32 })
+}
+
+/// True if the error is that the file of the calibration does not exist.
+fn is_calibration_absent(settings: &Settings, error: &DriverError) -> bool {
+    error.key.as_deref() == Some("calibration")
+        && settings.path("calibration").is_ok_and(|path| !path.exists())
+}
+
+/// Refuses a baud rate at which the bytes of a cycle alone need longer than the answers may. The start measures the bus.
+fn expect_fast_enough(port: &StatedPort<'_>, settings: &Settings) -> Result<(), DriverError> {
+    let bytes = least_bytes(settings.joints.len());
+    let needed_s = 10.0 * bytes as f64 / f64::from(port.baud_hz);
+    let allowed_s = ANSWER_SHARE * settings.period_s;
+    if needed_s <= allowed_s {
+        return Ok(());
+    }
+    let words = format!(
+        "bus slower than the rate asked: {bytes} bytes need {:.1} ms at {} baud; at {:.0} Hz they may need {:.1} ms. Lower the rate, or \
+         raise baud_hz",
+        needed_s * 1e3,
+        port.baud_hz,
+        1.0 / settings.period_s,
+        allowed_s * 1e3
+    );
+    Err(DriverError::at("baud_hz", words))
 }
 
 #[cfg(target_os = "linux")]

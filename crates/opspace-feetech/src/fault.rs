@@ -153,9 +153,16 @@ pub(crate) struct FaultTexts {
 }
 
 impl FaultTexts {
-    /// Writes the texts of servos with these identifiers and joints.
-    pub fn new<'a>(servos: impl Iterator<Item = (u8, &'a str)>) -> Self {
-        let of = |(id, joint): (u8, &str)| BusFault::ALL.map(|fault| fault.text_of(id, joint));
+    /// Writes the texts of servos with these identifiers and joints, and what else may cause silence.
+    pub fn new<'a>(servos: impl Iterator<Item = (u8, &'a str)>, other_cause_of_silence: &str) -> Self {
+        let of = |(id, joint): (u8, &str)| {
+            BusFault::ALL.map(|fault| match fault {
+                BusFault::Silent | BusFault::ServoMissing => {
+                    fault.text_of(id, joint) + other_cause_of_silence
+                }
+                _ => fault.text_of(id, joint),
+            })
+        };
         Self { texts: servos.map(of).collect() }
     }
 

@@ -22,6 +22,8 @@ const SEND_WITHIN: Duration = Duration::from_millis(100);
 pub struct SerialPort {
     file: OwnedFd,
     origin: Instant,
+    /// True for a pseudo-terminal, behind which another program simulates a bus.
+    is_pseudo_terminal: bool,
 }
 
 /// Reason why a serial port cannot be opened.
@@ -84,7 +86,8 @@ impl SerialPort {
             return Err(PortError::Baud { baud_hz, taken });
         }
         tcflush(&file, QueueSelector::IOFlush).map_err(no_terminal)?;
-        Ok(Self { file, origin: Instant::now() })
+        let is_pseudo_terminal = std::fs::canonicalize(path).is_ok_and(|path| path.starts_with("/dev/pts"));
+        Ok(Self { file, origin: Instant::now(), is_pseudo_terminal })
     }
 
     /// Waits for an event until a deadline.
@@ -154,6 +157,14 @@ impl Transport for SerialPort {
                 Err(Errno::INTR) => {}
                 Err(error) => return Err(error.into()),
             }
+        }
+    }
+
+    fn other_cause_of_silence(&self) -> &'static str {
+        if self.is_pseudo_terminal {
+            "; the port is a pseudo-terminal, and a simulated bus is silent too while the computer is busy"
+        } else {
+            ""
         }
     }
 }

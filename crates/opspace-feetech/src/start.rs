@@ -1,6 +1,6 @@
 //! Start of an arm: what is compared, written and read back before a run.
 
-use crate::arm_config::{ArmConfig, ServoConfig, TorqueSource};
+use crate::arm_config::{ArmConfig, ServoConfig, TorqueSource, acceleration_of, profile_value};
 use crate::bus::{Answer, Bus, BusError};
 use crate::counts::RAD_PER_COUNT;
 use crate::fault::BusFault;
@@ -225,23 +225,9 @@ fn write_profile<T: Transport>(
     velocity_unit: f64,
 ) -> Result<(), DriverError> {
     let gains = config.gains;
-    let speed = config.goal_speed_rad_per_s.map_or(0.0, |speed| speed / RAD_PER_COUNT / velocity_unit);
-    let acceleration =
-        config.acceleration_rad_per_s2.map_or(0.0, |acceleration| acceleration / RAD_PER_COUNT / 100.0);
-    let rounded = |key: &str, value: f64, largest: i32, unit: f64| {
-        // Above 0, since 0 is no limit.
-        let nearest = if value > 0.0 { value.round().max(1.0) } else { 0.0 };
-        if nearest > f64::from(largest) {
-            let most = f64::from(largest) * unit;
-            return Err(DriverError::at(
-                key,
-                format!("'{key}' must be at most {most:.4}; leave it out for no limit"),
-            ));
-        }
-        Ok(nearest as i32)
-    };
-    let speed = rounded("goal_speed_rad_per_s", speed, 32767, velocity_unit * RAD_PER_COUNT)?;
-    let acceleration = rounded("acceleration_rad_per_s2", acceleration, 254, 100.0 * RAD_PER_COUNT)?;
+    let unit = velocity_unit * RAD_PER_COUNT;
+    let speed = profile_value("goal_speed_rad_per_s", config.goal_speed_rad_per_s, unit, 32767)?;
+    let acceleration = acceleration_of(config.acceleration_rad_per_s2)?;
     let id = servo.calibration.id;
     for (register, value, key) in [
         // Locked first: what follows is not stored.
@@ -305,6 +291,11 @@ fn not_reached(servo: &ServoConfig, error: BusError) -> DriverError {
             servo,
             "; without power none answers, and baud_hz must be that of register Baud_Rate",
         ),
+        BusError::Late { .. } => fault_at_start(
+            BusFault::TooSlow,
+            servo,
+            "; its adapter or this computer is busy, and a simulated bus needs its share of the computer",
+        ),
         BusError::Checksum { .. } => fault_at_start(BusFault::Checksum, servo, ""),
         BusError::WrongAnswer { .. } => fault_at_start(BusFault::WrongAnswer, servo, ""),
         BusError::Port(error) => DriverError::new(format!(
@@ -319,6 +310,12 @@ fn not_reached(servo: &ServoConfig, error: BusError) -> DriverError {
 fn fault_at_start(fault: BusFault, servo: &ServoConfig, more: &str) -> DriverError {
     let text = match fault {
         BusFault::ServoMissing => format!("servo {} ({}) does not answer", servo.calibration.id, servo.joint),
+        BusFault::TooSlow => format!(
+            "servo {} ({}) answers more than {} ms after a request",
+            servo.calibration.id,
+            servo.joint,
+            BusError::LATE.as_millis()
+        ),
         _ => fault.text_of(servo.calibration.id, &servo.joint),
     };
     DriverError::new(format!("{text}{more} (code {})", fault.code()))

@@ -25,6 +25,11 @@ pub trait Transport {
     /// # Errors
     /// If the bus is gone.
     fn receive(&mut self, buffer: &mut [u8], deadline: Duration) -> io::Result<usize>;
+
+    /// Returns what else than the bus may cause its silence, as the end of a sentence; empty for a bus behind an adapter.
+    fn other_cause_of_silence(&self) -> &'static str {
+        ""
+    }
 }
 
 impl<T: Transport + ?Sized> Transport for &mut T {
@@ -42,5 +47,9 @@ impl<T: Transport + ?Sized> Transport for &mut T {
 
     fn receive(&mut self, buffer: &mut [u8], deadline: Duration) -> io::Result<usize> {
         (**self).receive(buffer, deadline)
+    }
+
+    fn other_cause_of_silence(&self) -> &'static str {
+        (**self).other_cause_of_silence()
     }
 }

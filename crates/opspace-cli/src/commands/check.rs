@@ -115,9 +115,14 @@ impl Checked {
         Self { what, found, allowed, skipped, ..Self::default() }
     }
 
-    /// Adds the warnings of the drivers of real robots, as robot.toml describes them.
-    fn with_drivers(mut self, extensions: &Extensions, scenario: &Scenario) -> Result<Self, FileError> {
-        for experiment in scenario.experiments().filter(|experiment| experiment.is_as_declared()) {
+    /// Adds the warnings of the drivers that a run opens with the same options: none if it is a simulation.
+    fn with_drivers(
+        mut self,
+        extensions: &Extensions,
+        scenario: &Scenario,
+        args: &CheckArgs,
+    ) -> Result<Self, FileError> {
+        for experiment in scenario.experiments().filter(|_| !args.simulate) {
             for warning in experiment.check_driver(extensions)? {
                 add(&mut self.found, Found::new(warning, experiment));
             }
@@ -359,7 +364,7 @@ fn check_one(
         let what = format!("a robot of {} joints", robot.model.n());
         let place = |finding: Finding| Found { place: finding.placed_in(&robot.source), finding };
         let mut findings = weak_joints(&robot);
-        if let Some(settings) = robot.default_driver_settings() {
+        if let (Some(settings), false) = (robot.default_driver_settings(), args.simulate) {
             findings.extend(robot.check_driver(extensions, &settings)?);
         }
         let found = findings.into_iter().map(place).collect();
@@ -370,6 +375,7 @@ fn check_one(
             no_settings()?;
             let suite = Suite::load_allowing(extensions, Files::Disk, path, allow)?;
             let what = format!("a suite of {} runs", suite.runs.len());
+            // Its runs are simulations.
             Ok(Checked::of_scenarios(extensions, what, &suite.runs))
         }
         Some(kind @ (Kind::Task | Kind::Experiment)) => {
@@ -388,13 +394,13 @@ fn check_one(
             let Some(experiment) = scenario.single() else {
                 let what = format!("an experiment with {} robots", scenario.members.len());
                 return Checked::of_scenarios(extensions, what, std::slice::from_ref(&scenario))
-                    .with_drivers(extensions, &scenario);
+                    .with_drivers(extensions, &scenario, args);
             };
             console.detail(&format!("{}: {}", path.display(), experiment.start_text()?));
             let what = format!("a task for the robot '{}'", experiment.robot().name());
             Checked::of_scenarios(extensions, what, std::slice::from_ref(&scenario))
                 .with_details(experiment)
-                .with_drivers(extensions, &scenario)
+                .with_drivers(extensions, &scenario, args)
         }
         Some(Kind::Robot) => robot(),
         // A folder denotes a robot.

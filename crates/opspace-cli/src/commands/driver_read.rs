@@ -73,9 +73,10 @@ fn show(
         console.note("Ctrl-C ends");
     }
     let (begun, mut last) = (Instant::now(), None::<Instant>);
-    while !watch.interrupt.load(Ordering::Relaxed) && end.is_none_or(|end| Instant::now() < end) {
+    let is_over = || watch.interrupt.load(Ordering::Relaxed);
+    while !is_over() && end.is_none_or(|end| Instant::now() < end) {
         read_once(arm, &mut sample).map_err(|fault| Failure::Other(fault.to_string(), Exit::Failed))?;
-        if last.is_some_and(|last| last.elapsed() < SHOWN) {
+        if is_over() || last.is_some_and(|last| last.elapsed() < SHOWN) {
             continue;
         }
         last = Some(Instant::now());
@@ -93,6 +94,11 @@ fn show(
         }
     }
     if is_terminal {
+        if is_over() {
+            // The terminal has printed ^C below the table, which would not be drawn in its place.
+            bar.set_draw_target(ProgressDrawTarget::hidden());
+            print("\n")?;
+        }
         // The last reading stays.
         bar.abandon();
     }

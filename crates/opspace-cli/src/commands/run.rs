@@ -22,7 +22,7 @@ use opspace_experiment::files::robot::RobotDefinition;
 use opspace_experiment::metrics::columns::default_columns;
 use opspace_experiment::run::result_files::{LOG, REPORT, SUMMARY};
 use opspace_experiment::{
-    Code, ControllerKind, Experiment, Extensions, FileError, Files, Metric, Progress, RunError, RunSummary,
+    ControllerKind, Experiment, Extensions, FileError, Files, Metric, Progress, RunError, RunSummary,
     Scenario, Summary,
 };
 use opspace_live::ViewKind;
@@ -368,10 +368,7 @@ fn note_doubts_of_drivers(
 ) -> Result<(), FileError> {
     for experiment in scenario.experiments() {
         for doubt in experiment.check_driver(extensions)? {
-            // Opening the robot names a driver that is missing, too.
-            if doubt.code != Code::MissingDriver {
-                console.note(&format!("warning: {doubt} [{}]", doubt.code));
-            }
+            console.note(&format!("warning: {doubt} [{}]", doubt.code));
         }
     }
     Ok(())

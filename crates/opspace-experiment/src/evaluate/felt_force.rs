@@ -10,6 +10,7 @@ use crate::run::experiment::{Experiment, RunOptions};
 use crate::run::scenario::Scenario;
 use opspace_backend::CommandKind;
 use opspace_backend::quantity::NonNegative;
+use opspace_sim::EnvironmentObjectParameters;
 use std::fmt;
 
 /// Motions and forces of a run in which a person moves the arm, in words.
@@ -65,7 +66,7 @@ impl Scenario {
     }
 }
 
-/// True for a complete simulation of a real position robot under operational-space control.
+/// True for a complete simulation of a real position robot under operational-space control, which a simulated person moves.
 fn is_felt(experiment: &Experiment, summary: &Summary) -> bool {
     summary.simulated
         && summary.faulted.is_none()
@@ -74,4 +75,10 @@ fn is_felt(experiment: &Experiment, summary: &Summary) -> bool {
         && !experiment.is_on_log()
         && experiment.command_kind() == CommandKind::Position
         && experiment.options().controller == ControllerKind::Osc
+        && experiment.task().file.environment.values().any(is_person)
+}
+
+/// True for an operator and for pushes; walls, drawers and loads are no person.
+fn is_person(object: &EnvironmentObjectParameters) -> bool {
+    matches!(object, EnvironmentObjectParameters::Spring(_) | EnvironmentObjectParameters::Pushes(_))
 }

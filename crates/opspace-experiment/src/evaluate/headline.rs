@@ -4,6 +4,7 @@ use crate::evaluate::summary::Summary;
 use crate::metrics::metric_tables::{PoseErrors, TaskMetrics, response_names};
 use crate::text::{format_short, without_noise};
 use opspace_control::AXIS_NAMES;
+use std::collections::BTreeMap;
 
 /// Longest line, in characters.
 const WIDTH: usize = 100;
@@ -87,7 +88,7 @@ pub fn operator(summary: &Summary) -> Option<String> {
 /// States how a person moves the arm, or how it yields to pushes; `None` if nobody does.
 #[must_use]
 pub fn moved_by_hand(summary: &Summary) -> Option<String> {
-    operator(summary).or_else(|| response(summary)).or_else(|| free_motion(summary))
+    operator(summary).or_else(|| pushed(summary)).or_else(|| free_motion(summary))
 }
 
 /// Deflection of the axis on which the largest force acts, with its stiffness; axes that have one come first.
@@ -115,12 +116,27 @@ fn compliant_motion(summary: &Summary) -> Option<String> {
     Some(format!("{name} yields by {} rms", mm(motion_m)))
 }
 
-/// Largest motion along an axis of a frame that is pushed although no Cartesian task holds it.
+/// Largest motion of a frame that no Cartesian task holds along each axis on which it is pushed, with the largest push there.
 fn free_motion(summary: &Summary) -> Option<String> {
     let (frame, axes) = summary.frames.iter().next()?;
-    let moved = |axis: usize| axes.get(&response_names(axis)[1]).map(|moved_m| (axis, *moved_m));
-    let (axis, moved_m) = (0..3).filter_map(moved).max_by(|a, b| a.1.total_cmp(&b.1))?;
-    Some(format!("'{frame}' moves by up to {} along {}", mm(moved_m), AXIS_NAMES[axis]))
+    Some(format!("'{frame}' moves by up to {}", pushed_axes(axes)?))
+}
+
+/// Largest motion of the first task that is pushed, along each axis on which it is: two runs are compared on the same axes.
+fn pushed(summary: &Summary) -> Option<String> {
+    let (name, axes) = first(summary, |task| pushed_axes(&task.axes))?;
+    Some(format!("{name} yields by up to {axes}"))
+}
+
+/// Largest motion and largest force along each axis with a force; they are not those of the same time.
+fn pushed_axes(axes: &BTreeMap<String, f64>) -> Option<String> {
+    let of_axis = |axis: usize| {
+        let [force, moved, ..] = response_names(axis).map(|name| axes.get(&name).copied());
+        let force_n = force.filter(|force| *force > 0.0)?;
+        Some(format!("{} along {} (pushed by up to {})", mm(moved?), AXIS_NAMES[axis], newtons(force_n)))
+    };
+    let axes: Vec<String> = (0..3).filter_map(of_axis).collect();
+    if axes.is_empty() { None } else { Some(axes.join(", ")) }
 }
 
 fn pose_error(summary: &Summary) -> Option<String> {
@@ -168,7 +184,7 @@ fn lines(parts: &[String]) -> Vec<String> {
 
 #[cfg(test)]
 mod tests {
-    use super::headline;
+    use super::{headline, moved_by_hand};
     use crate::evaluate::results::tests::summary;
     use crate::metrics::metric_tables::{TaskMetrics, response_names};
 
@@ -217,6 +233,21 @@ mod tests {
             task.axes.remove(&response_names(2)[2]);
         }
         assert!(headline(&run)[0].ends_with("47.6 mm along z under 20 N"), "{:?}", headline(&run));
+        run.tasks.clear();
+        // Of a frame that no task holds: each axis on which it is pushed, and no other.
+        let axes = [(0, 0.0, 0.02), (1, 1.2, 0.0812), (2, 0.9, 0.003)].into_iter().flat_map(
+            |(axis, force_n, moved_m)| {
+                let [force, moved, ..] = response_names(axis);
+                [(force, force_n), (moved, moved_m)]
+            },
+        );
+        run.frames.insert("tip".to_owned(), axes.collect());
+        let moves = "81.2 mm along y (pushed by up to 1.2 N), 3 mm along z (pushed by up to 0.9 N)";
+        assert_eq!(moved_by_hand(&run), Some(format!("'tip' moves by up to {moves}")));
+        assert!(headline(&run).concat().ends_with(moves), "{:?}", headline(&run));
+        let axes = std::mem::take(&mut run.frames).remove("tip");
+        run.tasks.insert("flange".to_owned(), task(|task| task.axes = axes.clone().unwrap_or_default()));
+        assert_eq!(moved_by_hand(&run), Some(format!("flange yields by up to {moves}")));
         run.tasks.clear();
         (run.metrics.hand_motion_rms_m, run.metrics.hand_force_rms_n) = (Some(0.0225), Some(1.57));
         run.metrics.torque_error_interval = None;

@@ -93,15 +93,20 @@ impl Experiment {
     /// Checks `[driver]` without opening the robot. Returns warnings; none for a robot without a driver.
     ///
     /// # Errors
-    /// Settings that the driver refuses, at their key.
+    /// A driver that this program does not have; settings that the driver refuses, at their key; what the robot will declare
+    /// otherwise than robot.toml.
     pub fn check_driver(&self, extensions: &Extensions) -> Result<Vec<Finding>, FileError> {
-        self.robot.check_driver(extensions, &self.driver_settings())
-    }
-
-    /// True if the robot accepts the commands that robot.toml declares, and not others that an option chose.
-    #[must_use]
-    pub fn is_as_declared(&self) -> bool {
-        self.command_kind() == self.robot.file.interface.command
+        if !self.has_driver() {
+            return Ok(Vec::new());
+        }
+        let settings = self.driver_settings();
+        let warnings = self.robot.check_driver(extensions, &settings)?;
+        let driver = self.robot.driver(extensions)?;
+        let declared = driver.capabilities(&settings);
+        if let Some(declared) = declared.map_err(|error| self.robot.driver_error(driver, &error))? {
+            self.compare_capabilities(&declared)?;
+        }
+        Ok(warnings)
     }
 
     /// Settings with which a driver opens the robot of the experiment.
@@ -168,11 +173,11 @@ impl RobotDefinition {
         driver.observe(settings, torque, observe).map_err(|error| self.driver_error(driver, &error))
     }
 
-    /// Checks `[driver]` without opening the robot, with the settings of a run. Returns warnings: those of the driver, and a driver
-    /// that this program does not have, since a program of the user's may have it. None for a robot without `[driver]`.
+    /// Checks `[driver]` without opening the robot, with the settings of a run. Returns warnings: those of the driver, and required
+    /// scheduling that this machine does not allow. None for a robot without `[driver]`.
     ///
     /// # Errors
-    /// Settings that the driver refuses, at their key.
+    /// A driver that this program does not have; settings that the driver refuses, at their key.
     pub fn check_driver(
         &self,
         extensions: &Extensions,
@@ -181,18 +186,15 @@ impl RobotDefinition {
         if self.file.driver.is_none() {
             return Ok(Vec::new());
         }
-        let driver = match self.driver(extensions) {
-            Ok(driver) => driver,
-            Err(error) if error.code() == Some(Code::MissingDriver) => {
-                let help = error.help().unwrap_or_default().to_owned();
-                let message = error.message().to_owned();
-                return Ok(vec![
-                    Finding::new(Code::MissingDriver, &["driver", NAME], message, help).of_robot(),
-                ]);
-            }
-            Err(error) => return Err(error),
-        };
-        let warnings = driver.check(settings).map_err(|error| self.driver_error(driver, &error))?;
+        let driver = self.driver(extensions)?;
+        let real_time = self.real_time()?;
+        let mut warnings = driver.check(settings).map_err(|error| self.driver_error(driver, &error))?;
+        if let (RealTimeMode::Required, Some(missing)) = (real_time.mode, self.missing_real_time()?) {
+            let words = format!(
+                "`{REAL_TIME}` is \"required\", but: {missing}; `opspace doctor` says how to mend it"
+            );
+            warnings.push(DriverWarning::at(REAL_TIME, words));
+        }
         let finding = |warning: DriverWarning| {
             let key = ["driver", &warning.key];
             Finding::new(Code::DriverDoubt, &key, warning.words, String::new()).of_robot()
@@ -212,19 +214,26 @@ impl RobotDefinition {
                 .to_owned();
             return Err(FileError::of_file(source.name(), message, Some(help)).refused(Code::MissingDriver));
         };
-        let Some(Setting::Text(name)) = keys.get(NAME) else {
-            let message = "[driver] has no name";
-            return Err(FileError::at_key(source, "driver", message, Some("add `name = ...`".to_owned())));
+        let known: Vec<&str> = extensions.drivers.iter().map(|driver| driver.name()).collect();
+        let help = |name: &str| match known.as_slice() {
+            [] => "no driver is compiled in: build a program with opspace_cli::main_with, or use --simulate"
+                .to_owned(),
+            known => choices(name, known.iter().copied()),
+        };
+        let name = match keys.get(NAME) {
+            Some(Setting::Text(name)) => name,
+            Some(_) => {
+                let message = "`name` must be a string, the name of a driver";
+                return Err(FileError::at_key(source, ["driver", NAME], message, Some(help(""))));
+            }
+            None => {
+                let message = "[driver] has no `name`, which selects the driver";
+                return Err(FileError::at_key(source, "driver", message, Some(help(""))));
+            }
         };
         let found = extensions.drivers.iter().find(|driver| driver.name() == name);
         found.map(|driver| &**driver).ok_or_else(|| {
-            let known: Vec<&str> = extensions.drivers.iter().map(|driver| driver.name()).collect();
-            let help = if known.is_empty() {
-                "no driver is compiled in: build a program with opspace_cli::main_with, or use --simulate"
-                    .to_owned()
-            } else {
-                choices(name, known)
-            };
+            let help = help(name);
             let message = format!("this program has no driver '{name}'");
             FileError::at_key(source, ["driver", NAME], message, Some(help)).refused(Code::MissingDriver)
         })

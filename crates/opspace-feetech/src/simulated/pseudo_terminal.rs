@@ -17,6 +17,10 @@ use std::time::{Duration, Instant};
 /// Longest time for which the thread waits for a request.
 const TICK: Duration = Duration::from_millis(1);
 
+/// Pause of the simulation after which a request that has come meanwhile counts as late: most of the time that a driver of 100 Hz
+/// waits for answers.
+const LATE: Duration = Duration::from_millis(5);
+
 /// A simulated bus behind a pseudo-terminal, in real time, in a thread of its own. It ends when it is dropped.
 ///
 /// Its baud rate does not matter to the system; [`BusOptions`](crate::simulated::BusOptions) says how long bytes take.
@@ -33,6 +37,7 @@ pub struct PseudoTerminal {
 struct Shared {
     is_over: AtomicBool,
     longest_pause_us: AtomicU64,
+    late_requests: AtomicU64,
 }
 
 impl PseudoTerminal {
@@ -87,6 +92,13 @@ impl PseudoTerminal {
         Duration::from_micros(self.shared.longest_pause_us.load(Ordering::Relaxed))
     }
 
+    /// Number of requests that were found after a pause of more than 5 ms: their answers are late by up to the pause, as the system
+    /// did not let the simulation run. Nothing is wrong with the simulated servos.
+    #[must_use]
+    pub fn late_requests(&self) -> u64 {
+        self.shared.late_requests.load(Ordering::Relaxed)
+    }
+
     /// Bus, to be looked at or changed; the simulation waits for as long as it is held.
     pub fn bus(&self) -> MutexGuard<'_, SimulatedBus> {
         self.bus.lock().unwrap_or_else(PoisonError::into_inner)
@@ -115,11 +127,11 @@ fn serve(controller: OwnedFd, bus: &Mutex<SimulatedBus>, shared: &Shared) {
     let mut before = origin.elapsed();
     while !shared.is_over.load(Ordering::Relaxed) {
         let mut wait = TICK;
-        let pause = origin.elapsed() - before;
-        before += pause;
-        shared.longest_pause_us.fetch_max(pause.as_micros() as u64, Ordering::Relaxed);
         {
             let mut bus = bus.lock().unwrap_or_else(PoisonError::into_inner);
+            let pause = origin.elapsed() - before;
+            before += pause;
+            shared.longest_pause_us.fetch_max(pause.as_micros() as u64, Ordering::Relaxed);
             if bus.options.gone {
                 return;
             }
@@ -129,7 +141,10 @@ fn serve(controller: OwnedFd, bus: &Mutex<SimulatedBus>, shared: &Shared) {
             // What the port does not take is lost, as nobody reads it.
             let _ = rustix::io::write(&controller, &buffer[..count]);
             match rustix::io::read(&controller, &mut buffer) {
-                Ok(received) => bus.receive(&buffer[..received], origin.elapsed()),
+                Ok(received) => {
+                    shared.late_requests.fetch_add(u64::from(pause > LATE), Ordering::Relaxed);
+                    bus.receive(&buffer[..received], origin.elapsed());
+                }
                 Err(Errno::AGAIN | Errno::INTR | Errno::IO) => {}
                 Err(_) => return,
             }

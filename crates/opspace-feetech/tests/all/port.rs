@@ -2,11 +2,13 @@
 
 use crate::common::{CALIBRATION, bus, config, file, settings};
 use opspace_backend::{Backend, Command, Driver, DriverError, Sample, Setting};
+use opspace_feetech::bus::Bus;
 use opspace_feetech::protocol::{ErrorFlags, Register};
 use opspace_feetech::serial_port::SerialPort;
 use opspace_feetech::simulated::PseudoTerminal;
 use opspace_feetech::{FeetechArm, FeetechDriver};
 use std::path::Path;
+use std::time::Duration;
 
 fn open(terminal: &PseudoTerminal) -> SerialPort {
     SerialPort::open(terminal.path(), 1_000_000).expect("a port")
@@ -72,8 +74,32 @@ fn faults_are_named_behind_a_port() {
         inject(&terminal);
         let fault = (0..100).find_map(|_| arm.read(&mut sample).err()).expect("a fault");
         assert_eq!(fault.code, code, "{fault}");
+        // Behind a pseudo-terminal there is another cause of silence than the cable.
+        let is_silence = [11, 12].contains(&code);
+        assert_eq!(
+            fault.words.contains("a simulated bus is silent too while the computer is busy"),
+            is_silence,
+            "{fault}"
+        );
         arm.stop();
     }
+}
+
+/// A request that comes while the simulation is kept from running is late by its fault, and counted; others are not.
+#[test]
+fn simulated_bus_counts_requests_that_it_answers_late() {
+    let terminal = PseudoTerminal::open(bus()).expect("a pseudo-terminal");
+    let mut bus = Bus::new(open(&terminal));
+    let held = terminal.bus();
+    let before = terminal.late_requests();
+    let ping = std::thread::scope(|scope| {
+        let asking = scope.spawn(|| bus.ping(3));
+        std::thread::sleep(Duration::from_millis(30));
+        drop(held);
+        asking.join().expect("no panic")
+    });
+    ping.expect("an answer");
+    assert!(terminal.late_requests() > before);
 }
 
 #[test]

@@ -134,6 +134,16 @@ fn bus_that_is_slower_than_the_rate_is_refused() {
     assert!(words.contains("latency timer"), "{words}");
 }
 
+/// Answers that come after all attempts are late, not missing.
+#[test]
+fn late_servo_is_told_from_a_missing_one() {
+    let late = refusal(|bus| bus.options.latency = Duration::from_millis(400));
+    assert!(late.starts_with("servo 2 (shoulder_lift) answers more than 50 ms after a request"), "{late}");
+    assert!(late.contains("(code 15)"), "{late}");
+    let missing = refusal(|bus| bus.options.silent_ids = vec![2]);
+    assert!(missing.starts_with("servo 2 (shoulder_lift) does not answer"), "{missing}");
+}
+
 #[test]
 fn lost_answers_do_not_prevent_the_start() {
     let arm = arm(|bus| bus.options.lost_share = 0.05);
