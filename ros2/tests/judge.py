@@ -153,7 +153,7 @@ def delays_of_several_cycles():
     for task, options in TASKS.items():
         compared(f"{task}, three cycles late", task, ["--late-cycles", 2, *options], late, late)
     # A stiff task at this delay: refused before the first command.
-    code, said, _ = end(start("hold", *late, "--set", "task.flange.cartesian.gains.frequency_rad_per_s=80"))
+    code, said, _ = end(start("hold", *late, "--set", "task.flange.cartesian.gains.frequency_rad_per_s=150"))
     check(code == 2 and "gains-too-high" in said and "would be unstable" in said, f"a task that cannot be stable at this delay is refused (exit code {code})")
     if code != 2:
         print(said)

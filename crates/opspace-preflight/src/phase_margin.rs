@@ -3,7 +3,7 @@
 use nalgebra::Complex;
 use std::f64::consts::{PI, TAU};
 
-/// Phase margin of a loop (degrees), and its crossover frequency.
+/// Phase margin of a loop (degrees, at least −180), and its crossover frequency.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Margin {
     pub(super) degrees: f64,
@@ -23,7 +23,7 @@ pub(super) fn least_margin(
         .map(|Crossover { phase, omega }| {
             // The gain is still above 1 at half the sampling rate.
             let phase = if omega < last { phase } else { phase.min(-PI) };
-            Margin { degrees: 180.0 + phase.to_degrees(), crossover_rad_per_s: omega }
+            Margin { degrees: (180.0 + phase.to_degrees()).max(-180.0), crossover_rad_per_s: omega }
         })
         .min_by(|a, b| a.degrees.total_cmp(&b.degrees))
 }

@@ -666,13 +666,13 @@ impl<'a> Plant<'a> {
 
     /// Smaller one of the margins with the drive and, if the transformer inverts it, with its torque as desired.
     fn least_margin(&self, law: &AxisFeedback) -> Option<Margin> {
-        if self.is_inverted && self.is_predicted {
-            return Self { servo: None, ..*self }.margin(law);
+        let inverted = self.is_inverted.then_some(Self { servo: None, filter_hz: IDEAL_FILTER_HZ, ..*self });
+        let inverted = inverted.and_then(|plant| plant.margin(law));
+        if self.is_predicted && inverted.is_some() {
+            return inverted;
         }
         let with_drive = self.margin(law)?;
-        let inverted = self.is_inverted.then_some(Self { servo: None, filter_hz: IDEAL_FILTER_HZ, ..*self });
-        let margins = inverted.and_then(|plant| plant.margin(law)).into_iter().chain([with_drive]);
-        margins.min_by(|a, b| a.degrees.total_cmp(&b.degrees))
+        inverted.into_iter().chain([with_drive]).min_by(|a, b| a.degrees.total_cmp(&b.degrees))
     }
 
     /// Smallest margin over all crossovers; `None` if the law has no stiffness and no damping.
