@@ -115,6 +115,7 @@ def main():
     parser.add_argument("--clock-jump-after-s", type=float, help="let the stamps jump by an hour then")
     parser.add_argument("--silent-after-s", type=float, help="publish no states then")
     parser.add_argument("--inactive-after-s", type=float, help="ignore commands then")
+    parser.add_argument("--deaf-after-s", type=float, help="destroy the subscription of the commands then, as a controller that is stopped does")
     parser.add_argument("--restart-after-s", type=float, help="destroy the publisher then, and create another one after 30 ms")
     parser.add_argument("--no-stamps", action="store_true")
     parser.add_argument("--namespace", default="")
@@ -160,9 +161,9 @@ def main():
         take(Float64MultiArray(data=[point[name] for name in JOINTS]))
 
     if args.trajectories:
-        node.create_subscription(JointTrajectory, "joint_trajectory_controller/joint_trajectory", take_trajectory, 10)
+        commands = node.create_subscription(JointTrajectory, "joint_trajectory_controller/joint_trajectory", take_trajectory, 10)
     else:
-        node.create_subscription(Float64MultiArray, "forward_position_controller/commands", take, 10)
+        commands = node.create_subscription(Float64MultiArray, "forward_position_controller/commands", take, 10)
     threading.Thread(target=rclpy.spin, args=(node,), daemon=True).start()
 
     stop = threading.Event()
@@ -190,6 +191,9 @@ def main():
         position, velocity, effort = arm.state()
         message.name = [f"robot1_{name}" if happens(args.rename_after_s) else name for name in PUBLISHED]
         message.position, message.velocity, message.effort = position.tolist(), velocity.tolist(), effort.tolist()
+        if happens(args.deaf_after_s):
+            args.deaf_after_s = None
+            node.destroy_subscription(commands)
         if happens(args.restart_after_s):
             args.restart_after_s = None
             node.destroy_publisher(publisher)

@@ -164,7 +164,7 @@ def servos_are_identified():
     for late in (0, 2):
         robot = Robot("--patient", "--late-cycles", late, "--duration-s", 600)
         out = FOLDER / f"identified-{late}"
-        command = [args.program, "identify", TESTS / "robot/robot.toml", "--joint", "wrist_3", "--out", out, "--json", FOLDER / f"identified-{late}.json"]
+        command = [args.program, "identify", TESTS / "robot/robot.toml", "--joint", "wrist_3", "--out", out, "--force", "--json", FOLDER / f"identified-{late}.json"]
         done = subprocess.run([str(part) for part in command], capture_output=True, text=True, check=False)
         robot.end()
         check(done.returncode in (0, 1), f"identification, {late} cycles late: it comes to its end (exit code {done.returncode})")
@@ -185,6 +185,7 @@ def faults_have_names():
         "joints-missing": ["--rename-after-s", 1.0],
         "driver-gone": ["--restart-after-s", 1.0],
         "not-following": ["--inactive-after-s", 1.0],
+        "controller-gone": ["--deaf-after-s", 1.0],
     }.items():
         # An arm that is pushed along its compliant axis: setpoints move.
         robot = Robot("--patient", "--push-n", 3, 0, 0, *options)

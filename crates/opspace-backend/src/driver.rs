@@ -157,7 +157,7 @@ pub struct FoundDevice {
 }
 
 /// Settings with which a driver opens a robot: the kind of command, and the joints, period, measured quantities and force
-/// sensors stated in robot.toml, for its [`Capabilities`](crate::Capabilities); and the other keys of `[driver]`.
+/// sensors stated in robot.toml, for its [`Capabilities`]; and the other keys of `[driver]`.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct Settings {

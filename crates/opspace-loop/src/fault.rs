@@ -183,7 +183,7 @@ pub enum Fault {
     },
     /// The motor torque of a position or velocity robot oscillates about the desired torque.
     #[error(
-        "joint {joint}: the motor's torque oscillates about the desired torque by {} Nm rms above 15 Hz, limit {} Nm; declare delay and gears as they are, or lower the gains; `opspace check` prints the margins",
+        "joint {joint}: the motor's torque oscillates about the desired torque by {} Nm rms above 15 Hz, limit {} Nm; declare delay and gears as they are, or lower the gains; `opspace check -v` prints the margins",
         Rounded(*rms),
         Rounded(*limit)
     )]

@@ -313,7 +313,11 @@ fn move_to_start(
     )?;
     let Some(moved) = moved.filter(|moved| exit_code_of_robot(moved) != Exit::Done) else { return Ok(None) };
     let RunView { args, columns, console, .. } = view;
-    args.output.json.print(|| pretty(&moved), || table(console, std::slice::from_ref(&moved), columns))?;
+    let results = || match console.quiet {
+        true => String::new(),
+        false => table(console, std::slice::from_ref(&moved), columns),
+    };
+    args.output.json.print(|| pretty(&moved), results)?;
     say_end(&moved, console);
     view.say_state();
     console
@@ -404,7 +408,7 @@ fn say_other_transformer(scenario: &Scenario, summary: &Summary, progress: &Prog
         Ok(None) => {}
         Ok(Some(other)) => console.note(&format!("NOTE {other}")),
         Err(error) => {
-            let check = format!("`opspace check {}` lists what its parts leave", scenario.source.name());
+            let check = format!("`opspace check -v {}` lists what its parts leave", scenario.source.name());
             let text = "NOTE the torque error is large, but no other transformer suits";
             console.note(&format!("{text}: {error}; {check}"));
         }

@@ -39,7 +39,7 @@ impl fmt::Display for OtherTransformer {
         write!(f, "the torque error is {} % with transformer '{}'", percent(self.torque_error), self.used)?;
         let Some(other) = &self.other else {
             return f.write_str(
-                ", which suits the declared properties of the robot: `opspace check` lists what its gains, delay and encoders leave",
+                ", which suits the declared properties of the robot: `opspace check -v` lists what its gains, delay and encoders leave",
             );
         };
         match &self.repeated {
