@@ -86,6 +86,8 @@ def test_threads_share_objects():
 INTERRUPTED = """
 import os, signal, sys, threading, time
 import opspace
+# A shell lets programs in its background ignore the signal, and Python then keeps to that.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 experiment = opspace.Experiment(sys.argv[1], duration_s=600.0)
 def interrupt():
     time.sleep(0.7)
