@@ -9,9 +9,9 @@
 //!
 //! M, h, the Jacobians J of the force sensors and their wrenches w are those of the measurement. Without w an arm that presses on a
 //! wall would be predicted within the wall. The torques of w pass a low-pass filter whose time constant is the delay: those of a
-//! stiff wall change with the predicted motion, and, assumed constant, would drive the arm into it. Tasks and limits are evaluated at the predicted state, at its time. Friction, and
-//! forces that no sensor measures, are not predicted, which costs accuracy: short delays are left to the horizon of the limits,
-//! which allows for them.
+//! stiff wall change with the predicted motion, and, assumed constant, would drive the arm into it. Tasks and limits are evaluated at
+//! the predicted state, at its time. Friction, and forces that no sensor measures, are not predicted, which costs accuracy: short
+//! delays are left to the horizon of the limits, which allows for them.
 
 use crate::context::{ControlContext, separate_sensors};
 use crate::controller::ControlInput;
@@ -83,7 +83,7 @@ impl Prediction {
         self.clock_s = clock_s;
     }
 
-    /// Computes the torques of the measured wrenches.
+    /// Computes the torques of the measured wrenches; the filter starts with those of the first measurement.
     fn update_external(&mut self, input: &ControlInput<'_>) {
         self.external.fill(0.0);
         for (sensor, frame) in &self.sensors {
@@ -91,6 +91,10 @@ impl Prediction {
             let Force { linear: force, angular: moment } = input.measurement.wrenches[*sensor];
             let wrench = Vector6::new(force.x, force.y, force.z, moment.x, moment.y, moment.z);
             self.external.gemv_tr(1.0, &self.jacobian, &wrench, 1.0);
+        }
+        // Not a number at the start.
+        if self.clock_s.is_nan() {
+            self.filtered.copy_from(&self.external);
         }
         self.filtered.axpy(self.share, &self.external, 1.0 - self.share);
     }
@@ -102,8 +106,8 @@ impl Prediction {
         input: &ControlInput<'a>,
         commanded: &DVector<f64>,
     ) -> Option<ControlInput<'a>> {
-        self.follow(input.clock_s, commanded);
         self.update_external(input);
+        self.follow(input.clock_s, commanded);
         let data = input.data;
         let predicted = &mut self.measurement;
         predicted.q.copy_from(&input.measurement.q);
@@ -132,5 +136,51 @@ impl Prediction {
             clock_s: input.clock_s + self.delay_s,
             ..*input
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::targets::Targets;
+    use nalgebra::{Matrix3, Vector3};
+    use opspace_model::{Inertia, Joint, JointKind, Limits, Placement};
+
+    /// Compared: a mass at rest that presses with the force of its command, and its predicted state, from the first cycle on, also after a
+    /// hold; and the state for a command that no force balances.
+    #[test]
+    fn pressing_mass_is_predicted_at_rest() {
+        const DELAY_S: f64 = 0.02;
+        let mut model = Model::new("mass").with_gravity(Vector3::zeros());
+        let joint = Joint { name: "slide".into(), kind: JointKind::Prismatic, limits: Limits::NONE };
+        let inertia = Inertia { mass: 2.0, com: Vector3::zeros(), rotational: Matrix3::identity() };
+        let body = model.add_body(None, Placement::identity(), joint, inertia);
+        let frame = model.add_frame("tip", Some(body), Placement::identity());
+        let context = ControlContext {
+            command_delay_s: DELAY_S,
+            sensors: vec![("tip".to_owned(), frame)],
+            ..ControlContext::new(&model, 1e-3)
+        };
+        let mut data = Data::new(&model);
+        assert!(update(&model, &mut data, &[0.0], &[0.0]));
+        let mut jacobian = Matrix6xX::zeros(1);
+        frame_jacobian(&model, &data, frame, &mut jacobian);
+        let mut prediction = Prediction::new(&model, &context).expect("a long delay");
+        let (targets, pressing) = (Targets::none(), DVector::from_element(1, 5.0));
+        let mut velocity = |time_s: f64, force_n: f64, is_held: bool| {
+            let mut measurement = Measurement::new(1, 1, false);
+            measurement.time_s = time_s;
+            measurement.wrenches[0].linear = -force_n * jacobian.fixed_view::<3, 1>(0, 0);
+            if is_held {
+                prediction.restart();
+            }
+            let input = ControlInput::new(&model, &data, &measurement, &[0.0], &targets);
+            prediction.of(&input, &pressing).expect("finite").measurement.dq[0]
+        };
+        for (cycle, is_held) in [false, false, true, false].into_iter().enumerate() {
+            assert!(velocity(1e-3 * cycle as f64, 5.0, is_held).abs() < 1e-12, "cycle {cycle}");
+        }
+        let free = velocity(1.0, 0.0, true);
+        assert!((free - 5.0 / 2.0 * DELAY_S).abs() < 1e-12, "{free} m/s");
     }
 }

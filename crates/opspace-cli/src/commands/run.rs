@@ -313,11 +313,8 @@ fn move_to_start(
     )?;
     let Some(moved) = moved.filter(|moved| exit_code_of_robot(moved) != Exit::Done) else { return Ok(None) };
     let RunView { args, columns, console, .. } = view;
-    let results = || match console.quiet {
-        true => String::new(),
-        false => table(console, std::slice::from_ref(&moved), columns),
-    };
-    args.output.json.print(|| pretty(&moved), results)?;
+    let results = || table(console, std::slice::from_ref(&moved), columns);
+    args.output.json.print(|| pretty(&moved), || if console.quiet { String::new() } else { results() })?;
     say_end(&moved, console);
     view.say_state();
     console
