@@ -165,46 +165,93 @@ fn torque_robots_and_leading_kinematics_track_to_millimetres() {
     }
 }
 
+/// Backend, controller and transformer of a suite's row, and its label.
+type Control = ([&'static str; 3], &'static str);
+
+const POSITION: Control = (["position", "osc", "emulation+current"], "");
+const TOO_SOFT: Control = (["position", "osc", "emulation+current"], "kp 0.8");
+const TOO_SOFT_WITHOUT_CURRENT: Control = (["position", "osc", "emulation"], "kp 0.8");
+
 /// Rows of the README's table, with the runs whose medians they show.
-const README: [(&str, [&str; 3], &str); 6] = [
-    ("position robot, opspace", ["position", "osc", "emulation+current"], ""),
-    ("with elastic gears", ["position", "osc", "extrapolation+current"], "elastic gears"),
-    ("with a true *kp* 20 % below the stated one", ["position", "osc", "emulation+current"], "kp 0.8"),
-    ("the same, motor current not measured", ["position", "osc", "emulation"], "kp 0.8"),
-    ("torque robot, opspace", ["torque", "osc", ""], ""),
-    ("position robot, inverse kinematics", ["position", "ik-lead", ""], ""),
+const README: [(&str, Control); 3] = [
+    ("position robot, opspace", POSITION),
+    ("torque robot, opspace", (["torque", "osc", ""], "")),
+    ("position robot, inverse kinematics", (["position", "ik-lead", ""], "")),
 ];
 
-/// Compared: the numbers of the README's table, and medians of the suite, to half of the last digit that is shown.
-#[test]
-#[ignore = "needs results of a suite, OPSPACE_BENCH_JSON: .ci/run acceptance"]
-fn readme_shows_the_medians() {
-    let bench = Bench::read();
-    let readme = crate::cli_common::read(crate::cli_common::project("README.md"));
-    for (name, [backend, controller, transformer], label) in README {
-        let begin = format!("| {name} |");
-        let line = readme.lines().find_map(|line| line.strip_prefix(&begin));
-        let line = line.unwrap_or_else(|| panic!("README.md has no row {begin}"));
-        let shown: Vec<&str> =
-            line.split(['|', ';', ' ']).filter(|word| word.parse::<f64>().is_ok()).collect();
-        let median = |task, metric| {
-            let of = Group::new(task, backend, controller, "a-med");
-            bench.median(Group { transformer, label, ..of }, metric)
-        };
-        let medians = [
-            1e3 * median("compliant-x", "hand_motion_rms_m"),
-            median("compliant-x", "hand_force_rms_n"),
-            1e3 * median("compliant-x", "position_rms_m"),
-            1e3 * median("cartesian-tracking", "position_rms_m"),
-        ];
-        assert_eq!(shown.len(), medians.len(), "{line}");
-        for (shown, median) in shown.iter().zip(medians) {
-            let decimals = shown.split_once('.').map_or(0, |(_, decimals)| decimals.len());
-            let value: f64 = shown.parse().expect("a number");
-            let half = 0.5 * 0.1_f64.powi(i32::try_from(decimals).expect("few decimals"));
-            assert!((value - median).abs() <= 1.001 * half, "{name}: {shown} for {median}");
+/// Rows of the table of elastic gears and wrong gains in the results of the paper.
+const WRONG_GAINS: [(&str, Control); 5] = [
+    ("rigid, 1, `emulation+current`", POSITION),
+    ("elastic, 1, `extrapolation+current`", (["position", "osc", "extrapolation+current"], "elastic gears")),
+    ("rigid, 0.8, `emulation+current`", TOO_SOFT),
+    ("rigid, 1.2, `emulation+current`", (["position", "osc", "emulation+current"], "kp 1.2")),
+    ("rigid, 0.8, `emulation`", TOO_SOFT_WITHOUT_CURRENT),
+];
+
+/// Metrics of the README's columns: task, name, and factor to the unit that is shown.
+const README_COLUMNS: [(&str, &str, f64); 4] = [
+    ("compliant-x", "hand_motion_rms_m", 1e3),
+    ("compliant-x", "hand_force_rms_n", 1.0),
+    ("compliant-x", "position_rms_m", 1e3),
+    ("cartesian-tracking", "position_rms_m", 1e3),
+];
+
+const WRONG_GAINS_COLUMNS: [(&str, &str, f64); 6] = [
+    ("cartesian-tracking", "position_rms_m", 1e3),
+    ("cartesian-tracking", "torque_error_interval", 1e2),
+    ("compliant-x", "hand_motion_rms_m", 1e3),
+    ("compliant-x", "hand_force_rms_n", 1.0),
+    ("compliant-x", "position_rms_m", 1e3),
+    ("compliant-x", "torque_error_interval", 1e2),
+];
+
+impl Bench {
+    fn shown(&self, (control, label): Control, (task, metric, factor): (&str, &str, f64)) -> f64 {
+        let [backend, controller, transformer] = control;
+        factor
+            * self.median(
+                Group { transformer, label, ..Group::new(task, backend, controller, "a-med") },
+                metric,
+            )
+    }
+
+    /// Compared: the numbers of a table's rows, and medians of the suite, to half of the last digit that is shown.
+    fn compare(&self, page: &str, rows: &[(&str, Control)], columns: &[(&str, &str, f64)]) {
+        let text = crate::cli_common::read(crate::cli_common::project(page));
+        for &(name, control) in rows {
+            let begin = format!("| {name} |");
+            let line = text.lines().find_map(|line| line.strip_prefix(&begin));
+            let line = line.unwrap_or_else(|| panic!("{page} has no row {begin}"));
+            let shown: Vec<&str> =
+                line.split(['|', ';', ' ']).filter(|word| word.parse::<f64>().is_ok()).collect();
+            assert_eq!(shown.len(), columns.len(), "{page}: {line}");
+            for (shown, &column) in shown.iter().zip(columns) {
+                let decimals = shown.split_once('.').map_or(0, |(_, decimals)| decimals.len());
+                let value: f64 = shown.parse().expect("a number");
+                let half = 0.5 * 0.1_f64.powi(i32::try_from(decimals).expect("few decimals"));
+                let median = self.shown(control, column);
+                assert!((value - median).abs() <= 1.001 * half, "{page}: {name}: {shown} for {median}");
+            }
         }
     }
+}
+
+#[test]
+#[ignore = "needs results of a suite, OPSPACE_BENCH_JSON: .ci/run acceptance"]
+fn readme_and_results_show_the_medians() {
+    let bench = Bench::read();
+    bench.compare("README.md", &README, &README_COLUMNS);
+    bench.compare("docs/results/paper.md", &WRONG_GAINS, &WRONG_GAINS_COLUMNS);
+    let path_mm = |control| bench.shown(control, ("cartesian-tracking", "position_rms_m", 1e3));
+    let (with, without) = (path_mm(TOO_SOFT), path_mm(TOO_SOFT_WITHOUT_CURRENT));
+    let sentence = format!(
+        "the error on the path is {with:.1} mm, but {without:.0} mm if motor current is not measured"
+    );
+    let readme = crate::cli_common::read(crate::cli_common::project("README.md"));
+    assert!(
+        readme.split_whitespace().collect::<Vec<_>>().join(" ").contains(&sentence),
+        "README.md: {sentence}"
+    );
 }
 
 #[test]
