@@ -17,6 +17,7 @@ mod changed;
 mod check;
 mod collisions;
 mod contact;
+mod contact_margin;
 mod couplings;
 mod detectable_force;
 mod diagnostic;
@@ -165,6 +166,7 @@ pub fn not_checked(experiment: &Experiment) -> Vec<Finding> {
     let Some(case) = PreflightCase::new(experiment) else { return Vec::new() };
     let mut found = admittance::unknown_contacts(&case);
     if experiment.options().controller == ControllerKind::Osc {
+        found.extend(contact::unknown_contacts(&case));
         found.extend(stability::not_checked(&case));
     }
     found

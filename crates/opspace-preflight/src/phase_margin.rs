@@ -43,6 +43,27 @@ pub(super) fn least_distance(
         .min_by(|a, b| a.degrees.total_cmp(&b.degrees))
 }
 
+/// Returns the smallest angle between the open loop and −1 over all crossovers, as [`least_margin`]; negative if the closed loop is
+/// unstable, by Nyquist's criterion. The open loop must have no unstable poles, at most one integrator, and a small gain at half the
+/// sampling rate. With resonances, the phase at a crossover does not tell whether the loop is stable.
+pub(super) fn nyquist_margin(
+    first: f64,
+    period_s: f64,
+    open_loop: impl Fn(f64) -> Complex<f64>,
+) -> Option<Margin> {
+    let least = least_distance(first, period_s, &open_loop)?;
+    let at = frequencies(first, period_s);
+    let mut before = 1.0 + open_loop(at(0.0));
+    let mut turned = before.arg();
+    for step in 1..=STEPS {
+        let now = 1.0 + open_loop(at(f64::from(step)));
+        turned += (now / before).arg();
+        before = now;
+    }
+    let degrees = if turned.abs() < PI { least.degrees } else { -least.degrees };
+    Some(Margin { degrees, ..least })
+}
+
 /// Frequency (rad/s) at which the gain of a loop is 1, and the loop's phase (rad) there.
 #[derive(Clone, Copy, Debug)]
 struct Crossover {
@@ -57,11 +78,8 @@ fn crossovers(
     period_s: f64,
     open_loop: impl Fn(f64) -> Complex<f64>,
 ) -> impl Iterator<Item = Crossover> {
-    const STEPS: i32 = 600;
-    let last = PI / period_s;
-    let first = first.min(0.1 * last);
-    let at = move |step: f64| first * (last / first).powf(step / f64::from(STEPS));
-    let mut before = open_loop(first);
+    let at = frequencies(first, period_s);
+    let mut before = open_loop(at(0.0));
     let mut phase = if before.arg() > 0.0 { before.arg() - TAU } else { before.arg() };
     (1..=STEPS).filter_map(move |step| {
         let now = open_loop(at(f64::from(step)));
@@ -75,13 +93,30 @@ fn crossovers(
                 omega: at(f64::from(step) - 1.0 + share),
             });
         }
-        (step == STEPS && to > 0.0).then_some(Crossover { phase, omega: last })
+        (step == STEPS && to > 0.0).then(|| Crossover { phase, omega: at(f64::from(STEPS)) })
     })
+}
+
+/// Number of steps of the examined frequencies.
+const STEPS: i32 = 600;
+
+/// Frequency (rad/s) at a step: from `first`, or less, in geometric progression to half the sampling rate.
+fn frequencies(first: f64, period_s: f64) -> impl Fn(f64) -> f64 + Copy {
+    let last = PI / period_s;
+    let first = first.min(0.1 * last);
+    move |step| first * (last / first).powf(step / f64::from(STEPS))
 }
 
 /// Transfer function of a zero-order hold over `period_s`.
 pub(super) fn hold(s: Complex<f64>, period_s: f64) -> Complex<f64> {
     (1.0 - (-s * period_s).exp()) / (s * period_s)
+}
+
+/// Transfer function of a sampled finite difference over `period_s` with a low-pass filter.
+pub(super) fn filtered_difference(s: Complex<f64>, period_s: f64, cutoff_hz: f64) -> Complex<f64> {
+    let pole = (-TAU * cutoff_hz * period_s).exp();
+    let back = (-s * period_s).exp();
+    (1.0 - pole) * (1.0 - back) / (period_s * (1.0 - pole * back))
 }
 
 /// Formats a number with two digits, rounded down.

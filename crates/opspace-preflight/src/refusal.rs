@@ -9,11 +9,12 @@
 //!   stiffness, or, where none is declared, of antiresonances from 20 to 120 Hz.
 //!
 //! A task whose gains are unstable at the rate, the delay and the servo of the robot is refused too, by the phase margin of its
-//! loop.
+//! loop; so is a force axis that is unstable on the surface that the task states, because commands act late.
 //!
 //! Velocity feed-forward with held setpoints is refused if its impulses exceed a torque limit.
 
 use super::case::PreflightCase;
+use super::contact::unstable_contacts;
 use super::gears::first_oscillation;
 use super::nudge::{Nudge, NudgedArm};
 use super::servo_gain::{ServoLoop, gain_margin};
@@ -39,7 +40,7 @@ pub fn refusals(experiment: &Experiment) -> Vec<Finding> {
 fn unstable_tasks(experiment: &Experiment) -> Vec<Finding> {
     let has_tasks = experiment.options().controller == ControllerKind::Osc;
     let case = has_tasks.then(|| PreflightCase::new(experiment)).flatten();
-    case.map_or_else(Vec::new, |case| unstable_gains(&case))
+    case.map_or_else(Vec::new, |case| [unstable_gains(&case), unstable_contacts(&case)].concat())
 }
 
 /// Returns an experiment that may run on a real robot.

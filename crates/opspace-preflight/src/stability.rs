@@ -65,7 +65,7 @@
 
 use super::case::PreflightCase;
 use super::diagnostic::short;
-use super::phase_margin::{Margin, hold, least_distance, least_margin, rounded_down};
+use super::phase_margin::{Margin, filtered_difference, hold, least_distance, least_margin, rounded_down};
 use nalgebra::{Complex, Matrix6xX};
 use opspace_backend::quantity::NonNegative;
 use opspace_backend::{CommandKind, Sample, Setpoints};
@@ -709,13 +709,6 @@ impl<'a> Plant<'a> {
         }
         Some(low)
     }
-}
-
-/// Transfer function of a sampled finite difference over `period_s` with a low-pass filter.
-fn filtered_difference(s: Complex<f64>, period_s: f64, cutoff_hz: f64) -> Complex<f64> {
-    let pole = (-TAU * cutoff_hz * period_s).exp();
-    let back = (-s * period_s).exp();
-    (1.0 - pole) * (1.0 - back) / (period_s * (1.0 - pole * back))
 }
 
 #[cfg(test)]

@@ -10,7 +10,7 @@ use opspace_sim::EnvironmentObjectParameters;
 const SIDEWAYS: f64 = 0.01;
 
 /// Surface of an object: its stiffness and damping along a direction.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Debug)]
 pub(super) struct Surface {
     /// Stiffness, N/m.
     pub(super) stiffness: f64,

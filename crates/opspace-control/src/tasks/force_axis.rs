@@ -13,7 +13,7 @@
 //! a* = c (v_a − v) + c²/16 ∫ (v_a − v) dt, with twice the critical damping.
 
 use crate::axis_mode::AxisMode;
-use crate::tasks::force_parameters::{COMPLIANT_GAIN, ContactParameters, ForceParameters, INTEGRAL_PER_S};
+use crate::tasks::force_parameters::{COMPLIANT_GAIN, ContactParameters, ForceParameters};
 use crate::tasks::force_passivity::ForcePassivity;
 use crate::tasks::gain_profile::value_at;
 use opspace_backend::quantity::{Fraction, NonNegative};
@@ -92,7 +92,7 @@ impl ForceAxis {
             ramp_s: force.ramp_s.get(),
             feed_forward: force.feed_forward.get(axis).map_or(1.0, Fraction::get),
             gains: [gain.unwrap_or(COMPLIANT_GAIN), force.force_gain(axis, period_s)],
-            integral_step: value(&force.integral_per_s).map_or(INTEGRAL_PER_S, NonNegative::get) * period_s,
+            integral_step: force.integral(axis) * period_s,
             integral_limit: value(&force.integral_limit).map(NonNegative::get).or(largest_of_profile),
             compensation: compensation.map_or(0.0, Fraction::get),
             approach: force.contact.filter(|_| is_translation),

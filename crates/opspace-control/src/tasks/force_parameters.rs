@@ -254,6 +254,12 @@ impl ForceParameters {
         given.map_or_else(|| f64::min(FORCE_GAIN, FORCE_GAIN_PERIOD_S / period_s), NonNegative::get)
     }
 
+    /// Integral gain of the force error, 1/s.
+    #[must_use]
+    pub fn integral(&self, axis: usize) -> f64 {
+        self.integral_per_s.and_then(|integral| integral.get(axis)).map_or(INTEGRAL_PER_S, NonNegative::get)
+    }
+
     /// Checks the profiles. `key` is the path of the parameters in the file.
     pub(crate) fn check_profiles(&self, in_force_control: [bool; 6], key: &str) -> Result<(), ControlError> {
         for axis in 0..3 {

@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 mod diagnostics;
+mod late_contact;
 mod margins;
 mod remedies;
 mod reserves;
