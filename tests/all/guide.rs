@@ -13,6 +13,7 @@
 #![expect(clippy::unwrap_used, reason = "a test that can't go on has failed")]
 
 mod excerpts;
+mod inline;
 mod links;
 mod pages;
 mod reference;
@@ -23,7 +24,7 @@ use std::fs;
 use std::io::{BufRead, BufReader};
 use std::os::unix::fs::symlink;
 use std::path::Path;
-use std::process::Stdio;
+use std::process::{Output, Stdio};
 
 /// Pages whose commands and files are run, each by the test of the same name.
 macro_rules! pages {
@@ -148,7 +149,7 @@ fn with_program(command: &str) -> String {
 }
 
 /// Pages below `docs`, as paths in the project, in order.
-fn docs() -> Vec<String> {
+pub fn docs() -> Vec<String> {
     let (mut folders, mut pages) = (vec!["docs".to_owned()], Vec::new());
     while let Some(folder) = folders.pop() {
         for entry in fs::read_dir(project(&folder)).unwrap() {
@@ -227,11 +228,7 @@ fn run(folder: &Path, command: &Command, place: &str) {
     }
     let shortened = SHORTENED.iter().find(|(pattern, _)| stands_for(pattern, &text));
     let text = shortened.map_or(text.clone(), |(_, options)| format!("{text} {options}"));
-    let programs = Path::new(env!("CARGO_BIN_EXE_opspace")).parent().unwrap();
-    let path = format!("{}:{}", programs.display(), std::env::var("PATH").unwrap());
-    let mut shell = std::process::Command::new("sh");
-    shell.args(["-c", &text]).env("PATH", path).env("NO_COLOR", "1").current_dir(folder).stdin(Stdio::null());
-    let output = shell.output().unwrap();
+    let output = in_shell(folder, &text);
     let shown =
         String::from_utf8_lossy(&output.stdout).into_owned() + &String::from_utf8_lossy(&output.stderr);
     assert!(!shown.contains("panicked"), "{place}: {text}:\n{shown}");
@@ -246,6 +243,15 @@ fn run(folder: &Path, command: &Command, place: &str) {
     for line in &command.output {
         assert!(shown_words.contains(&words(line)), "{place}: {text}: no line `{line}`:\n{shown}");
     }
+}
+
+/// Runs a command in a folder by the shell, with the program of this build.
+fn in_shell(folder: &Path, text: &str) -> Output {
+    let programs = Path::new(env!("CARGO_BIN_EXE_opspace")).parent().unwrap();
+    let path = format!("{}:{}", programs.display(), std::env::var("PATH").unwrap());
+    let mut shell = std::process::Command::new("sh");
+    shell.args(["-c", text]).env("PATH", path).env("NO_COLOR", "1").current_dir(folder).stdin(Stdio::null());
+    shell.output().unwrap()
 }
 
 /// Starts a command that shows a view, at a free port, and ends it as Ctrl-C does when it says where its page is.
