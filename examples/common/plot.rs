@@ -54,19 +54,23 @@ impl Panel {
     }
 }
 
+/// Size of the text of panels in several columns, over that of a single column: they are shown at a smaller scale.
+const ZOOM_OF_COLUMNS: f64 = 1.6;
+
 /// Draws panels in columns.
 pub fn draw(path: &str, columns: usize, panels: &[Panel]) -> Result<(), Box<dyn Error>> {
     let rows = panels.len().div_ceil(columns);
     let size = (PANEL.0 * columns as u32, PANEL.1 * rows as u32);
     let canvas = SVGBackend::new(path, size).into_drawing_area();
     canvas.fill(&WHITE)?;
+    let zoom = if columns > 1 { ZOOM_OF_COLUMNS } else { 1.0 };
     for (part, panel) in canvas.split_evenly((rows, columns)).iter().zip(panels) {
-        draw_panel(part, panel)?;
+        draw_panel(part, panel, zoom)?;
     }
     Ok(canvas.present()?)
 }
 
-fn draw_panel(canvas: &Canvas<'_>, panel: &Panel) -> Result<(), Box<dyn Error>> {
+fn draw_panel(canvas: &Canvas<'_>, panel: &Panel, zoom: f64) -> Result<(), Box<dyn Error>> {
     let points = || panel.lines.iter().flat_map(|line| &line.points);
     let range = |of: fn(&(f64, f64)) -> f64| {
         let values = || points().map(of);
@@ -75,16 +79,17 @@ fn draw_panel(canvas: &Canvas<'_>, panel: &Panel) -> Result<(), Box<dyn Error>> 
     let (low, high) = range(|point| point.1);
     let margin = 0.08 * (high - low);
     // Space for the legend.
-    let above = if panel.lines.len() > 3 { 7.0 } else { 4.0 };
+    let above = zoom * if panel.lines.len() > 3 { 7.0 } else { 4.0 };
     let (begin, end) = range(|point| point.0);
     let shown = panel.x_range.clone().unwrap_or(begin..end);
-    let text = |size: u32| ("sans-serif", size).into_font().color(&GREY);
+    let zoomed = |size: u32| (f64::from(size) * zoom) as u32;
+    let text = |size: u32| ("sans-serif", zoomed(size)).into_font().color(&GREY);
     let mut chart = ChartBuilder::on(canvas)
         .caption(&panel.title, text(46))
         .margin(20)
         .margin_right(40)
-        .x_label_area_size(90)
-        .y_label_area_size(130)
+        .x_label_area_size(zoomed(90))
+        .y_label_area_size(zoomed(130))
         .build_cartesian_2d(shown.clone(), low - margin..high + above * margin)?;
     let mesh = &mut chart.configure_mesh();
     mesh.x_desc(&panel.x_label).y_desc(&panel.y_label).x_labels(7).y_labels(6).axis_desc_style(text(38));

@@ -10,9 +10,14 @@
 //!   kind of block has commands.
 //! * A `rust` block that begins with `// PATH` is an excerpt of this file, which `.ci/run` compiles and runs. `…` in a comment stands
 //!   for lines that are left out.
+//! * An `xml` block is the file that the comment in its first line names.
+//!
+//! Commands with MuJoCo say that they are skipped if it is not installed; the step mujoco of `.ci/run` has it.
 #![expect(clippy::unwrap_used, reason = "a test that can't go on has failed")]
+#![expect(clippy::print_stdout, reason = "a test that says that a command is skipped")]
 
 mod excerpts;
+mod inline;
 mod links;
 mod pages;
 mod reference;
@@ -23,7 +28,7 @@ use std::fs;
 use std::io::{BufRead, BufReader};
 use std::os::unix::fs::symlink;
 use std::path::Path;
-use std::process::Stdio;
+use std::process::{Output, Stdio};
 
 /// Pages whose commands and files are run, each by the test of the same name.
 macro_rules! pages {
@@ -84,7 +89,12 @@ const PREPARATIONS: [(&str, &str); 4] = [
 ];
 
 /// Options with which a command takes less time here. `…` at the end of a command stands for any rest.
-const SHORTENED: [(&str, &str); 1] = [("opspace bench examples/so101/suite.toml…", "--shard 1/100")];
+const SHORTENED: [(&str, &str); 4] = [
+    ("opspace bench examples/so101/suite.toml…", "--shard 1/100"),
+    ("opspace bench tasks/suites/limits.toml --csv …", "--shard 1/14"),
+    ("opspace bench tasks/suites/limits.toml --plants …", "--shard 1/14"),
+    ("opspace bench tasks/suites/elastic-gears.toml --plants …", "--shard 1/30"),
+];
 
 /// Pages without commands, whose files are compared with the schemas.
 const KEYS_ONLY: [&str; 4] = [
@@ -106,12 +116,6 @@ const NOT_RUN: &[(&str, &str)] = &[
     ("opspace bench --json bench.json", "takes minutes; the step acceptance of .ci/run runs it"),
     ("python3 docs/results/medians.py bench.json", "needs Python; the step acceptance of .ci/run runs it"),
     ("opspace bench tasks/suites/teleop.toml", "takes minutes; the step acceptance of .ci/run runs it"),
-    (
-        "opspace run tasks/panda-reach.toml --plant mujoco…",
-        "needs MuJoCo; the step mujoco of .ci/run has such runs",
-    ),
-    ("opspace bench tasks/suites/limits.toml --plants …", "needs MuJoCo"),
-    ("opspace bench tasks/suites/elastic-gears.toml --plants …", "needs MuJoCo"),
     ("opspace identify robots/asimo-arm", "takes a minute; the step acceptance of .ci/run runs it"),
     ("opspace identify robots/my-arm …", "a robot of the reader"),
     ("opspace run tasks/my-task.toml …", "a task of the reader"),
@@ -148,7 +152,7 @@ fn with_program(command: &str) -> String {
 }
 
 /// Pages below `docs`, as paths in the project, in order.
-fn docs() -> Vec<String> {
+pub fn docs() -> Vec<String> {
     let (mut folders, mut pages) = (vec!["docs".to_owned()], Vec::new());
     while let Some(folder) = folders.pop() {
         for entry in fs::read_dir(project(&folder)).unwrap() {
@@ -196,6 +200,15 @@ fn run_page(page: &str) {
                 }
             }
             "rust" => check_source(&block, "// ", &place),
+            "xml" => {
+                let name = block
+                    .text
+                    .lines()
+                    .next()
+                    .and_then(|line| line.strip_prefix("<!-- ")?.strip_suffix(" -->"));
+                let name = name.unwrap_or_else(|| panic!("{place}: the first line names no file"));
+                write(folder.path(), name, &block.text, &place);
+            }
             _ => {}
         }
     }
@@ -227,14 +240,14 @@ fn run(folder: &Path, command: &Command, place: &str) {
     }
     let shortened = SHORTENED.iter().find(|(pattern, _)| stands_for(pattern, &text));
     let text = shortened.map_or(text.clone(), |(_, options)| format!("{text} {options}"));
-    let programs = Path::new(env!("CARGO_BIN_EXE_opspace")).parent().unwrap();
-    let path = format!("{}:{}", programs.display(), std::env::var("PATH").unwrap());
-    let mut shell = std::process::Command::new("sh");
-    shell.args(["-c", &text]).env("PATH", path).env("NO_COLOR", "1").current_dir(folder).stdin(Stdio::null());
-    let output = shell.output().unwrap();
+    let output = in_shell(folder, &text);
     let shown =
         String::from_utf8_lossy(&output.stdout).into_owned() + &String::from_utf8_lossy(&output.stderr);
     assert!(!shown.contains("panicked"), "{place}: {text}:\n{shown}");
+    if text.contains("mujoco") && shown.contains("MuJoCo is not installed") {
+        println!("SKIPPED, {place}: {text}: MuJoCo is not installed");
+        return;
+    }
     assert_eq!(output.status.code(), Some(command.exit), "{place}: {text}:\n{shown}");
     if command.exit == 0 && names_no_backend(&text) {
         let text = format!("{text} --backend torque --out runs/other-backend --force --quiet");
@@ -246,6 +259,15 @@ fn run(folder: &Path, command: &Command, place: &str) {
     for line in &command.output {
         assert!(shown_words.contains(&words(line)), "{place}: {text}: no line `{line}`:\n{shown}");
     }
+}
+
+/// Runs a command in a folder by the shell, with the program of this build.
+fn in_shell(folder: &Path, text: &str) -> Output {
+    let programs = Path::new(env!("CARGO_BIN_EXE_opspace")).parent().unwrap();
+    let path = format!("{}:{}", programs.display(), std::env::var("PATH").unwrap());
+    let mut shell = std::process::Command::new("sh");
+    shell.args(["-c", text]).env("PATH", path).env("NO_COLOR", "1").current_dir(folder).stdin(Stdio::null());
+    shell.output().unwrap()
 }
 
 /// Starts a command that shows a view, at a free port, and ends it as Ctrl-C does when it says where its page is.

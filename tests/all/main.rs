@@ -3,6 +3,7 @@
 mod acceptance;
 mod allocation;
 mod allow;
+mod book_browser;
 mod cli;
 mod cli_common;
 mod collision_cases;

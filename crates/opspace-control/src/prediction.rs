@@ -4,11 +4,11 @@
 //! act. With τ the torques of one of them, and d the time for which it acts,
 //!
 //! ```text
-//! q̈ = M⁻¹ (τ − h + Σ Jᵀ w)          q + q̇ d + q̈ d²/2          q̇ + q̈ d
+//! q̈ = M⁻¹ (τ − h + Σ Jᵀ f)          q + q̇ d + q̈ d²/2          q̇ + q̈ d
 //! ```
 //!
-//! M, h, the Jacobians J of the force sensors and their wrenches w are those of the measurement. Without w an arm that presses on a
-//! wall would be predicted within the wall. The torques of w pass a low-pass filter whose time constant is the delay: those of a
+//! M, h, the Jacobians J of the force sensors and their wrenches f are those of the measurement. Without f an arm that presses on a
+//! wall would be predicted within the wall. The torques of f pass a low-pass filter whose time constant is the delay: those of a
 //! stiff wall change with the predicted motion, and, assumed constant, would drive the arm into it. Tasks and limits are evaluated at
 //! the predicted state, at its time. Friction, and forces that no sensor measures, are not predicted, which costs accuracy: short
 //! delays are left to the horizon of the limits, which allows for them.

@@ -280,9 +280,9 @@ impl Teleoperation {
         }
     }
 
-    /// Force by which the delay is paid for: a force that arrives the round trip T late lacks K T v of that of the stiffness K
-    /// behind it, and would give this energy away in each push. K is that of the coupling's spring and of what the follower
-    /// touches, in series. The force is taken along the received one, in its measure, so that neither motion without contact nor
+    /// Force by which the delay is paid for (D1). A leader that moves at v into a stiffness K feels the force of a round trip T_r
+    /// ago, which is K T_r v smaller than the present one: without this force, each push would give out energy. K is that of the
+    /// coupling's spring and of what the follower touches, in series. The force is taken along the received one, in its measure, so that neither motion without contact nor
     /// sliding is braked.
     fn delay_damping(&self, packet: &Packet, velocity: &Vector6<f64>) -> Vector6<f64> {
         let force = packet.force.norm();

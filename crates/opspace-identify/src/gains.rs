@@ -2,7 +2,7 @@
 //!
 //! With measured motor current, input and output of the drive are known: setpoint and position, and torque. Its gains
 //! are then determined for any motion of the joint (see [`interval`](crate::interval)). Without measured current the
-//! only known quantity is T = y/q_desired,
+//! only known quantity is T = y/q_d,
 //!
 //! ```text
 //! T ≈ kv kp / (I s² + (kv + b) s + kv kp)
@@ -644,7 +644,7 @@ fn pairs(levels: &[AmplitudeLevel]) -> impl Iterator<Item = (&Point, &Point)> {
 }
 
 /// Returns initial gains from a continuous-time model, with h the delay of the setpoint plus half an interval:
-/// `τ = K (h q_desired − y) − kv jω y`, `τ = −I ω² y + b jω y`.
+/// `τ = K (h q_d − y) − kv jω y`, `τ = −I ω² y + b jω y`.
 fn rough(levels: &[AmplitudeLevel], rates: &Rates) -> Option<Drive> {
     let low = |hz: f64| hz * rates.period_s() < 0.15;
     let late = (f64::from(rates.delay) + 0.5 * f64::from(rates.servo_ticks_per_cycle)) * rates.servo_period_s;

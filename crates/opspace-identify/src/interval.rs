@@ -4,17 +4,17 @@
 //! The joint has inertia I, motor torque m and a smooth force F; its servo runs R times per setpoint:
 //!
 //! ```text
-//! w += a ((y − y₋)/Ts − w)     u = kv [kp (r − y) + f (r − r₋)/Ts − w]     ṁ = (u − m)/T_m     I q̈ = m + F
+//! w += a ((y − y₋)/T_s − w)     u = kv [kp (r − y) + f (r − r₋)/T_s − w]     ṁ = (u − m)/T_m     I q̈ = m + F
 //! ```
 //!
-//! r is the setpoint q_desired after its filter, if the drive has one, and f the fraction of its velocity that is fed
+//! r is the setpoint q_d after its filter, if the drive has one, and f the fraction of its velocity that is fed
 //! forward.
 //!
 //! At a frequency of the setpoints both outputs, the position at the interface cycle and the mean torque over the
 //! interval, are linear in setpoint and force, including aliases:
 //!
 //! ```text
-//! y = A q_desired + B F        τ̄ = C q_desired + D F
+//! y = A q_d + B F        τ̄ = C q_d + D F
 //! ```
 //!
 //! Eliminating F gives the torque from commanded **and measured** values, for any force on the joint: friction,

@@ -4,8 +4,8 @@
 //! are small enough for its limits and its motor; the other joints are held. The [frequency responses](response) are
 //! computed from setpoints, positions and, if it is measured, motor torque. The [gains] of the servo are fitted to them
 //! with an exact model of the servo and joint [between two interface cycles](interval); a
-//! [rational](transfer_function) model of T = y/q_desired is fitted too. [Friction](friction) is identified from runs
-//! at constant velocity in both directions. The structure of the servo, `τ = kv [kp (q_desired − y) − w]`, its rates
+//! [rational](transfer_function) model of T = y/q_d is fitted too. [Friction](friction) is identified from runs
+//! at constant velocity in both directions. The structure of the servo, `τ = kv [kp (q_d − y) − w]`, its rates
 //! and the limits are known; gains, filter, delay, inertia and friction are identified.
 //!
 //! A servo without a velocity loop is identified [statically](static_identification), from the weight of the arm.

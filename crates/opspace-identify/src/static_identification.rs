@@ -4,7 +4,7 @@
 //! slowly, friction has a certain sign (P: of its motion):
 //!
 //! ```text
-//! K (q_desired − q) = g(q) + P (F + b |q̇|)
+//! K (q_d − q) = g(q) + P (F + b |q̇|)
 //! ```
 //!
 //! The joint [sweeps](sweep) its range in both directions, at several speeds, so that each of some 20 postures is passed from

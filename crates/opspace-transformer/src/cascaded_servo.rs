@@ -12,7 +12,7 @@ use opspace_backend::quantity::{Fraction, NonNegative, Positive};
 use schemars::JsonSchema;
 use serde::Deserialize;
 
-/// Equation (K9) of the paper: `τ = kv [kp (q_desired − q) − q̇]`; optionally with an integral in the velocity loop.
+/// Equation (K9) of the paper: `τ = kv [kp (q_d − q) − q̇]`; optionally with an integral in the velocity loop.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema), schemars(transform = crate::optional_keys::with_optional_keys))]
 #[serde(deny_unknown_fields)]
@@ -25,8 +25,8 @@ pub struct CascadedServo {
     pub velocity_filter_hz: Positive,
     /// Integral time of the velocity loop, s; no integral if absent.
     pub velocity_integral_time_s: Option<Positive>,
-    /// Fraction of the setpoint's velocity that is fed forward to the velocity loop: `velocity_feed_forward (q_desired −
-    /// q_desired₋)/Ts` is added to its setpoint, with q_desired₋ of the servo tick before.
+    /// Fraction of the setpoint's velocity that is fed forward to the velocity loop: `velocity_feed_forward (q_d −
+    /// q_d₋)/T_s` is added to its setpoint, with q_d₋ of the servo tick before.
     #[serde(default)]
     pub velocity_feed_forward: Fraction,
     /// Torque fed forward per acceleration of the setpoint (its second difference divided by Ts²), kg m² (kg).
@@ -58,7 +58,7 @@ impl CascadedServo {
 }
 
 impl ServoStructure for CascadedServo {
-    /// Cascade: `w ← w + a ((y − y₋)/Ts − w)`, `e = kp (q_desired − y) − w`, `z ← z + e Ts/Ti`, `τ = kv (e + z)`. With
+    /// Cascade: `w ← w + a ((y − y₋)/T_s − w)`, `e = kp (q_d − y) − w`, `z ← z + e T_s/Ti`, `τ = kv (e + z)`. With
     /// feed-forward, e also has the setpoint's velocity and τ its acceleration.
     fn law(&self, period_s: f64) -> Result<ServoLaw, ServoError> {
         let (velocity, integral) = (Form::memory(0), Form::memory(2));

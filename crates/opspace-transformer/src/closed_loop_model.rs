@@ -6,8 +6,8 @@
 //!
 //! ```text
 //! E = T/(H (1 − T))                                                 (K6), step 3)
-//! q_desired = τ/E + q                                               (K8), first form
-//! q_desired = τ/(E (1 − T)) = H τ/T                                 (K8), second form
+//! q_d = τ/E + q                                               (K8), first form
+//! q_d = τ/(E (1 − T)) = H τ/T                                 (K8), second form
 //! ```
 //!
 //! **Literally**, τ is the net torque on a single free joint. Gravity, other joints and contact are not included, and
@@ -17,7 +17,7 @@
 //! torque, so the split form is valid for arms under gravity and contact:
 //!
 //! ```text
-//! 1/E = α + β s H        q_desired = q + α τ + β q̇
+//! 1/E = α + β s H        q_d = q + α τ + β q̇
 //! ```
 //!
 //! which is equation (K10) with kp = 1/β and kv = β/α.

@@ -3,10 +3,10 @@
 //! The transformer matches the mean motor torque of the interval in which the setpoint acts, like the
 //! [emulation](crate::servo_model_transformer), but for joints that go on at the velocity that they have. It needs no
 //! model of the arm: no inertia, gravity, friction or gear. For a cascade of gains kp and kv that holds its setpoints for
-//! R servo ticks of period Ts, d ticks after they are sent, and whose velocity filter has settled:
+//! R servo ticks of period T_s, d ticks after they are sent, and whose velocity filter has settled:
 //!
 //! ```text
-//! q_desired = τ/(kv kp) + q + v (1/kp + t̄)        t̄ = (d + (R − 1)/2) Ts
+//! q_d = τ/(kv kp) + q + v (1/kp + t̄)        t̄ = (d + (R − 1)/2) T_s
 //! ```
 //!
 //! This is equation (K10) of the paper with the position half of the interval ahead. For any other servo, the drive's law is
@@ -14,7 +14,7 @@
 //! unit of setpoint, and
 //!
 //! ```text
-//! q_desired = q + (τ − δ − Y₀)/Y₁
+//! q_d = q + (τ − δ − Y₀)/Y₁
 //! ```
 //!
 //! holds for filters, integrals, interpolation, delay and feed-forward alike. The memory of the law follows from the
@@ -44,7 +44,7 @@
 //! the law computes from q, ε, is the effect of the twist. With ε low-passed,
 //!
 //! ```text
-//! q_desired = q + (τ − δ − ε − Y₀)/Y₁
+//! q_d = q + (τ − δ − ε − Y₀)/Y₁
 //! ```
 //!
 //! follows the motor above the bandwidth of δ. Where positions are those of the motor, ε is the effect of all else that the law

@@ -8,7 +8,7 @@
 //! use opspace_model::{Data, Model, kinematics};
 //! use opspace_transformer::{CascadedServo, PaperTransformer, ServoLaw, ServoParameters, Transformer};
 //!
-//! // A joint with a position servo: τ = kv [kp (q_desired − q) − q̇], at 5 kHz.
+//! // A joint with a position servo: τ = kv [kp (q_d − q) − q̇], at 5 kHz.
 //! let urdf = r#"<robot name="pendulum">
 //!   <link name="base"/>
 //!   <joint name="hinge" type="continuous"><parent link="base"/><child link="rod"/><axis xyz="0 1 0"/></joint>
@@ -25,13 +25,13 @@
 //! let mut transformer = PaperTransformer::new(vec![servo.gains(period_s)]);
 //!
 //! // Someone turns the joint at 0.4 rad/s; 3 Nm are desired meanwhile.
-//! let (mut data, mut q_desired, mut torque) = (Data::new(&model), [0.0], 0.0);
+//! let (mut data, mut q_d, mut torque) = (Data::new(&model), [0.0], 0.0);
 //! let (mut memory, _) = law.rest(0.0, 0.0);
 //! for tick in 0..100 {
 //!     let q = 0.4 * f64::from(tick) * period_s;
 //!     kinematics(&model, &mut data, &[q], &[0.4]);
-//!     transformer.transform(&data, &[3.0], &mut q_desired);
-//!     torque = law.step(&mut memory, q_desired[0], q);
+//!     transformer.transform(&data, &[3.0], &mut q_d);
+//!     torque = law.step(&mut memory, q_d[0], q);
 //! }
 //! assert!((torque - 3.0).abs() < 1e-9, "the servo produces it");
 //! # Ok::<(), Box<dyn std::error::Error>>(())

@@ -12,7 +12,7 @@ use opspace_backend::quantity::{Fraction, NonNegative, Positive};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// `τ = K e + D ė + Ki ∫ e`, with e = q_desired − q, and ė or −q̇ from a filtered finite difference.
+/// `τ = K e + D ė + Ki ∫ e`, with e = q_d − q, and ė or −q̇ from a filtered finite difference.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema), schemars(transform = crate::optional_keys::with_optional_keys))]
 #[serde(deny_unknown_fields)]
@@ -29,8 +29,8 @@ pub struct PidServo {
     /// Integral gain Ki, Nm/(rad s) (N/(m s)).
     #[serde(default)]
     pub integral_nm_per_rad_s: NonNegative,
-    /// Fraction of the setpoint's velocity that is fed forward: the torque `D velocity_feed_forward (q_desired −
-    /// q_desired₋)/Ts` is added, with q_desired₋ of the servo tick before. Zero with the derivative of the error.
+    /// Fraction of the setpoint's velocity that is fed forward: the torque `D velocity_feed_forward (q_d −
+    /// q_d₋)/T_s` is added, with q_d₋ of the servo tick before. Zero with the derivative of the error.
     #[serde(default)]
     pub velocity_feed_forward: Fraction,
     /// Torque fed forward per acceleration of the setpoint (its second difference divided by Ts²), kg m² (kg).
@@ -57,7 +57,7 @@ pub enum DerivativeOf {
 }
 
 impl ServoStructure for PidServo {
-    /// PID: `τ = K e + D w + i`, with w the filtered rate of e or of −y, and `i ← i + Ki Ts e`. With feed-forward, τ also
+    /// PID: `τ = K e + D w + i`, with w the filtered rate of e or of −y, and `i ← i + Ki T_s e`. With feed-forward, τ also
     /// has the setpoint's velocity and acceleration.
     fn law(&self, period_s: f64) -> Result<ServoLaw, ServoError> {
         let feed_forward = self.velocity_feed_forward.get();

@@ -4,7 +4,7 @@
 //! joint of velocity v, by the setpoint
 //!
 //! ```text
-//! kp kv (q_desired − q) = (kv − D) v
+//! kp kv (q_d − q) = (kv − D) v
 //! ```
 //!
 //! If the true gain is (1 + u) kp, the torque is (1 + u)(kv − D) v − kv v. It does not drive the joint if

@@ -1,12 +1,12 @@
 //! Discrete-time law of a servo, linear for every servo structure.
 //!
 //! ```text
-//! τ = c x + d_r q_desired + d_y y        x ← A x + b_r q_desired + b_y y
+//! τ = c x + d_r q_d + d_y y        x ← A x + b_r q_d + b_y y
 //! ```
 //!
 //! y is the position that the servo reads at the servo tick, x is its memory. For a velocity servo, the setpoint is a
-//! velocity instead of q_desired. A servo that [averages](crate::setpoint_average) its setpoints has their mean in place of
-//! q_desired. The simulated drives run this law, and the emulating transformer predicts with it.
+//! velocity instead of q_d. A servo that [averages](crate::setpoint_average) its setpoints has their mean in place of
+//! q_d. The simulated drives run this law, and the emulating transformer predicts with it.
 
 use crate::servo_gains::ServoGains;
 use crate::setpoint_average::{self, AverageTicks, MAX_TICKS, SetpointAverage};

@@ -6,17 +6,17 @@
 //! which the setpoint acts are
 //!
 //! ```text
-//! τ_j = Y₀_j + Y₁_j q_desired        j = 0 … R − 1
+//! τ_j = Y₀_j + Y₁_j q_d        j = 0 … R − 1
 //! ```
 //!
-//! For drives that accept velocities, read q̇_desired for q_desired here and below.
+//! For drives that accept velocities, read q̇_d for q_d here and below.
 //!
 //! Y₀ is the torque due to the state and the previous setpoint, Y₁ (n × n) the torque per unit of setpoint. For a drive
 //! that holds its setpoint, the **mean** torque equals the desired torque. For a drive that interpolates, the torques
 //! of **all** servo ticks match the desired torque in the least-squares sense:
 //!
 //! ```text
-//! Σ Y₁_j q_desired = Σ (τ − δ − Y₀_j)        Σ Y₁_jᵀ Y₁_j q_desired = Σ Y₁_jᵀ (τ − δ − Y₀_j)
+//! Σ Y₁_j q_d = Σ (τ − δ − Y₀_j)        Σ Y₁_jᵀ Y₁_j q_d = Σ Y₁_jᵀ (τ − δ − Y₀_j)
 //! ```
 //!
 //! The state at the end of the emulated interval is the prediction of the [observer](crate::observer), which therefore

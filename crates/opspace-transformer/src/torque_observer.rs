@@ -2,13 +2,13 @@
 //! whose prediction is the arm under the commanded torques.
 //!
 //! ```text
-//! q̈ = M⁻¹ (τ + g_robot − b − n) + d        x = [q, q̇, d]        x = x⁻ + L (y − q⁻)
+//! q̈ = M⁻¹ (τ + g_robot − h − n) + d        x = [q, q̇, d]        x = x⁻ + L (y − q⁻)
 //! ```
 //!
-//! τ is the commanded torque in force, g_robot the gravity torque that the robot itself adds, b the Coriolis,
+//! τ is the commanded torque in force, g_robot the gravity torque that the robot itself adds, h the Coriolis,
 //! centrifugal and gravity torques, n the modelled friction. d is the acceleration that the prediction does not include,
 //! contact forces for example. Friction is that at the beginning of a period, unless it could stop a joint within one: with
-//! its part n ≈ C q̇ that follows the velocity, q̈ = (M + C T)⁻¹ (τ + g_robot − b − n) + d is stable for any C. A filtered difference of positions lags by the filter's time constant and half a period;
+//! its part n ≈ C q̇ that follows the velocity, q̈ = (M + C T)⁻¹ (τ + g_robot − h − n) + d is stable for any C. A filtered difference of positions lags by the filter's time constant and half a period;
 //! this estimate does not, as far as the model is right.
 
 use crate::friction::FrictionCompensation;

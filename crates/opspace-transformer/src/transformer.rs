@@ -223,7 +223,7 @@ pub trait Transformer: Send {
 /// position loop of its cascaded servo.
 ///
 /// ```text
-/// q_desired = kp⁻¹ (kv⁻¹ τ + q̇) + q                                  (K10)
+/// q_d = kp⁻¹ (kv⁻¹ τ + q̇) + q                                  (K10)
 /// ```
 ///
 /// Other position servos are represented by their equivalent gains. For velocity servos see
@@ -271,7 +271,7 @@ impl Transformer for PaperTransformer {
 
     fn transform(&mut self, data: &Data, tau: &[f64], q_desired: &mut [f64]) {
         for (i, gains) in self.gains.iter().enumerate() {
-            // Inner loop τ = kv (v_desired − q̇) times kv; then the outer loop v_desired = kp (q_desired − q).
+            // Inner loop τ = kv (v_desired − q̇) times kv; then the outer loop v_desired = kp (q_d − q).
             let kv_velocity_desired = tau[i] + gains.damping * data.dq[i];
             q_desired[i] = kv_velocity_desired / gains.stiffness + data.q[i];
         }

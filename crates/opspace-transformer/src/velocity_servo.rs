@@ -9,7 +9,7 @@ use opspace_backend::quantity::{NonNegative, Positive};
 use schemars::JsonSchema;
 use serde::Deserialize;
 
-/// `τ = kv (q̇_desired − q̇) + ki ∫ (q̇_desired − q̇)`, with q̇ from a filtered finite difference.
+/// `τ = kv (q̇_d − q̇) + ki ∫ (q̇_d − q̇)`, with q̇ from a filtered finite difference.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema), schemars(transform = crate::optional_keys::with_optional_keys))]
 #[serde(deny_unknown_fields)]
@@ -28,7 +28,7 @@ impl ServoStructure for VelocityServo {
         CommandKind::Velocity
     }
 
-    /// Velocity loop: `w ← w + a ((y − y₋)/Ts − w)`, `e = q̇_desired − w`, `i ← i + ki Ts e`, `τ = kv e + i`.
+    /// Velocity loop: `w ← w + a ((y − y₋)/T_s − w)`, `e = q̇_d − w`, `i ← i + ki T_s e`, `τ = kv e + i`.
     fn law(&self, period_s: f64) -> Result<ServoLaw, ServoError> {
         let change = Form::POSITION - Form::memory(1);
         let rate = filtered_rate(Form::memory(0), change, self.velocity_filter_hz.get(), period_s);

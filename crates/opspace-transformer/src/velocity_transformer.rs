@@ -7,11 +7,11 @@ use opspace_model::Data;
 
 /// Transformer of the paper for the inner velocity loop, for robots that accept velocities.
 ///
-/// The cascade of equation (K9), `τ = kv [kp (q_desired − q) − q̇]`, has the inner loop `τ = kv (q̇_desired − q̇)`.
+/// The cascade of equation (K9), `τ = kv [kp (q_d − q) − q̇]`, has the inner loop `τ = kv (q̇_d − q̇)`.
 /// Its inverse is the inner stage of equation (K10):
 ///
 /// ```text
-/// q̇_desired = kv⁻¹ τ + q̇
+/// q̇_d = kv⁻¹ τ + q̇
 /// ```
 ///
 /// The integral of a velocity loop is not included: its torque adds to the desired one. The torque is exact at the

@@ -58,9 +58,9 @@ fn old_addresses_lead_to_pages() {
     assert!(with_headings > 30 && redirects.len() > 60, "{with_headings} of {} addresses", redirects.len());
 }
 
-/// Every figure is shown by a page, and is small.
+/// Every figure is shown by a page, is small, and has a background of its own, so that it is readable on a dark page.
 #[test]
-fn figures_are_small_and_shown() {
+fn figures_are_small_shown_and_readable_on_a_dark_page() {
     let text: String = pages().iter().map(read).collect();
     for folder in ["docs", "docs/figures"] {
         for entry in fs::read_dir(project(folder)).unwrap() {
@@ -72,6 +72,9 @@ fn figures_are_small_and_shown() {
             assert!(text.contains(&name), "{name} is on no page");
             let size = fs::metadata(&path).unwrap().len();
             assert!(size <= LARGEST_FIGURE, "{name}: {size} bytes");
+            let has_background =
+                read(&path).lines().nth(1).unwrap().ends_with("fill=\"#FFFFFF\" stroke=\"none\"/>");
+            assert!(has_background, "{name}: its first element is not a white rectangle");
         }
     }
 }

@@ -1,6 +1,6 @@
 //! Tasks within limits: lexicographic least squares, one level after another.
 //!
-//! α are the joint accelerations that the task torques M α cause. Level k may change α in the null space of the levels
+//! α are the joint accelerations that the task torques M α cause, and |y|²_Λ = yᵀ Λ y. Level k may change α in the null space of the levels
 //! above: α = α_above + z + N δ, where z is the level's own demand and δ the change due to the limits. It minimises its
 //! residual,
 //!
@@ -11,8 +11,9 @@
 //! which the levels below do not change, since J_p N is zero there. W weights errors perpendicular to the task's
 //! direction of motion ten times (or as set) as much as errors along it, which only slow the task down; weights of the
 //! task's rows multiply Λ on both sides. A [scaled](crate::qp::level_cost) level keeps its direction. A level that limits
-//! hold back also has a [resistance](crate::limits::resistance) in its cost. Among solutions with equal residual, proximal steps, min |W J_p δ|² + ε |δ − δ_before|²_M, select the one nearest to the demand in kinetic
-//! energy: if no limit is active, δ is exactly zero. The last level, of all joints, minimises this norm itself, and
+//! hold back also has a [resistance](crate::limits::resistance) in its cost. Among solutions with equal residual, proximal
+//! steps, min |W J_p δ|²_Λ + ε |δ − δ_before|²_M, select the one nearest to the demand in kinetic energy: if no limit is
+//! active, δ is exactly zero. The last level, of all joints, minimises this norm itself, and
 //! removes the part of the other levels' δ that does not affect their rows.
 //!
 //! If the bounds on accelerations and speeds are infeasible, they are first widened as little as possible (least

@@ -2,6 +2,7 @@
 
 use crate::codes::Code;
 use crate::evaluate::position_control::lag_m;
+use crate::evaluate::response_table::response_note;
 use crate::evaluate::results::{error_of_desired, group, has_value, task_table};
 use crate::evaluate::summary::Summary;
 use crate::files::controller_kind::ControllerKind;
@@ -146,7 +147,7 @@ pub fn notes(summaries: &[Summary], metrics: &[Metric]) -> Vec<String> {
     let shows_one = |keys: &[&str]| keys.iter().any(|key| shows(key));
     let mut notes = vec![terms(summaries)];
     if let [one] = summaries {
-        notes.extend(transformer_choice(one).into_iter().chain(judged_task(one)));
+        notes.extend([transformer_choice(one), judged_task(one), response_note(one)].into_iter().flatten());
     }
     let mut add = |is_true: bool, note: &str| notes.extend(is_true.then(|| note.to_owned()));
     add(groups.iter().any(|group| group.runs.len() > 1), OF_SEEDS);
@@ -393,7 +394,8 @@ pub fn joint_notes(summary: &Summary) -> Vec<String> {
     );
     add(
         has(|joint| joint.torque_chatter_rms_nm.is_some()),
-        "The desired torque above 8 Hz includes fast parts of the planned motion and of friction compensation.",
+        "The desired torque above 8 Hz includes fast parts of the planned motion and of friction compensation. Largest line is \
+         the frequency of its largest part.",
     );
     add(
         has(|joint| joint.torque_chatter_rms_nm.is_some() && joint.torque_chatter_hz.is_none()),

@@ -1,4 +1,4 @@
-//! Length of the sentences of all pages: short sentences are read once.
+//! Length of the sentences of all pages, and of a release in CHANGELOG.md: short sentences are read once.
 //!
 //! A sentence is the text between `.`, `!`, `?` and `:`, outside code, tables, headings and formulas. Each list item and
 //! each paragraph ends one. A code span or a formula in a line counts as one word, a link as its text.
@@ -57,6 +57,22 @@ fn sentences_are_short() {
     }
     assert!(all > 1500, "only {all} sentences were found: the reader is wrong");
     assert!(long.is_empty(), "{}", long.join("\n"));
+}
+
+/// Most lines of a release in CHANGELOG.md: a user of the version before finds what he must know.
+const LINES_OF_A_RELEASE: usize = 120;
+
+/// Compared: the lines of each release, and their limit.
+#[test]
+fn releases_are_short() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../CHANGELOG.md");
+    let page = fs::read_to_string(path).expect("a page");
+    let releases: Vec<&str> = page.split("\n## ").skip(1).collect();
+    assert!(releases.len() >= 2, "{} releases", releases.len());
+    for release in releases {
+        let (name, count) = (release.lines().next().expect("a heading"), release.trim_end().lines().count());
+        assert!(count <= LINES_OF_A_RELEASE, "{name}: {count} lines");
+    }
 }
 
 #[test]

@@ -4,20 +4,20 @@
 //! produces, in addition to the mean torque of the interval, the torque
 //!
 //! ```text
-//! e_j = −k v Ts (j − (R−1)/2)        j = 0 .. R−1        rms  k |v| Ts √((R²−1)/12)
+//! e_j = −k v T_s (j − (R−1)/2)        j = 0 .. R−1        rms  k |v| T_s √((R²−1)/12)
 //! ```
 //!
 //! The current loop of the motor, a first-order lag with cutoff frequency f_c, changes it to x_{j+1} = e_j + ρ (x_j −
-//! e_j) with ρ = exp(−2π f_c Ts). Its mean over a servo period is m_j = e_j + μ (x_j − e_j) with μ = (1 − ρ)/(2π f_c
-//! Ts). The solution with period R is
+//! e_j) with ρ = exp(−2π f_c T_s). Its mean over a servo period is m_j = e_j + μ (x_j − e_j) with μ = (1 − ρ)/(2π f_c
+//! T_s). The solution with period R is
 //!
 //! ```text
-//! m_j = −k v Ts [j − (R−1)/2 − 1/(2π f_c Ts) + R μ ρʲ/(1 − ρᴿ)]
+//! m_j = −k v T_s [j − (R−1)/2 − 1/(2π f_c T_s) + R μ ρʲ/(1 − ρᴿ)]
 //! ```
 
 use std::f64::consts::TAU;
 
-/// Rms of the ripple over servo periods per stiffness (Nm/rad) and speed (rad/s), s: the rms of the bracket times Ts.
+/// Rms of the ripple over servo periods per stiffness (Nm/rad) and speed (rad/s), s: the rms of the bracket times T_s.
 /// Without `current_loop_hz` the motor has no lag.
 pub(super) fn of_held_setpoint(ratio: u32, servo_period_s: f64, current_loop_hz: Option<f64>) -> f64 {
     let (ticks, middle) = (f64::from(ratio), 0.5 * f64::from(ratio - 1));
