@@ -1,6 +1,6 @@
 //! Configuration of a robot behind topics: the keys of `[driver]` in robot.toml.
 
-use opspace_backend::{CommandKind, DriverError, ForceSensor, Measured, Settings};
+use opspace_backend::{CommandKind, DriverError, ForceSensor, GravityCompensation, Measured, Settings};
 use ros2_client::qos::{Durability, History, Reliability, WhenFull};
 use ros2_client::{Name, NodeName, QosProfile};
 use std::time::Duration;
@@ -58,6 +58,10 @@ pub struct RosConfig {
     pub clock: ClockSource,
     /// True if samples contain the velocities of the states.
     pub measures_velocity: bool,
+    /// Side that compensates gravity, as robot.toml states it: no topic tells.
+    pub gravity_compensated_by: GravityCompensation,
+    /// True if robot.toml states brakes.
+    pub has_brakes: bool,
     /// Meaning of the efforts of the states; `None` if samples do not contain them.
     pub effort: Option<EffortMeaning>,
     /// Topic of the commands.
@@ -181,6 +185,8 @@ impl RosConfig {
             )?
             .unwrap_or(ClockSource::Stamp),
             measures_velocity: settings.measured.contains(&Measured::Velocity),
+            gravity_compensated_by: settings.gravity_compensated_by,
+            has_brakes: settings.has_brakes,
             effort: choice(
                 settings,
                 "effort",
