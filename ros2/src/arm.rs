@@ -44,8 +44,6 @@ impl RosArm {
     pub fn new(link: Link, config: &RosConfig) -> Self {
         let layout = RowLayout::of(config);
         let n = layout.joints;
-        let is_position = config.command == CommandKind::Position;
-        let watch = config.not_following_rad.filter(|_| is_position).map(|limit| FollowWatch::new(n, limit));
         Self {
             link,
             capabilities: capabilities(config),
@@ -59,7 +57,7 @@ impl RosArm {
             not_following: RosFault::NotFollowing.device_fault(""),
             wrong_command: RosFault::WrongCommand.device_fault(""),
             not_sent: RosFault::ClientFailed.device_fault("commands were not sent in time"),
-            following: watch,
+            following: config.not_following.map(|limit| FollowWatch::new(n, limit)),
             pace: Pace::new(config.period_s),
         }
     }
@@ -144,6 +142,9 @@ impl Backend for RosArm {
 
     fn write(&mut self, command: Command<'_>) -> Result<(), DeviceFault> {
         let kind = self.capabilities.command;
+        if let (Command::Hold, Some(watch)) = (command, &mut self.following) {
+            watch.restart();
+        }
         match command {
             // The controller keeps the last position.
             Command::Hold if kind == CommandKind::Position => return Ok(()),

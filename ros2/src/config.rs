@@ -9,7 +9,7 @@ use std::time::Duration;
 pub const DRIVER: &str = "ros2";
 
 /// Keys of `[driver]`.
-pub const KEYS: [&str; 23] = [
+pub const KEYS: [&str; 25] = [
     "domain",
     "namespace",
     "node",
@@ -29,6 +29,8 @@ pub const KEYS: [&str; 23] = [
     "silence_s",
     "clock_jump_s",
     "not_following_rad",
+    "not_following_rad_per_s",
+    "not_following_nm",
     "targets",
     "output_hz",
     "target_age_s",
@@ -84,8 +86,8 @@ pub struct RosConfig {
     pub silence: Duration,
     /// Difference of the states' clock and that of the computer, between two states, that is a jump, s.
     pub clock_jump_s: f64,
-    /// Motion of a setpoint that no joint follows and that is a fault, rad (m); `None` is never.
-    pub not_following_rad: Option<f64>,
+    /// Change of a command that no joint follows and that is a fault, rad, rad/s or Nm (m, m/s, N); `None` is never.
+    pub not_following: Option<f64>,
 }
 
 /// Place of a node.
@@ -161,16 +163,6 @@ impl RosConfig {
                          own gravity compensation then hold the arm; an arm that would fall needs a position interface";
             return Err(DriverError::at("zero_effort_holds", words));
         }
-        let not_following_rad = match settings.contains("not_following_rad") {
-            false => Some(0.1),
-            true => Some(settings.number("not_following_rad")?).filter(|value| *value != 0.0),
-        };
-        if not_following_rad.is_some_and(|value| !(value.is_finite() && value > 0.0)) {
-            return Err(DriverError::at(
-                "not_following_rad",
-                "'not_following_rad' must be above 0, or 0 for never",
-            ));
-        }
         Ok(Self {
             place,
             command: settings.command,
@@ -202,7 +194,7 @@ impl RosConfig {
             discovery: settings.seconds("discovery_s", 10.0)?,
             silence: settings.seconds("silence_s", 0.1)?,
             clock_jump_s: settings.seconds("clock_jump_s", 0.2)?.as_secs_f64(),
-            not_following_rad,
+            not_following: not_following(settings)?,
         })
     }
 
@@ -313,6 +305,20 @@ fn command_type(settings: &Settings) -> Result<CommandType, DriverError> {
         ));
     }
     Ok(CommandType::Float64MultiArray)
+}
+
+/// Change of a command that no joint follows and that is a fault.
+fn not_following(settings: &Settings) -> Result<Option<f64>, DriverError> {
+    let (key, default) = match settings.command {
+        CommandKind::Position => ("not_following_rad", 0.1),
+        CommandKind::Velocity => ("not_following_rad_per_s", 0.3),
+        CommandKind::Torque => ("not_following_nm", 20.0),
+    };
+    let value = if settings.contains(key) { settings.number(key)? } else { default };
+    if !(value.is_finite() && value >= 0.0) {
+        return Err(DriverError::at(key, format!("'{key}' must be above 0, or 0 for never")));
+    }
+    Ok((value > 0.0).then_some(value))
 }
 
 /// Topics of the usual controllers.

@@ -72,7 +72,7 @@ class Arm:
             self.torque = self.data.qfrc_bias[self.v].copy()
             self.command = np.array(START) + self.torque / np.array([GAINS[name][0] for name in JOINTS])
         self.data.ctrl[:] = self.command
-        self.interpolates = interpolates
+        self.interface, self.interpolates = interface, interpolates
         self.push_n, self.board_z = np.array(push_n), board_z
         self.wrench = np.zeros(6)
         self.force = np.zeros(3)
@@ -110,6 +110,13 @@ class Arm:
         turned = self.data.xmat[self.flange].reshape(3, 3).T
         self.wrench = np.concatenate([turned @ self.force, np.zeros(3)])
 
+    def rest(self):
+        """Lets the arm rest without a controller: at its last position, at zero velocity, or on its brakes."""
+        if self.interface != "position":
+            self.command = np.zeros(len(JOINTS))
+        if self.interface == "effort":
+            self.model.dof_damping[self.v] = 1e5
+
     def state(self):
         """Positions, velocities and torques by name, with a gripper."""
         values = zip(JOINTS, self.data.qpos[self.q], self.data.qvel[self.v], self.torque, strict=True)
@@ -124,7 +131,7 @@ def main():
     parser.add_argument("--duration-s", type=float, default=60.0)
     parser.add_argument("--push-n", type=float, nargs=3, default=[0.0, 0.0, 0.0])
     parser.add_argument("--board-z", type=float)
-    parser.add_argument("--patient", action="store_true", help="go slowly until the first command, and then wait for the command that answers a state, as a simulator may do")
+    parser.add_argument("--patient", action="store_true", help="wait for the command that answers each state while there are commands, as a simulator may do")
     parser.add_argument("--late-cycles", type=int, default=0, help="let each command act this number of cycles later")
     parser.add_argument("--record")
     parser.add_argument("--rename-after-s", type=float, help="publish other names of the joints then")
@@ -133,7 +140,7 @@ def main():
     parser.add_argument("--nan-after-s", type=float, help="publish positions that are no numbers then")
     parser.add_argument("--wrench-silent-after-s", type=float, help="publish no wrenches then")
     parser.add_argument("--wrench-frame-after-s", type=float, help="publish wrenches in another frame then")
-    parser.add_argument("--inactive-after-s", type=float, help="ignore commands then")
+    parser.add_argument("--inactive-after-s", type=float, help="ignore commands then, as without an active controller")
     parser.add_argument("--deaf-after-s", type=float, help="destroy the subscription of the commands then, as a controller that is stopped does")
     parser.add_argument("--restart-after-s", type=float, help="destroy the publisher then, and create another one after 30 ms")
     parser.add_argument("--no-stamps", action="store_true")
@@ -157,7 +164,7 @@ def main():
     description.publish(String(data=open(args.urdf).read()))
     arm = Arm(args.urdf, args.interface, args.push_n, args.board_z, args.trajectories)
     arrived = threading.Condition()
-    counts = {"states": 0, "commands": 0, "late_cycles": 0, "wrong_commands": 0}
+    counts = {"states": 0, "pauses": 0, "commands": 0, "late_cycles": 0, "wrong_commands": 0}
     latest = {"command": None, "published_s": None}
     # From the publication of a state to the arrival of the next command, in a process of the same computer.
     latencies = []
@@ -194,10 +201,21 @@ def main():
         print("time_s,x_m,y_m,z_m,fx_n,fy_n,fz_n," + ",".join(f"{name}_command" for name in JOINTS), file=record)
     period_s = 1.0 / args.hz
     began, wall = time.time(), time.perf_counter()
-    cycle, first_cycle, first_count, driven_s, waited = 0, None, 0, None, 0
+    cycle, driven_s = 0, None
+    # Without commands it waits for none.
+    is_idle, answered = True, 0
     waiting = collections.deque()
     print("ready", flush=True)
     while not stop.is_set() and arm.data.time < args.duration_s:
+        if is_idle and args.patient and counts["commands"] > answered:
+            # Commands begin: those that answer earlier states are waited for.
+            is_idle = False
+            time.sleep(0.05)
+        # The command that has come before this state.
+        with arrived:
+            answered, command = counts["commands"], latest["command"]
+        if command is not None and driven_s is None:
+            driven_s = arm.driven_since = arm.data.time
         since = None if driven_s is None else arm.data.time - driven_s
         happens = lambda after: since is not None and after is not None and since > after
         # Publish the state, and the wrench before it.
@@ -216,6 +234,9 @@ def main():
         if happens(args.deaf_after_s):
             args.deaf_after_s = None
             node.destroy_subscription(commands)
+            if args.interface != "position":
+                # As controllers of velocities and efforts do when they are stopped.
+                latest["command"] = np.zeros(len(JOINTS))
         if happens(args.restart_after_s):
             args.restart_after_s = None
             node.destroy_publisher(publisher)
@@ -228,30 +249,18 @@ def main():
             latest["published_s"] = time.perf_counter()
             publisher.publish(message)
             counts["states"] += 1
-        # The command that had come before.
-        with arrived:
-            if first_cycle is not None and args.patient:
-                # The command that answers the state before.
-                wanted = first_count + cycle - first_cycle
-                came = arrived.wait_for(lambda: counts["commands"] >= wanted or stop.is_set(), timeout=0.15)
-                waited = 0 if came else waited + 1
-                # The commands have ended.
-                args.patient = waited < 4
-            command = latest["command"]
-            if command is not None and first_cycle is None:
-                first_cycle, first_count, driven_s = cycle, counts["commands"], arm.data.time
-                arm.driven_since = driven_s
         waiting.append(command)
         command = waiting.popleft() if len(waiting) > args.late_cycles else None
-        if command is not None and not happens(args.inactive_after_s):
+        if happens(args.inactive_after_s):
+            arm.rest()
+        elif command is not None:
             arm.command = command
         arm.go_on(period_s)
         cycle += 1
         if record and driven_s is not None:
             values = [arm.data.time - driven_s, *arm.data.xpos[arm.flange], *arm.force, *arm.command]
             print(",".join(f"{value:.9g}" for value in values), file=record)
-        slower = 4.0 if args.patient and driven_s is None else 1.0
-        wall += slower * period_s
+        wall += period_s
         ahead_s = wall - time.perf_counter()
         if ahead_s > 0.0:
             time.sleep(ahead_s)
@@ -260,6 +269,11 @@ def main():
             counts["late_cycles"] += 1
         else:
             counts["late_cycles"] += 1
+        if not is_idle:
+            # No state is overtaken by the next one.
+            with arrived:
+                is_idle = not arrived.wait_for(lambda: counts["commands"] > answered or stop.is_set(), timeout=0.2)
+                counts["pauses"] += is_idle
     if record:
         record.close()
     if latencies:

@@ -6,8 +6,8 @@ starts the foreign robot (rclpy on Fast DDS, MuJoCo), runs PROGRAM against it, a
 provokes each fault; streams targets from rclpy; speaks to the program by Cyclone DDS; and reads what it publishes with rosbags.
 Each scenario runs in a process and a network of its own, with the loopback alone, and some run at the same time.
 
-A robot that waits for its commands lets a busy machine change durations alone. A scenario with a robot that does not wait may fail on
-one: it is repeated once, and says so.
+A robot that waits for its commands lets a busy machine change durations alone. A scenario that depends on a latency, of a robot that
+does not wait, of targets or of discovery, may fail on one: it is repeated once, and says so. Others are not repeated.
 
 Exit code 75 if no namespace can be created.
 """
@@ -18,6 +18,8 @@ import csv
 import json
 import math
 import os
+import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -32,7 +34,7 @@ parser = argparse.ArgumentParser()
 parser.add_argument("program")
 parser.add_argument("project", type=Path)
 parser.add_argument("--only", default="", help="part of the names of the scenarios")
-parser.add_argument("--beside", type=int, default=3, help="number of scenarios that run at the same time")
+parser.add_argument("--beside", type=int, default=4, help="number of scenarios that run at the same time")
 parser.add_argument("--here", help="the scenario to run in this process and network")
 args = parser.parse_args()
 
@@ -50,7 +52,7 @@ def check(is_good, text):
         failures.append(text)
 
 
-# Scenarios by name, and the names of those whose robot does not wait for its commands.
+# Scenarios by name, and the names of those that depend on a latency.
 SCENARIOS, IMPATIENT = {}, set()
 
 
@@ -64,7 +66,7 @@ def scenario(function, name=None, is_patient=True):
 
 
 def impatient(function):
-    """Enters a scenario whose robot does not wait for its commands."""
+    """Enters a scenario that depends on a latency."""
     return scenario(function, is_patient=False)
 
 
@@ -201,6 +203,10 @@ TRAJECTORIES = setting(interface__setpoints="interpolated", driver__command_type
 control_scenario("trajectories_hold", "hold", ["--trajectories"], TRAJECTORIES)
 
 
+# A motion of 0.2 m, which begins at once.
+MOTION = ["--set", "task.flange.cartesian.reference={ point-to-point = { position = { offset_m = [0.0, 0.2, 0.0] }, duration_s = 2.0 } }"]
+
+
 def ends_of(interface):
     of_robot, of_program = INTERFACES[interface]
 
@@ -230,8 +236,9 @@ def ends_of(interface):
         for name, options in {"states-silent": ["--silent-after-s", 1.5], "controller-gone": ["--deaf-after-s", 1.5]}.items():
             robot = Robot("--patient", *TASKS["compliant-x"], *of_robot, *options)
             counts = ended(f"{interface}, {name}", name, robot, start("compliant-x", *of_program), rest_s=3.0)
-            if name != "controller-gone":
-                check(max(map(abs, counts["last_command"])) == 0.0, f"{interface}, {name}: the last command is zero")
+            check(max(map(abs, counts["last_command"])) == 0.0, f"{interface}, {name}: the last command is zero")
+        robot = Robot("--patient", *of_robot, "--inactive-after-s", 0.5)
+        ended(f"{interface}, not-following", "not-following", robot, start("hold", *of_program, *MOTION))
         node.destroy_node()
 
     scenario(run, f"ends_{interface}")
@@ -265,12 +272,15 @@ def identified(late):
         out = FOLDER / "identified"
         command = [args.program, "identify", TESTS / "robot/robot.toml", "--joint", "wrist_3", "--out", out, "--force"]
         done = subprocess.run([str(part) for part in command], capture_output=True, text=True, check=False)
-        robot.end()
+        print(f"        {robot.end()}")
         check(done.returncode in (0, 1), f"identification, {late} cycles late: it comes to its end (exit code {done.returncode})")
         written = out / "servo.toml"
         text = written.read_text() if written.exists() else ""
         print("        " + "\n        ".join((done.stdout + done.stderr).splitlines()[-12:]))
         check(f"delay_servo_ticks = {20 * (late + 1)}" in text, f"identification: the delay is {20 * (late + 1)} servo ticks")
+        found = [float(value) for key in ("stiffness_nm_per_rad", "damping_nms_per_rad") for value in re.findall(rf"{key} = ([0-9.]+)", text)]
+        is_good = len(found) == 2 and np.allclose(found, [200.0, 10.0], rtol=0.02)
+        check(is_good, f"identification: the gains are those of the robot within 2 %: {found} Nm/rad, Nms/rad")
 
     scenario(run, f"identification_{late}_cycles_late")
 
@@ -328,12 +338,21 @@ def faults_of_others():
         ended(name, name, robot, started)
         node.destroy_publisher(publisher)
 
-    robot = Robot("--patient")
-    started = start("compliant-x")
-    wait_for_commands(node, "forward_position_controller/commands")
-    robot.process.kill()
-    code, said, _ = end(started)
-    check(code == 1 and "states-silent" in said, "a killed driver: states-silent")
+    # A killed driver: nobody takes leave. Another one after that, within the silence that is allowed.
+    publisher = node.create_publisher(JointState, "joint_states", 10)
+    for name, is_restarted in (("states-silent", False), ("driver-restarted", True)):
+        robot = Robot("--patient")
+        started = start("compliant-x", *setting(driver__silence_s=1.0))
+        wait_for_commands(node, "forward_position_controller/commands")
+        robot.process.kill()
+        if is_restarted:
+            time.sleep(0.75)
+            doubled.header.stamp = node.get_clock().now().to_msg()
+            publisher.publish(doubled)
+        code, said, _ = end(started)
+        check(code == 1 and f"{name}:" in said, f"a killed driver: {name} (exit code {code})")
+        if f"{name}:" not in said:
+            print(said)
     node.destroy_node()
 
 
@@ -390,7 +409,7 @@ def late_and_elsewhere():
     robot.end()
 
 
-@scenario
+@impatient
 def starts_are_refused():
     """What is wrong before the start is an error with what is there."""
     robot = Robot("--hz", 125)
@@ -427,7 +446,7 @@ def states_without_stamps():
     slow = [part for key in ("servo_ticks_per_cycle", "delay_servo_ticks") for part in ("--set", f"robot.profile.topics-250hz.{key}=100")]
     robot = Robot("--no-stamps", "--hz", 50)
     refused("states have no stamps", *slow)
-    code, said, _ = end(start("hold", *slow, "--controller", "ik", "--set", 'robot.driver.clock="arrival"', "--set", "robot.driver.silence_s=0.3"))
+    code, said, _ = end(start("hold", *slow, "--controller", "ik", "--set", 'robot.driver.clock="arrival"', "--set", "robot.driver.silence_s=0.4"))
     check(code == 0, f"states without stamps: the clock of their arrival (exit code {code})")
     if code != 0:
         print(said)
@@ -699,14 +718,14 @@ def cyclone_and_rosbags_agree():
     bag = FOLDER / f"topics-{time.monotonic_ns()}"
     peer = subprocess.Popen([sys.executable, str(TESTS / "cyclone_robot.py"), str(bag)], stdout=subprocess.PIPE, text=True)
     assert peer.stdout.readline().strip() == "ready"
-    code, said, out = end(start("hold", "--set", "robot.driver.not_following_rad=0"))
+    code, said, out = end(start("hold", "--controller", "ik"))
     lines = peer.communicate(timeout=30)[0].strip().splitlines()
     found = json.loads(lines[-1])
     check(code == 0, f"Cyclone DDS: the run is complete (exit code {code})")
     if code != 0:
         print(said)
     print(f"        {found}")
-    check(found["commands"] > 900, f"Cyclone DDS: {found['commands']} commands arrived")
+    check(found["commands"] > 800, f"Cyclone DDS: {found['commands']} commands arrived")
     check("opspace/flange" in found["frames"], f"Cyclone DDS: /tf has {found['frames']}")
     from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_typestore
@@ -715,7 +734,7 @@ def cyclone_and_rosbags_agree():
         kinds = {connection.topic: connection.msgtype for connection in reader.connections}
         messages = [reader.deserialize(raw, connection.msgtype) for connection, _, raw in reader.messages() if connection.topic == "/forward_position_controller/commands"]
         frames = [reader.deserialize(raw, connection.msgtype) for connection, _, raw in reader.messages() if connection.topic == "/tf"]
-    check(len(messages) > 900 and np.allclose(messages[0].data, START, atol=0.1), f"rosbags reads {len(messages)} commands of {kinds}")
+    check(len(messages) > 800 and np.allclose(messages[0].data, START, atol=0.1), f"rosbags reads {len(messages)} commands of {kinds}")
     check(len(frames) > 50 and frames[-1].transforms[0].header.frame_id == "world", f"rosbags reads {len(frames)} messages of /tf")
 
 
@@ -777,6 +796,7 @@ def main():
             lines += said.count("ok      ")
             if code != 0:
                 failed.append(name)
+    FOLDER.rmdir()
     print(f"{len(names)} scenarios, {lines} checks passed; {len(failed)} scenarios failed: {', '.join(failed) or 'none'}")
     return 1 if failed or not names else 0
 
@@ -796,4 +816,6 @@ finally:
         traceback.print_exc()
         failures.append("an exception")
     sys.stderr.flush()
+    if not failures:
+        shutil.rmtree(FOLDER, ignore_errors=True)
     os._exit(1 if failures else 0)

@@ -143,9 +143,7 @@ fn a_node_that_sends_nothing_is_a_fault() {
 
 #[test]
 fn gravity_and_brakes_are_those_that_robot_toml_states() {
-    let settings = settings()
-        .with_gravity_compensated_by(GravityCompensation::Robot)
-        .with_brakes(true);
+    let settings = settings().with_gravity_compensated_by(GravityCompensation::Robot).with_brakes(true);
     let (arm, ..) = arm(&RosConfig::from_settings(&settings).unwrap());
     let capabilities = arm.capabilities();
     assert_eq!(capabilities.gravity_compensated_by, GravityCompensation::Robot);
@@ -153,20 +151,30 @@ fn gravity_and_brakes_are_those_that_robot_toml_states() {
 }
 
 #[test]
-fn a_robot_that_does_not_follow_is_told() {
-    let (mut arm, mut end, mut sample) = arm(&config());
-    let mut fault = None;
-    for cycle in 0..100 {
-        let time_s = 0.01 * f64::from(cycle);
-        end.push(&state(time_s, [0.1, 0.2]), &WRENCH);
-        fault = arm.read(&mut sample).err();
-        if fault.is_some() {
-            break;
+fn a_robot_that_does_not_follow_is_told_unless_it_is_held() {
+    for (kind, per_s) in
+        [(CommandKind::Position, 1.0), (CommandKind::Velocity, 1.0), (CommandKind::Torque, 50.0)]
+    {
+        for is_held in [false, true] {
+            let (mut arm, mut end, mut sample) = moving(kind);
+            let mut fault = None;
+            for cycle in 0..100 {
+                let time_s = 0.01 * f64::from(cycle);
+                end.push(&state(time_s, [0.1, 0.2]), &[]);
+                fault = arm.read(&mut sample).err();
+                if fault.is_some() {
+                    break;
+                }
+                arm.write(Command::new(kind, &[0.1 + per_s * time_s, 0.2])).unwrap();
+                if is_held && cycle % 40 == 39 {
+                    arm.write(Command::Hold).unwrap();
+                }
+                while end.next_command(&mut [0.0; 2]) {}
+            }
+            let code = (!is_held).then_some(RosFault::NotFollowing.code());
+            assert_eq!(fault.map(|fault| fault.code), code, "{kind:?}, held: {is_held}");
         }
-        arm.write(Command::Position(&[0.1 + time_s, 0.2])).unwrap();
-        end.next_command(&mut [0.0; 2]);
     }
-    assert_eq!(fault.map(|fault| fault.code), Some(RosFault::NotFollowing.code()));
 }
 
 /// Compared: the counts of the allocator before and after cycles; it counts this thread.

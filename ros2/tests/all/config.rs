@@ -57,14 +57,17 @@ fn wrong_keys_are_named_with_what_is_allowed() {
 }
 
 #[test]
-fn an_arm_that_would_fall_is_refused() {
+fn each_kind_of_command_has_its_defaults_and_an_arm_that_would_fall_is_refused() {
     let joints = vec!["elbow".to_owned()];
     let torque = Settings::new(CommandKind::Torque, joints.clone(), 0.01);
     let error = RosConfig::from_settings(&torque).expect_err("a torque interface without brakes");
     assert_eq!(error.key.as_deref(), Some("zero_effort_holds"));
     let stated = RosConfig::from_settings(&torque.with("zero_effort_holds", Setting::Flag(true))).unwrap();
     assert_eq!(stated.commands, "forward_effort_controller/commands");
+    assert_eq!(stated.not_following, Some(20.0));
     let velocity = Settings::new(CommandKind::Velocity, joints, 0.01);
+    let never = velocity.clone().with("not_following_rad_per_s", Setting::Number(0.0));
+    assert_eq!(RosConfig::from_settings(&never).unwrap().not_following, None);
     assert_eq!(RosConfig::from_settings(&velocity).unwrap().commands, "forward_velocity_controller/commands");
     let trajectory = velocity.with("command_type", text("joint-trajectory"));
     let error = RosConfig::from_settings(&trajectory).expect_err("velocities as a trajectory");
