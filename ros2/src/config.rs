@@ -179,11 +179,7 @@ impl RosConfig {
             measures_velocity: settings.measured.contains(&Measured::Velocity),
             gravity_compensated_by: settings.gravity_compensated_by,
             has_brakes: settings.has_brakes,
-            effort: choice(
-                settings,
-                "effort",
-                &[("motor-torque", EffortMeaning::MotorTorque), ("joint-torque", EffortMeaning::JointTorque)],
-            )?,
+            effort: effort(settings)?,
             commands: topic(settings, "commands", default_commands(settings.command, command_type))?,
             commands_reliable: is_reliable(settings, "commands_qos", true)?,
             command_type,
@@ -305,6 +301,30 @@ fn command_type(settings: &Settings) -> Result<CommandType, DriverError> {
         ));
     }
     Ok(CommandType::Float64MultiArray)
+}
+
+/// Meaning of the efforts, which is to be what robot.toml states as measured.
+fn effort(settings: &Settings) -> Result<Option<EffortMeaning>, DriverError> {
+    let meanings =
+        [("motor-torque", EffortMeaning::MotorTorque), ("joint-torque", EffortMeaning::JointTorque)];
+    let meaning = choice(settings, "effort", &meanings)?;
+    let measured = [(Measured::MotorCurrent, "motor-current", 0), (Measured::JointTorque, "joint-torque", 1)];
+    for (quantity, name, number) in measured {
+        let (key, own) = meanings[number];
+        let (is_measured, is_read) = (settings.measured.contains(&quantity), meaning == Some(own));
+        if is_measured && !is_read {
+            let words = format!(
+                "'measured' of [interface] has {name}: state effort = \"{key}\" if the efforts of the states are that, or remove it \
+                 from 'measured'"
+            );
+            return Err(DriverError::at("effort", words));
+        }
+        if is_read && !is_measured {
+            let words = format!("effort = \"{key}\" needs \"{name}\" in 'measured' of [interface]");
+            return Err(DriverError::at("effort", words));
+        }
+    }
+    Ok(meaning)
 }
 
 /// Change of a command that no joint follows and that is a fault.
