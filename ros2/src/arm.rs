@@ -10,6 +10,12 @@ use opspace_backend::{
 };
 use std::time::{Duration, Instant};
 
+/// Number of times that the last command is sent after a run.
+const LAST_COMMANDS: u32 = 5;
+
+/// Time between two of them.
+const LAST_COMMAND_INTERVAL: Duration = Duration::from_millis(20);
+
 /// A robot behind topics.
 ///
 /// [`read`](Backend::read) waits for the next state: the robot sets the pace. States that were overtaken by the next one are
@@ -22,6 +28,7 @@ pub struct RosArm {
     row: Vec<f64>,
     command: Vec<f64>,
     has_command: bool,
+    has_stopped: bool,
     silence: Duration,
     silent: DeviceFault,
     not_following: DeviceFault,
@@ -37,8 +44,6 @@ impl RosArm {
     pub fn new(link: Link, config: &RosConfig) -> Self {
         let layout = RowLayout::of(config);
         let n = layout.joints;
-        let is_position = config.command == CommandKind::Position;
-        let watch = config.not_following_rad.filter(|_| is_position).map(|limit| FollowWatch::new(n, limit));
         Self {
             link,
             capabilities: capabilities(config),
@@ -46,12 +51,13 @@ impl RosArm {
             row: vec![0.0; layout.width()],
             command: vec![0.0; n],
             has_command: false,
+            has_stopped: false,
             silence: config.silence,
             silent: RosFault::StatesSilent.device_fault(&format!("for {} s", config.silence.as_secs_f64())),
             not_following: RosFault::NotFollowing.device_fault(""),
             wrong_command: RosFault::WrongCommand.device_fault(""),
             not_sent: RosFault::ClientFailed.device_fault("commands were not sent in time"),
-            following: watch,
+            following: config.not_following.map(|limit| FollowWatch::new(n, limit)),
             pace: Pace::new(config.period_s),
         }
     }
@@ -62,9 +68,21 @@ impl RosArm {
         &self.pace
     }
 
-    /// Ends the connection; the robot keeps its last command.
-    pub fn close(self) {
+    /// Ends the connection; the robot keeps its last command. After a run that has stopped it is sent several times, as one that is
+    /// lost would not be sent again.
+    pub fn close(mut self) {
+        for _ in 0..LAST_COMMANDS {
+            if self.has_stopped {
+                self.send_last();
+            }
+            std::thread::sleep(LAST_COMMAND_INTERVAL);
+        }
         self.link.close();
+    }
+
+    /// Sends the last command once more. A ring that is full has the last ones.
+    fn send_last(&mut self) {
+        let _ = self.link.send(&self.command);
     }
 
     /// Fills the sample from the last row.
@@ -124,6 +142,9 @@ impl Backend for RosArm {
 
     fn write(&mut self, command: Command<'_>) -> Result<(), DeviceFault> {
         let kind = self.capabilities.command;
+        if let (Command::Hold, Some(watch)) = (command, &mut self.following) {
+            watch.restart();
+        }
         match command {
             // The controller keeps the last position.
             Command::Hold if kind == CommandKind::Position => return Ok(()),
@@ -139,15 +160,16 @@ impl Backend for RosArm {
         if self.link.send(&self.command) { Ok(()) } else { Err(self.not_sent.clone()) }
     }
 
-    /// Sends the last position once more, or velocities or efforts of zero.
+    /// Sends the last position once more, or velocities or efforts of zero; nothing to a robot that was not commanded.
     fn stop(&mut self) {
-        if self.capabilities.command != CommandKind::Position {
-            self.command.fill(0.0);
-        } else if !self.has_command {
+        if !self.has_command {
             return;
         }
-        // A ring that is full has the last commands.
-        let _ = self.link.send(&self.command);
+        if self.capabilities.command != CommandKind::Position {
+            self.command.fill(0.0);
+        }
+        self.has_stopped = true;
+        self.send_last();
     }
 }
 
@@ -168,6 +190,8 @@ fn capabilities(config: &RosConfig) -> Capabilities {
     };
     Capabilities::new(config.joints.clone(), config.command, config.period_s)
         .with_setpoints(setpoints)
+        .with_gravity_compensated_by(config.gravity_compensated_by)
+        .with_brakes(config.has_brakes)
         .measuring(&measured)
         .with_force_sensors(config.force_sensors.clone())
         .with_status()

@@ -1,6 +1,6 @@
 //! Configuration of a robot behind topics: the keys of `[driver]` in robot.toml.
 
-use opspace_backend::{CommandKind, DriverError, ForceSensor, Measured, Settings};
+use opspace_backend::{CommandKind, DriverError, ForceSensor, GravityCompensation, Measured, Settings};
 use ros2_client::qos::{Durability, History, Reliability, WhenFull};
 use ros2_client::{Name, NodeName, QosProfile};
 use std::time::Duration;
@@ -9,7 +9,7 @@ use std::time::Duration;
 pub const DRIVER: &str = "ros2";
 
 /// Keys of `[driver]`.
-pub const KEYS: [&str; 23] = [
+pub const KEYS: [&str; 25] = [
     "domain",
     "namespace",
     "node",
@@ -29,6 +29,8 @@ pub const KEYS: [&str; 23] = [
     "silence_s",
     "clock_jump_s",
     "not_following_rad",
+    "not_following_rad_per_s",
+    "not_following_nm",
     "targets",
     "output_hz",
     "target_age_s",
@@ -58,6 +60,10 @@ pub struct RosConfig {
     pub clock: ClockSource,
     /// True if samples contain the velocities of the states.
     pub measures_velocity: bool,
+    /// Side that compensates gravity, as robot.toml states it: no topic tells.
+    pub gravity_compensated_by: GravityCompensation,
+    /// True if robot.toml states brakes.
+    pub has_brakes: bool,
     /// Meaning of the efforts of the states; `None` if samples do not contain them.
     pub effort: Option<EffortMeaning>,
     /// Topic of the commands.
@@ -80,8 +86,8 @@ pub struct RosConfig {
     pub silence: Duration,
     /// Difference of the states' clock and that of the computer, between two states, that is a jump, s.
     pub clock_jump_s: f64,
-    /// Motion of a setpoint that no joint follows and that is a fault, rad (m); `None` is never.
-    pub not_following_rad: Option<f64>,
+    /// Change of a command that no joint follows and that is a fault, rad, rad/s or Nm (m, m/s, N); `None` is never.
+    pub not_following: Option<f64>,
 }
 
 /// Place of a node.
@@ -157,16 +163,6 @@ impl RosConfig {
                          own gravity compensation then hold the arm; an arm that would fall needs a position interface";
             return Err(DriverError::at("zero_effort_holds", words));
         }
-        let not_following_rad = match settings.contains("not_following_rad") {
-            false => Some(0.1),
-            true => Some(settings.number("not_following_rad")?).filter(|value| *value != 0.0),
-        };
-        if not_following_rad.is_some_and(|value| !(value.is_finite() && value > 0.0)) {
-            return Err(DriverError::at(
-                "not_following_rad",
-                "'not_following_rad' must be above 0, or 0 for never",
-            ));
-        }
         Ok(Self {
             place,
             command: settings.command,
@@ -181,11 +177,9 @@ impl RosConfig {
             )?
             .unwrap_or(ClockSource::Stamp),
             measures_velocity: settings.measured.contains(&Measured::Velocity),
-            effort: choice(
-                settings,
-                "effort",
-                &[("motor-torque", EffortMeaning::MotorTorque), ("joint-torque", EffortMeaning::JointTorque)],
-            )?,
+            gravity_compensated_by: settings.gravity_compensated_by,
+            has_brakes: settings.has_brakes,
+            effort: effort(settings)?,
             commands: topic(settings, "commands", default_commands(settings.command, command_type))?,
             commands_reliable: is_reliable(settings, "commands_qos", true)?,
             command_type,
@@ -196,7 +190,7 @@ impl RosConfig {
             discovery: settings.seconds("discovery_s", 10.0)?,
             silence: settings.seconds("silence_s", 0.1)?,
             clock_jump_s: settings.seconds("clock_jump_s", 0.2)?.as_secs_f64(),
-            not_following_rad,
+            not_following: not_following(settings)?,
         })
     }
 
@@ -307,6 +301,44 @@ fn command_type(settings: &Settings) -> Result<CommandType, DriverError> {
         ));
     }
     Ok(CommandType::Float64MultiArray)
+}
+
+/// Meaning of the efforts, which is to be what robot.toml states as measured.
+fn effort(settings: &Settings) -> Result<Option<EffortMeaning>, DriverError> {
+    let meanings =
+        [("motor-torque", EffortMeaning::MotorTorque), ("joint-torque", EffortMeaning::JointTorque)];
+    let meaning = choice(settings, "effort", &meanings)?;
+    let measured = [(Measured::MotorCurrent, "motor-current", 0), (Measured::JointTorque, "joint-torque", 1)];
+    for (quantity, name, number) in measured {
+        let (key, own) = meanings[number];
+        let (is_measured, is_read) = (settings.measured.contains(&quantity), meaning == Some(own));
+        if is_measured && !is_read {
+            let words = format!(
+                "'measured' of [interface] has {name}: state effort = \"{key}\" if the efforts of the states are that, or remove it \
+                 from 'measured'"
+            );
+            return Err(DriverError::at("effort", words));
+        }
+        if is_read && !is_measured {
+            let words = format!("effort = \"{key}\" needs \"{name}\" in 'measured' of [interface]");
+            return Err(DriverError::at("effort", words));
+        }
+    }
+    Ok(meaning)
+}
+
+/// Change of a command that no joint follows and that is a fault.
+fn not_following(settings: &Settings) -> Result<Option<f64>, DriverError> {
+    let (key, default) = match settings.command {
+        CommandKind::Position => ("not_following_rad", 0.1),
+        CommandKind::Velocity => ("not_following_rad_per_s", 0.3),
+        CommandKind::Torque => ("not_following_nm", 20.0),
+    };
+    let value = if settings.contains(key) { settings.number(key)? } else { default };
+    if !(value.is_finite() && value >= 0.0) {
+        return Err(DriverError::at(key, format!("'{key}' must be above 0, or 0 for never")));
+    }
+    Ok((value > 0.0).then_some(value))
 }
 
 /// Topics of the usual controllers.

@@ -43,7 +43,9 @@ impl Driver for Ros2Driver {
         let link = Link::start(topics, found, &config)?;
         let mut arm = RosArm::new(link, &config);
         run(&mut arm);
-        self.program.reports.add(arm.pace().to_string());
+        if arm.pace().count() > 1 {
+            self.program.reports.add(arm.pace().to_string());
+        }
         arm.close();
         Ok(())
     }

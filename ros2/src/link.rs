@@ -27,8 +27,8 @@ const LOOK: Duration = Duration::from_millis(50);
 /// Number of commands in a row that the client of DDS does not take, after which it has failed.
 const REFUSED_COMMANDS: u32 = 50;
 
-/// Time for which the last commands are sent before the node ends.
-const LINGER: Duration = Duration::from_millis(100);
+/// Time in which the last command is sent before the node ends.
+const LINGER: Duration = Duration::from_millis(20);
 
 /// Connection of a robot with its node.
 pub struct Link {
@@ -134,7 +134,7 @@ impl Link {
             wrenches,
             state: RobotState::default(),
             row: vec![0.0; config.joints.len()],
-            refused: 0,
+            refusals: Refusals::default(),
             config: config.clone(),
             began,
             end,
@@ -253,6 +253,24 @@ impl NodeEnd {
     }
 }
 
+/// Number of commands in a row that the client of DDS has not taken.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Refusals(u32);
+
+impl Refusals {
+    /// Counts a command.
+    ///
+    /// # Errors
+    /// The client has failed: it did not take too many commands in a row.
+    pub fn count(&mut self, is_taken: bool) -> Result<(), Failure> {
+        self.0 = if is_taken { 0 } else { self.0 + 1 };
+        if self.0 < REFUSED_COMMANDS {
+            return Ok(());
+        }
+        Err((RosFault::ClientFailed, format!("it did not take {REFUSED_COMMANDS} commands in a row")))
+    }
+}
+
 /// Something that the thread of the messages waits for.
 enum Event {
     State(Received<crate::messages::JointState>),
@@ -268,7 +286,7 @@ struct Messages {
     wrenches: WrenchReader,
     state: RobotState,
     row: Vec<f64>,
-    refused: u32,
+    refusals: Refusals,
     config: RosConfig,
     began: Instant,
     end: NodeEnd,
@@ -318,16 +336,9 @@ impl Messages {
     /// Publishes the commands that the control loop has written.
     fn publish(&mut self, commander: &Commander) -> Result<(), Failure> {
         while self.end.next_command(&mut self.row) {
-            if commander.publish(command_message(&self.config, &self.row)) {
-                self.refused = 0;
-                continue;
-            }
-            self.refused += 1;
-            self.end.shared.refused.fetch_add(1, Ordering::Relaxed);
-            if self.refused >= REFUSED_COMMANDS {
-                let details = format!("it did not take {REFUSED_COMMANDS} commands in a row");
-                return Err((RosFault::ClientFailed, details));
-            }
+            let is_taken = commander.publish(command_message(&self.config, &self.row));
+            self.end.shared.refused.fetch_add(u64::from(!is_taken), Ordering::Relaxed);
+            self.refusals.count(is_taken)?;
         }
         Ok(())
     }

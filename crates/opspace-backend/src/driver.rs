@@ -1,7 +1,7 @@
 //! Drivers, which open a robot for a run.
 
 use crate::backend::Backend;
-use crate::capabilities::{Capabilities, ForceSensor, Measured};
+use crate::capabilities::{Capabilities, ForceSensor, GravityCompensation, Measured};
 use crate::command::CommandKind;
 use crate::driver_key::{DriverKey, KeyValue};
 use crate::fault::DeviceFault;
@@ -171,6 +171,10 @@ pub struct Settings {
     pub force_sensors: Vec<ForceSensor>,
     /// Quantities that samples contain, as `measured` of `[interface]` states them.
     pub measured: Vec<Measured>,
+    /// Side that compensates gravity, as robot.toml states it, for a driver that cannot know.
+    pub gravity_compensated_by: GravityCompensation,
+    /// True if robot.toml states brakes, for a driver that cannot know.
+    pub has_brakes: bool,
     /// Position servos of the joints, as robot.toml states them (n); empty if it states none.
     pub servos: Vec<StatedServo>,
     /// Folder of robot.toml, to which relative paths refer; empty for the working folder.
@@ -206,7 +210,8 @@ pub enum Setting {
 }
 
 impl Settings {
-    /// Returns settings without force sensors and keys, of a robot that measures positions.
+    /// Returns settings without force sensors and keys, of a robot that measures positions, whose controller compensates gravity,
+    /// and that has brakes if it accepts torques.
     #[must_use]
     pub fn new(command: CommandKind, joints: Vec<String>, period_s: f64) -> Self {
         Self {
@@ -215,6 +220,8 @@ impl Settings {
             period_s,
             force_sensors: Vec::new(),
             measured: vec![Measured::Position],
+            gravity_compensated_by: GravityCompensation::Controller,
+            has_brakes: command == CommandKind::Torque,
             servos: Vec::new(),
             folder: PathBuf::new(),
             is_followed: false,
@@ -226,6 +233,18 @@ impl Settings {
     #[must_use]
     pub fn measuring(self, measured: &[Measured]) -> Self {
         Self { measured: measured.to_vec(), ..self }
+    }
+
+    /// Sets the side that compensates gravity.
+    #[must_use]
+    pub fn with_gravity_compensated_by(self, gravity_compensated_by: GravityCompensation) -> Self {
+        Self { gravity_compensated_by, ..self }
+    }
+
+    /// Sets whether the robot has brakes.
+    #[must_use]
+    pub fn with_brakes(self, has_brakes: bool) -> Self {
+        Self { has_brakes, ..self }
     }
 
     /// Sets the position servos of the joints (n).

@@ -1,9 +1,9 @@
 //! Keys of `[driver]`.
 
 use crate::common::{settings, text, texts};
-use opspace_backend::{CommandKind, ForceSensor, Setting, Settings};
+use opspace_backend::{CommandKind, ForceSensor, Measured, Setting, Settings};
 use opspace_ros2::RosConfig;
-use opspace_ros2::config::{ClockSource, CommandType, KEYS};
+use opspace_ros2::config::{ClockSource, CommandType, EffortMeaning, KEYS};
 use std::time::Duration;
 
 #[test]
@@ -57,18 +57,40 @@ fn wrong_keys_are_named_with_what_is_allowed() {
 }
 
 #[test]
-fn an_arm_that_would_fall_is_refused() {
+fn each_kind_of_command_has_its_defaults_and_an_arm_that_would_fall_is_refused() {
     let joints = vec!["elbow".to_owned()];
     let torque = Settings::new(CommandKind::Torque, joints.clone(), 0.01);
     let error = RosConfig::from_settings(&torque).expect_err("a torque interface without brakes");
     assert_eq!(error.key.as_deref(), Some("zero_effort_holds"));
     let stated = RosConfig::from_settings(&torque.with("zero_effort_holds", Setting::Flag(true))).unwrap();
     assert_eq!(stated.commands, "forward_effort_controller/commands");
+    assert_eq!(stated.not_following, Some(20.0));
     let velocity = Settings::new(CommandKind::Velocity, joints, 0.01);
+    let never = velocity.clone().with("not_following_rad_per_s", Setting::Number(0.0));
+    assert_eq!(RosConfig::from_settings(&never).unwrap().not_following, None);
     assert_eq!(RosConfig::from_settings(&velocity).unwrap().commands, "forward_velocity_controller/commands");
     let trajectory = velocity.with("command_type", text("joint-trajectory"));
     let error = RosConfig::from_settings(&trajectory).expect_err("velocities as a trajectory");
     assert_eq!(error.key.as_deref(), Some("command_type"));
+}
+
+#[test]
+fn efforts_are_read_if_and_only_if_they_are_measured() {
+    let measuring = |measured: &[Measured]| settings().measuring(measured);
+    for (settings, words) in [
+        (measuring(&[Measured::MotorCurrent]), "has motor-current: state effort = \"motor-torque\""),
+        (measuring(&[Measured::JointTorque]), "has joint-torque: state effort = \"joint-torque\""),
+        (
+            measuring(&[]).with("effort", text("motor-torque")),
+            "effort = \"motor-torque\" needs \"motor-current\" in 'measured'",
+        ),
+    ] {
+        let error = RosConfig::from_settings(&settings).expect_err(words);
+        assert_eq!(error.key.as_deref(), Some("effort"));
+        assert!(error.words.contains(words), "{}", error.words);
+    }
+    let stated = measuring(&[Measured::MotorCurrent]).with("effort", text("motor-torque"));
+    assert_eq!(RosConfig::from_settings(&stated).unwrap().effort, Some(EffortMeaning::MotorTorque));
 }
 
 #[test]

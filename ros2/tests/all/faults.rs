@@ -1,6 +1,7 @@
 //! Codes, names and texts of the faults.
 
 use opspace_ros2::RosFault;
+use opspace_ros2::link::Refusals;
 use std::collections::BTreeSet;
 
 #[test]
@@ -20,4 +21,15 @@ fn a_device_fault_begins_with_its_name() {
     let fault = RosFault::ClockJumped.device_fault("by +3600 s");
     assert_eq!(fault.code, 14);
     assert_eq!(fault.words, "clock-jumped: the clock of the joint states jumped: by +3600 s");
+}
+
+#[test]
+fn a_client_that_takes_no_commands_has_failed_and_one_that_misses_some_has_not() {
+    let mut refusals = Refusals::default();
+    for number in 0..1000 {
+        refusals.count(number % 40 == 0).unwrap();
+    }
+    let (fault, details) = (0..50).find_map(|_| refusals.count(false).err()).unwrap();
+    assert_eq!(fault, RosFault::ClientFailed);
+    assert_eq!(details, "it did not take 50 commands in a row");
 }

@@ -303,9 +303,12 @@ impl RobotDefinition {
         let servos = servos.map(|servo| stated_servo(servo, profile.servo_period_s())).collect();
         let joints = self.model.joints().iter().map(|joint| joint.name.clone()).collect();
         let folder = Path::new(self.source.name()).parent().unwrap_or(Path::new(""));
+        let stated = self.capabilities(command, period_s);
         let settings = Settings::new(command, joints, period_s)
             .measuring(&self.file.interface.measured)
-            .with_force_sensors(self.capabilities(command, period_s).force_sensors)
+            .with_gravity_compensated_by(stated.gravity_compensated_by)
+            .with_brakes(stated.has_brakes)
+            .with_force_sensors(stated.force_sensors)
             .with_servos(servos)
             .in_folder(folder);
         let keys = self
