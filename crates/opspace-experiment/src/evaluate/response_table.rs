@@ -42,7 +42,7 @@ pub fn response_table(summary: &Summary) -> Table {
     table
 }
 
-/// What the columns of [`response_table`] mean, by the beginning of their titles.
+/// Meanings of the columns of [`response_table`], by the beginning of their titles.
 const MEANINGS: [(&str, &str); 4] = [
     ("deflection max", "deflection max is the largest displacement along the axis after settle_s"),
     ("stiffness", "stiffness is force over displacement, – where these are not related"),
