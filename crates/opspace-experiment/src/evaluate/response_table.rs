@@ -50,7 +50,10 @@ const MEANINGS: [(&str, &str); 4] = [
         "hysteresis",
         "hysteresis is the largest difference of the displacements at one force while it rises and while it falls",
     ),
-    ("displacement at the end", "displacement at the end is that of the end of the run, where no force acts then"),
+    (
+        "displacement at the end",
+        "displacement at the end is that of the end of the run, where no force acts then",
+    ),
 ];
 
 /// Note under [`response_table`] about the columns that it shows; none without rows.
