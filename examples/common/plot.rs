@@ -79,7 +79,7 @@ fn draw_panel(canvas: &Canvas<'_>, panel: &Panel, zoom: f64) -> Result<(), Box<d
     let (low, high) = range(|point| point.1);
     let margin = 0.08 * (high - low);
     // Space for the legend.
-    let above = zoom * if panel.lines.len() > 3 { 7.0 } else { 4.0 };
+    let above = zoom.powf(1.5) * if panel.lines.len() > 3 { 7.0 } else { 4.0 };
     let (begin, end) = range(|point| point.0);
     let shown = panel.x_range.clone().unwrap_or(begin..end);
     let zoomed = |size: u32| (f64::from(size) * zoom) as u32;

@@ -22,7 +22,12 @@ const SMALLEST_TEXT_PX: f64 = 12.0;
 /// Expression of the layout of a page: what is wider than the window or too small, the figures with their widths, and the
 /// links of the table of contents.
 const PROBE: &str = r##"
-(() => {
+(async () => {
+  // The table of contents slides after a change of the width.
+  const still = document.createElement("style");
+  still.textContent = "*, *::before, *::after { transition: none !important; animation: none !important; }";
+  document.head.append(still);
+  for (let frames = 0; frames < 2; frames++) await new Promise(done => requestAnimationFrame(done));
   const main = document.querySelector("main"), width = document.documentElement.clientWidth, problems = [];
   const text = element => `${element.tagName} ${(element.textContent || element.src || "").trim().slice(0, 60)}`;
   const overflow = document.documentElement.scrollWidth - width;

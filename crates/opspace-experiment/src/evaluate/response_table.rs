@@ -42,7 +42,7 @@ pub fn response_table(summary: &Summary) -> Table {
     table
 }
 
-/// What the columns of [`response_table`] mean, by the beginning of their titles.
+/// Meanings of the columns of [`response_table`], by the beginning of their titles.
 const MEANINGS: [(&str, &str); 4] = [
     ("deflection max", "deflection max is the largest displacement along the axis after settle_s"),
     ("stiffness", "stiffness is force over displacement, – where these are not related"),
@@ -50,7 +50,10 @@ const MEANINGS: [(&str, &str); 4] = [
         "hysteresis",
         "hysteresis is the largest difference of the displacements at one force while it rises and while it falls",
     ),
-    ("displacement at the end", "displacement at the end is that of the end of the run, where no force acts then"),
+    (
+        "displacement at the end",
+        "displacement at the end is that of the end of the run, where no force acts then",
+    ),
 ];
 
 /// Note under [`response_table`] about the columns that it shows; none without rows.
