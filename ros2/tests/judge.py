@@ -9,6 +9,8 @@ Each scenario runs in a process and a network of its own, with the loopback alon
 A robot that waits for its commands lets a busy machine change durations alone. A scenario that depends on a latency, of a robot that
 does not wait, of targets or of discovery, may fail on one: it is repeated once, and says so. Others are not repeated.
 
+`--here latencies` measures latencies, and judges nothing. It is no part of the whole.
+
 Exit code 75 if no namespace can be created.
 """
 
