@@ -154,10 +154,14 @@ impl Graph {
     pub fn topics<M: Named>(&self) -> Vec<String> {
         let participant = self.context.domain_participant();
         let wanted = M::type_name().dds_msg_type();
-        let written = participant.discovered_writers().into_iter().map(|writer| {
-            (writer.publication_topic_data.topic_name, writer.publication_topic_data.type_name)
-        });
-        let read = participant.discovered_readers().into_iter().map(|reader| {
+        let own = participant.guid().prefix;
+        let written = participant.discovered_writers().into_iter();
+        let written =
+            written.filter(|writer| writer.writer_proxy.remote_writer_guid.prefix != own).map(|writer| {
+                (writer.publication_topic_data.topic_name, writer.publication_topic_data.type_name)
+            });
+        let read = participant.discovered_readers().into_iter();
+        let read = read.filter(|reader| reader.reader_proxy.remote_reader_guid.prefix != own).map(|reader| {
             (
                 reader.subscription_topic_data.topic_name().clone(),
                 reader.subscription_topic_data.type_name().clone(),
