@@ -53,7 +53,11 @@ fn scan(args: &DriverScanArgs, extensions: &Extensions, console: Console) -> Out
         }
     }
     if count == 0 {
-        return Err(Failure::Other("no device has answered: is its power on?".to_owned(), Exit::Bad));
+        return Err(Failure::Other(
+            "nothing has answered: is the robot's power on, and its driver or cable where the options say?"
+                .to_owned(),
+            Exit::Bad,
+        ));
     }
     Ok(Exit::Done)
 }

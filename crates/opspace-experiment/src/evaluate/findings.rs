@@ -30,7 +30,7 @@ impl Findings {
     /// Replaces remedies of simulations by those of a real robot.
     pub(crate) fn help_owner(&mut self) {
         for finding in &mut self.findings {
-            if let Some(remedy) = owner_remedy(finding.code) {
+            if let Some(remedy) = owner_remedy(finding) {
                 finding.help = remedy.to_owned();
             }
         }

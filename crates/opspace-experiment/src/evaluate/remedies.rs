@@ -13,6 +13,7 @@ pub(crate) fn remedy(finding: &Finding) -> &'static str {
         Code::ContactLost => {
             "approach more slowly, or raise `force.damping_per_s`; a smaller `settle_s` shows the contact that there was"
         }
+        Code::ControlInterrupted if is_requested(finding) => REQUESTED_HOLD,
         Code::CyclesMissed | Code::ControlInterrupted => {
             "`missed_cycles` in the log shows when (`opspace log export`); in simulation, `simulated.bus` of the robot loses them"
         }
@@ -46,14 +47,23 @@ pub(crate) fn remedy(finding: &Finding) -> &'static str {
 }
 
 /// Remedy on a real robot, where it is another one.
-pub(crate) fn owner_remedy(code: Code) -> Option<&'static str> {
-    match code {
+pub(crate) fn owner_remedy(finding: &Finding) -> Option<&'static str> {
+    match finding.code {
+        Code::ControlInterrupted if is_requested(finding) => Some(REQUESTED_HOLD),
         Code::CyclesMissed | Code::ControlInterrupted => Some(
             "end other programs on this computer, check the cable, or lower the rate (`servo_ticks_per_cycle` of the profile); with an \
              adapter for USB, set its latency timer to 1 ms; `missed_cycles` in the log shows when (`opspace log export`)",
         ),
         _ => None,
     }
+}
+
+const REQUESTED_HOLD: &str =
+    "nothing, if the hold was asked for: no sample was missing, and control resumed with the torque ramps";
+
+/// True if the robot was held although no sample was missing.
+fn is_requested(finding: &Finding) -> bool {
+    finding.number("missed_cycles") == Some(0.0)
 }
 
 /// Remedy for the first cause that keeps a task from its reference.
@@ -78,6 +88,7 @@ fn of_causes(finding: &Finding) -> &'static str {
 
 #[cfg(test)]
 mod tests {
+    use super::{owner_remedy, remedy};
     use crate::codes::{Code, Effect};
     use crate::evaluate::findings::Findings;
     use crate::finding::{Finding, Place};
@@ -117,6 +128,21 @@ mod tests {
             let is_known =
                 [format!("\"{last}\""), format!("`{last}`")].iter().any(|text| known.contains(text));
             assert!(is_known, "`{key}` is no key");
+        }
+    }
+
+    /// Compared: the remedies of a hold that was asked for, and of one after missing samples.
+    #[test]
+    fn requested_hold_needs_no_remedy() {
+        let held = |missed: f64| {
+            let finding = Finding::of(Code::ControlInterrupted, Place::Run(()), "held".to_owned());
+            finding.with("missed_cycles", Some(missed))
+        };
+        for (missed, is_requested) in [(0.0, true), (3.0, false)] {
+            let finding = held(missed);
+            for remedy in [remedy(&finding), owner_remedy(&finding).expect("a remedy")] {
+                assert_eq!(remedy.starts_with("nothing, if"), is_requested, "{missed}: {remedy}");
+            }
         }
     }
 }
