@@ -84,11 +84,11 @@ fn book_is_readable_on_a_phone_and_on_a_screen() {
             page.strip_prefix("docs/").unwrap().replace("README.md", "index.md").replace(".md", ".html");
         let path = book.join(&page);
         assert!(path.exists(), "{page} is not in the book");
+        // A page that is opened on a phone has its table of contents closed.
+        resize(&mut browser, WIDTHS_PX[0]);
         browser.open(&format!("file://{}", path.display()));
         for width_px in WIDTHS_PX {
-            let window =
-                json!({ "width": width_px, "height": 900, "deviceScaleFactor": 1, "mobile": width_px < 600 });
-            browser.call("Emulation.setDeviceMetricsOverride", &window);
+            resize(&mut browser, width_px);
             let probed = browser.evaluate(&probe);
             let found = probed["problems"].as_array().unwrap().iter();
             problems.extend(found.map(|problem| format!("{page}, {width_px} px: {problem}")));
@@ -114,12 +114,18 @@ fn book_is_readable_on_a_phone_and_on_a_screen() {
     let own: Vec<_> = complaints.iter().filter(|complaint| !complaint.contains("https://")).collect();
     assert!(own.is_empty(), "{own:?}");
 
-    let phone = json!({ "width": WIDTHS_PX[0], "height": 900, "deviceScaleFactor": 1, "mobile": true });
-    browser.call("Emulation.setDeviceMetricsOverride", &phone);
+    resize(&mut browser, WIDTHS_PX[0]);
     browser.open(&format!("file://{}", book.join("start/first-run.html").display()));
     let contents = browser.evaluate(OPEN_CONTENTS);
     assert_eq!((&contents["closed"], &contents["left"]), (&json!(true), &json!(0)), "{contents}");
     assert!(contents["width"].as_f64().unwrap() < f64::from(WIDTHS_PX[0]), "{contents}");
+}
+
+/// Gives the window of the browser a width.
+fn resize(browser: &mut Browser, width_px: u32) {
+    let window =
+        json!({ "width": width_px, "height": 900, "deviceScaleFactor": 1, "mobile": width_px < 600 });
+    browser.call("Emulation.setDeviceMetricsOverride", &window);
 }
 
 /// Checks that the table of contents leads to all pages.
