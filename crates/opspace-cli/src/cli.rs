@@ -429,11 +429,11 @@ Examples:
   opspace run tasks/cartesian-tracking.toml --controller ik-lead --profile b-soft
   opspace run tasks/compliant-x.toml --set task.hand.cartesian.gains.damping_ratio=0.7
   opspace run tasks/compliant-x.toml --set robot.simulated.true_over_nominal.kp=1.02
+  opspace run tasks/gravity-compensation.toml --backend replay --log runs/compliant-x-asimo-arm-position
   opspace run tasks/panda-reach.toml --plant mujoco
   opspace run tasks/panda-reach.toml --open
   opspace run tasks/compliant-x.toml --view
   opspace run tasks/compliant-x.toml --view --beside torque --beside ik
-  opspace run tasks/cartesian-tracking.toml --backend replay --log runs/compliant-x-asimo-arm-position
   opspace run tasks/experiments/teleop-wall.toml --set leader.task.hand.coupled.damping_ns_per_m=8
 
 Writes run.mcap (all signals; opens in Foxglove and PlotJuggler), report.html and summary.json into \

@@ -6,7 +6,7 @@
 //!
 //! ```text
 //! (1 + ε) Kv Kp t̄ + B − B̂ + D − ε Kv  is positive definite
-//! t̄ = (d + (R−1)/2) Ts, or 0 if held setpoints are emulated
+//! t̄ = (d + (R−1)/2) T_s, or 0 if held setpoints are emulated
 //! ```
 //!
 //! where Kv and Kp are the nominal gains, B is the viscous friction, B̂ its compensated part and D = −∂τ/∂q̇ the

@@ -1,7 +1,7 @@
 //! Gains that are too high for the rate, the delay and the servo of the robot: the phase margin of the loop.
 //!
 //! The model is one joint of inertia I under a sampled control law C(s) with the gains of the task. With the
-//! interface period T, the servo period Ts, the servo delay of d servo ticks, and R = T/Ts,
+//! interface period T, the servo period T_s, the servo delay of d servo ticks, and R = T/T_s,
 //!
 //! ```text
 //! C(s) = k (1 + i/s) + c V(s)          V(s) = a (1 − z⁻¹)/T / (1 − (1 − a) z⁻¹),  z = exp(s T)
@@ -11,7 +11,7 @@
 //! a)/a. A torque robot holds the torque for one period:
 //!
 //! ```text
-//! L(s) = C(s) exp(−s d Ts) Z(T)/s²     Z(T) = (1 − exp(−s T))/(s T), half a period of delay
+//! L(s) = C(s) exp(−s d T_s) Z(T)/s²     Z(T) = (1 − exp(−s T))/(s T), half a period of delay
 //! ```
 //!
 //! A position robot holds the setpoint of equation (K10), which is computed for a stiffness K = kv kp and a damping D
@@ -20,15 +20,15 @@
 //! setpoint and its hold over R servo ticks (twice the hold if the drive interpolates):
 //!
 //! ```text
-//! L(s) = I C (S/K) B Z(Ts) / (I s² − Z(Ts) [(S/K) (K + D V) B + Y])
-//! B(s) = exp(−s d Ts) (1 − exp(−s T))/(R (1 − exp(−s Ts)))
+//! L(s) = I C (S/K) B Z(T_s) / (I s² − Z(T_s) [(S/K) (K + D V) B + Y])
+//! B(s) = exp(−s d T_s) (1 − exp(−s T))/(R (1 − exp(−s T_s)))
 //! ```
 //!
 //! A velocity robot holds the velocity setpoint of its transformer, which inverts S, the servo's torque for a
 //! setpoint (kv without an integral), and compensates kv q̇ with the estimated velocity; here Y = −S W:
 //!
 //! ```text
-//! L(s) = I C B Z(Ts) / (I s² − Z(Ts) [S V B + Y])
+//! L(s) = I C B Z(T_s) / (I s² − Z(T_s) [S V B + Y])
 //! ```
 //!
 //! In both cases the bracket is zero without hold and lag: the servo is then inverted exactly. With them, the first
@@ -40,7 +40,7 @@
 //! predicted (below), these transformers foresee the state of the servo too, and theirs is the loop of the torque robot alone.
 //!
 //! Commands that act more than [`UNPREDICTED_S`] late are computed for the state that the controller predicts for that time, from the
-//! measured one and the commands that act until then. With D = d Ts, the law is then
+//! measured one and the commands that act until then. With D = d T_s, the law is then
 //!
 //! ```text
 //! C(s) = [k (1 + i/s) (1 + D V) + c V] / (1 + k (1 + i/s) M₂ + c M₁)
@@ -529,7 +529,7 @@ struct Plant<'a> {
     servo: Option<Servo>,
     /// Mean torques of the intervals after a desired torque of 1, if only the transformer inverts the drive; otherwise empty.
     response: &'a [f64],
-    /// Interface period T and servo period Ts, s.
+    /// Interface period T and servo period T_s, s.
     period_s: f64,
     servo_period_s: f64,
     delay_s: f64,

@@ -29,7 +29,7 @@ pub struct CascadedServo {
     /// q_d₋)/T_s` is added to its setpoint, with q_d₋ of the servo tick before.
     #[serde(default)]
     pub velocity_feed_forward: Fraction,
-    /// Torque fed forward per acceleration of the setpoint (its second difference divided by Ts²), kg m² (kg).
+    /// Torque fed forward per acceleration of the setpoint (its second difference divided by T_s²), kg m² (kg).
     #[serde(default)]
     pub acceleration_feed_forward_kg_m2: NonNegative,
     /// Filter of the setpoint at servo rate, before the loop and the feed-forward; none if absent.

@@ -20,14 +20,10 @@ const PLACEHOLDERS: [(&str, &str); 5] = [
 ];
 
 /// Examples of the help that no test of this page runs, with the reason. `…` at the end of a command stands for any rest.
-const NOT_RUN: [(&str, &str); 9] = [
+const NOT_RUN: [(&str, &str); 8] = [
     ("opspace bench", "takes minutes; the step acceptance of .ci/run runs it"),
     ("opspace bench --baseline …", "compares with earlier results; suites.rs has such a comparison"),
     ("opspace bench tasks/suites/limits.toml --shard …", "a third of a suite; suites.rs runs shards"),
-    (
-        "opspace run tasks/cartesian-tracking.toml --backend replay …",
-        "a watchdog stops it: the log is of another motion",
-    ),
     ("opspace bench tasks/suites/limits.toml --plants …", "needs MuJoCo: howto/mujoco.md has it"),
     ("opspace run tasks/panda-reach.toml --plant mujoco", "needs MuJoCo: howto/mujoco.md has it"),
     ("opspace check tasks/*.toml …", "takes minutes"),

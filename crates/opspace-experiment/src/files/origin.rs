@@ -111,7 +111,7 @@ impl Kind {
         for line in text.lines().map(str::trim_start) {
             let table = line.starts_with('[');
             if table || !inside {
-                let word = line.trim_start_matches(['[', ' ']);
+                let word = line.trim_start_matches(['[', ' ', '"', '\'']);
                 let key = word.split(|c: char| !(c.is_alphanumeric() || c == '_' || c == '-'));
                 tops.extend(key.take(1));
             }
@@ -196,6 +196,9 @@ mod tests {
         assert_eq!(Kind::of("[workspace]\nmembers = []\n[profile.dev]\nurdf = 1"), None);
         assert_eq!(Kind::of("priority = "), Some(Kind::Task), "though it is no TOML");
         assert_eq!(Kind::of("duration_s = 1\n[robots.a]"), Some(Kind::Experiment));
+        for quoted in ["\"robot\" = 1", "'priority' = []", "[\"task\".hand]", "[ 'task' . hand]"] {
+            assert_eq!(Kind::of(quoted), Some(Kind::Task), "{quoted}");
+        }
         assert_eq!(Kind::of("[a]\nrobot = 1"), None, "not at the top");
         assert_eq!(Kind::of("robot = 1\nurdf = 1"), None, "which of the two?");
     }
