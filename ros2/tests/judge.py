@@ -51,6 +51,8 @@ failures = []
 # What the program says when this machine has stood still.
 STOOD_STILL = "by the computer's clock, a sample came more than"
 standstills = []
+# Number of times for which a scenario is repeated in which that happened; one that depends on a latency is repeated once.
+REPEATS = 2
 
 
 def check(is_good, text):
@@ -771,11 +773,14 @@ def here(name):
     with contextlib.suppress(PermissionError):
         os.nice(-10)
     rclpy.init(args=[])
-    SCENARIOS[name]()
-    if failures and (name in IMPATIENT or standstills):
-        print(f"once more, since {len(failures)} checks have failed: {failures} {standstills[:1]}", flush=True)
+    for repeats_left in reversed(range(REPEATS + 1)):
         failures.clear()
+        standstills.clear()
         SCENARIOS[name]()
+        is_repeated = standstills or (name in IMPATIENT and repeats_left == REPEATS)
+        if not (failures and is_repeated and repeats_left):
+            return
+        print(f"once more, since {len(failures)} checks have failed: {failures} {standstills[:1]}", flush=True)
 
 
 # A network and a shared memory without anybody else.
