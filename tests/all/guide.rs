@@ -245,6 +245,7 @@ fn run(folder: &Path, command: &Command, place: &str) {
         String::from_utf8_lossy(&output.stdout).into_owned() + &String::from_utf8_lossy(&output.stderr);
     assert!(!shown.contains("panicked"), "{place}: {text}:\n{shown}");
     if text.contains("mujoco") && shown.contains("MuJoCo is not installed") {
+        assert!(std::env::var_os("OPSPACE_MUJOCO").is_none(), "{place}: {text}: MuJoCo was stated:\n{shown}");
         println!("SKIPPED, {place}: {text}: MuJoCo is not installed");
         return;
     }

@@ -14,8 +14,8 @@
 
 use super::case::PreflightCase;
 use super::diagnostic::short;
-use super::phase_margin::{Margin, hold, least_margin, rounded_down};
-use super::surfaces::{Surface, surfaces};
+use super::phase_margin::{GOOD_MARGIN_DEG, LEAST_MARGIN_DEG, Margin, hold, least_margin, rounded_down};
+use super::surfaces::{Surface, largest_stable_stiffness, largest_true, surfaces};
 use nalgebra::{Complex, DMatrix, DVector, Matrix6xX, RowDVector, Vector3};
 use opspace_backend::Setpoints;
 use opspace_backend::quantity::Positive;
@@ -25,16 +25,6 @@ use opspace_experiment::files::controller_kind::ControllerKind;
 use opspace_experiment::finding::Finding;
 use opspace_transformer::ServoLaw;
 use std::f64::consts::TAU;
-
-/// Phase margin below which a loop is reported, degrees, as for gains that are too high.
-const LEAST_MARGIN_DEG: f64 = 30.0;
-
-/// Phase margin of the proposed admittance, degrees.
-const GOOD_MARGIN_DEG: f64 = 45.0;
-
-/// Bounds of the examined stiffness of unknown objects, N/m, and number of values per decade.
-const STIFFNESSES_N_PER_M: [f64; 2] = [1.0, 1e7];
-const PER_DECADE: i32 = 4;
 
 /// Force axis with an admittance, and the drives that move it.
 struct ForceLoop {
@@ -210,16 +200,9 @@ impl ForceLoop {
 
     /// Largest stiffness of an undamped object on which the loop does not oscillate.
     fn largest_stiffness(&self) -> Option<f64> {
-        let [low, high] = STIFFNESSES_N_PER_M;
-        let stable = |stiffness| {
-            let contact = Surface { stiffness, damping: 0.0 };
+        largest_stable_stiffness(|contact| {
             self.has_margin(contact, self.admittance_ns_per_m, LEAST_MARGIN_DEG)
-        };
-        // The margin need not fall with the stiffness: very stiff objects leave the compliance of the servos.
-        let steps = (high / low).log10() as i32 * PER_DECADE;
-        let at = |step: i32| low * 10.0_f64.powf(f64::from(step) / f64::from(PER_DECADE));
-        let unstable = (1..=steps).find(|&step| !stable(at(step)))?;
-        largest_true(at(unstable - 1), at(unstable), stable)
+        })
     }
 
     fn finding(
@@ -253,16 +236,4 @@ impl ForceLoop {
         };
         Finding::new(Code::UnstableAdmittance, &key(case, stack, name), message, help)
     }
-}
-
-/// Largest value from `low` to `high` for which `is_true`, on a logarithmic scale; `None` if it is false for `low`.
-fn largest_true(mut low: f64, mut high: f64, is_true: impl Fn(f64) -> bool) -> Option<f64> {
-    if !is_true(low) {
-        return None;
-    }
-    for _ in 0..20 {
-        let middle = (low * high).sqrt();
-        if is_true(middle) { low = middle } else { high = middle }
-    }
-    Some(low)
 }

@@ -10,14 +10,14 @@
 //! with the damping B of the surface, the damping c of the axis and the effective mass Λ at the start. The peak force of an
 //! impact with the speed v and the target F is 1.5 F + 0.5 v √(K Λ), a bound of the peaks of simulated impacts.
 //!
-//! Where commands act so late that the controller predicts the state, the rule above does not hold, and the
-//! [phase margin](super::contact_margin) takes its place. It knows up to which stiffness an axis is stable if no surface is stated.
+//! For commands that act so late that the controller predicts the state, the [phase margin](super::contact_margin) takes the place of
+//! this rule. It knows up to which stiffness an axis is stable if no surface is stated.
 
 use super::case::PreflightCase;
 use super::contact_margin::{ContactLoop, ForceGains};
 use super::diagnostic::{at_least, short};
-use super::phase_margin::{Margin, rounded_down};
-use super::surfaces::{Surface, surfaces};
+use super::phase_margin::{LEAST_MARGIN_DEG, Margin, rounded_down};
+use super::surfaces::{Surface, largest_stable_stiffness, surfaces};
 use nalgebra::{DVector, Matrix6xX};
 use opspace_control::context::UNPREDICTED_S;
 use opspace_control::{AXIS_NAMES, AxisMode, CartesianParameters, ForceParameters, Task, TaskParameters};
@@ -25,13 +25,6 @@ use opspace_experiment::codes::Code;
 use opspace_experiment::finding::Finding;
 use opspace_model::OperationalSpace;
 use std::f64::consts::TAU;
-
-/// Phase margin below which a contact is reported, degrees, as for gains that are too high.
-const LEAST_MARGIN_DEG: f64 = 30.0;
-
-/// Bounds of the examined stiffness of unknown objects, N/m, and number of values per decade.
-const STIFFNESSES_N_PER_M: [f64; 2] = [1e2, 1e6];
-const PER_DECADE: i32 = 8;
 
 /// A force axis of a task, and the surface in front of it.
 struct PressingAxis<'a> {
@@ -223,27 +216,17 @@ impl PressingAxis<'_> {
         if self.surface.is_some() || !self.is_late() {
             return None;
         }
-        let [least, largest] = STIFFNESSES_N_PER_M;
-        let decades = (largest / least).log10() as i32;
-        let stable = |stiffness: f64| {
-            let contact = self.contact_loop(Surface { stiffness, damping: 0.0 });
-            contact.margin(&self.gains()).is_none_or(|margin| margin.degrees >= LEAST_MARGIN_DEG)
-        };
-        let stiffnesses = (0..=decades * PER_DECADE)
-            .map(|step| least * 10_f64.powf(f64::from(step) / f64::from(PER_DECADE)));
-        let up_to = stiffnesses.take_while(|&stiffness| stable(stiffness)).last();
-        if up_to.is_some_and(|stiffness| stiffness >= 0.99 * largest) {
-            return None;
-        }
-        let up_to = up_to.map_or_else(
-            || format!("also on objects of {} N/m", short(least)),
-            |stiffness| format!("on objects that are stiffer than {} N/m", rounded_down(stiffness)),
-        );
+        let stiffness = largest_stable_stiffness(|surface| {
+            let margin = self.contact_loop(surface).margin(&self.gains());
+            margin.is_none_or(|margin| margin.degrees >= LEAST_MARGIN_DEG)
+        })?;
         let message = format!(
-            "task '{}': what the hand presses on along {} is not known: because commands act {} ms late it oscillates {up_to}",
+            "task '{}': what the hand presses on along {} is not known: because commands act {} ms late it oscillates on \
+             objects that are stiffer than {} N/m",
             self.name,
             AXIS_NAMES[self.axis],
             short(1e3 * self.command_delay_s()),
+            rounded_down(stiffness),
         );
         let help = "state the object as `surface = { stiffness_n_per_m = ... }`; with a smaller `gain` it may be stiffer"
             .to_owned();

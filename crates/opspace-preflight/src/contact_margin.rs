@@ -18,7 +18,7 @@
 //! L is opened at the controller's output, and has no unstable poles. Other axes, friction, the bandwidth of the sensor, and errors of
 //! the transformer are not included.
 
-use super::phase_margin::{Margin, filtered_difference, hold, nyquist_margin};
+use super::phase_margin::{Margin, filtered_difference, hold, nyquist_margin, of_commands_until};
 use super::surfaces::Surface;
 use nalgebra::Complex;
 
@@ -76,17 +76,8 @@ impl ContactLoop {
         let plant = (-s * self.delay_s).exp() * hold(s, self.period_s) / (s * s + wall);
         let of_velocity = gains.damping_per_s * (velocity - self.delay_s * predicted * wall);
         let of_force = (gains.gain + gains.integral_per_s / s) * filter * wall;
-        gains.damping_per_s * self.of_commands(back) + plant * (of_velocity + of_force)
-    }
-
-    /// Velocity per commanded acceleration that the commands until then contribute, M₁, s.
-    fn of_commands(&self, back: Complex<f64>) -> Complex<f64> {
-        let (mut sum, mut began_s, mut shift) = (Complex::ZERO, 0.0, back);
-        while began_s < self.delay_s {
-            sum += shift * self.period_s.min(self.delay_s - began_s);
-            (began_s, shift) = (began_s + self.period_s, shift * back);
-        }
-        sum
+        let [of_commands, _] = of_commands_until(self.delay_s, self.period_s, back);
+        gains.damping_per_s * of_commands + plant * (of_velocity + of_force)
     }
 }
 

@@ -3,6 +3,13 @@
 use nalgebra::Complex;
 use std::f64::consts::{PI, TAU};
 
+/// Phase margin below which a loop is reported, degrees: it oscillates, and an error of a few per cent in inertia or
+/// delay makes it unstable.
+pub(super) const LEAST_MARGIN_DEG: f64 = 30.0;
+
+/// Phase margin of proposed gains, degrees.
+pub(super) const GOOD_MARGIN_DEG: f64 = 45.0;
+
 /// Phase margin of a loop (degrees, at least −180), and its crossover frequency.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Margin {
@@ -117,6 +124,20 @@ pub(super) fn filtered_difference(s: Complex<f64>, period_s: f64, cutoff_hz: f64
     let pole = (-TAU * cutoff_hz * period_s).exp();
     let back = (-s * period_s).exp();
     (1.0 - pole) * (1.0 - back) / (period_s * (1.0 - pole * back))
+}
+
+/// Velocity and position at the time `delay_s` (s) later per commanded acceleration until then, with the shift `back` over a period:
+/// M₁ = Σ_j (t_j − t_{j−1}) back^j (s) and M₂ = Σ_j ½ (t_j² − t_{j−1}²) back^j (s²), t_j = min(j `period_s`, `delay_s`).
+pub(super) fn of_commands_until(delay_s: f64, period_s: f64, back: Complex<f64>) -> [Complex<f64>; 2] {
+    let (mut of_velocity, mut of_position) = (Complex::ZERO, Complex::ZERO);
+    let (mut began, mut shift) = (0.0, back);
+    while began < delay_s {
+        let end = delay_s.min(began + period_s);
+        of_velocity += shift * (end - began);
+        of_position += shift * 0.5 * (end * end - began * began);
+        (began, shift) = (began + period_s, shift * back);
+    }
+    [of_velocity, of_position]
 }
 
 /// Formats a number with two digits, rounded down.

@@ -65,7 +65,10 @@
 
 use super::case::PreflightCase;
 use super::diagnostic::short;
-use super::phase_margin::{Margin, filtered_difference, hold, least_distance, least_margin, rounded_down};
+use super::phase_margin::{
+    GOOD_MARGIN_DEG, LEAST_MARGIN_DEG, Margin, filtered_difference, hold, least_distance, least_margin,
+    of_commands_until, rounded_down,
+};
 use nalgebra::{Complex, Matrix6xX};
 use opspace_backend::quantity::NonNegative;
 use opspace_backend::{CommandKind, Sample, Setpoints};
@@ -82,13 +85,6 @@ use opspace_transformer::moving_joint::MovingJoint;
 use opspace_transformer::{ProfileParameters, ServoGains, ServoLaw, ServoParameters, VelocityEstimator};
 use std::f64::consts::TAU;
 use std::fmt;
-
-/// Phase margin below which a loop is reported, degrees: it oscillates, and an error of a few per cent in inertia or
-/// delay makes it unstable.
-const LEAST_MARGIN_DEG: f64 = 30.0;
-
-/// Phase margin of the proposed gains, degrees.
-const GOOD_MARGIN_DEG: f64 = 45.0;
 
 /// Cutoff frequency of a velocity estimate that does not lag, Hz.
 const IDEAL_FILTER_HZ: f64 = 1e6;
@@ -652,14 +648,7 @@ impl<'a> Plant<'a> {
             return Complex::ZERO;
         }
         let back = (-s * self.period_s).exp();
-        let (mut of_velocity, mut of_position) = (Complex::ZERO, Complex::ZERO);
-        let (mut began, mut shift) = (0.0, back);
-        while began < self.delay_s {
-            let end = self.delay_s.min(began + self.period_s);
-            of_velocity += shift * (end - began);
-            of_position += shift * 0.5 * (end * end - began * began);
-            (began, shift) = (began + self.period_s, shift * back);
-        }
+        let [of_velocity, of_position] = of_commands_until(self.delay_s, self.period_s, back);
         let stiffness = law.stiffness * (1.0 + law.integral / s);
         law.damping * of_velocity + stiffness * of_position
     }

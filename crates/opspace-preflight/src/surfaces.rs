@@ -9,6 +9,10 @@ use opspace_sim::EnvironmentObjectParameters;
 /// sideways.
 const SIDEWAYS: f64 = 0.01;
 
+/// Bounds of the examined stiffness of unknown objects, N/m, and number of values per decade.
+const STIFFNESSES_N_PER_M: [f64; 2] = [1.0, 1e7];
+const PER_DECADE: i32 = 4;
+
 /// Surface of an object: its stiffness and damping along a direction.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Surface {
@@ -66,4 +70,27 @@ fn surface(
 fn unit(vector: Vector3<f64>) -> Vector3<f64> {
     let largest = vector.amax();
     if largest > 0.0 { (vector / largest).normalize() } else { vector }
+}
+
+/// Largest stiffness of an undamped object for which a contact is stable, N/m; `None` if it is for all.
+pub(super) fn largest_stable_stiffness(is_stable: impl Fn(Surface) -> bool) -> Option<f64> {
+    let [low, high] = STIFFNESSES_N_PER_M;
+    let stable = |stiffness| is_stable(Surface { stiffness, damping: 0.0 });
+    // The margin need not fall with the stiffness: very stiff objects leave the compliance of the servos.
+    let steps = (high / low).log10() as i32 * PER_DECADE;
+    let at = |step: i32| low * 10.0_f64.powf(f64::from(step) / f64::from(PER_DECADE));
+    let unstable = (1..=steps).find(|&step| !stable(at(step)))?;
+    largest_true(at(unstable - 1), at(unstable), stable)
+}
+
+/// Largest value from `low` to `high` for which `is_true`, on a logarithmic scale; `None` if it is false for `low`.
+pub(super) fn largest_true(mut low: f64, mut high: f64, is_true: impl Fn(f64) -> bool) -> Option<f64> {
+    if !is_true(low) {
+        return None;
+    }
+    for _ in 0..20 {
+        let middle = (low * high).sqrt();
+        if is_true(middle) { low = middle } else { high = middle }
+    }
+    Some(low)
 }
